@@ -1,0 +1,44 @@
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+PY := .venv/bin/python
+STAMP := .venv/.setup-done
+IMAGES ?=
+OUT ?= out/demo
+WORKERS ?= 2
+
+help: ## list the targets
+	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
+
+setup: $(STAMP) ## prepare .venv (installs libgdal-dev with apt where missing and allowed)
+
+$(STAMP): pyproject.toml constraints.txt tools/setup.sh
+	bash tools/setup.sh
+	@touch $@
+
+demo: setup ## simulate a small survey and mosaic it; IMAGES=folder mosaics that folder instead
+	@if [ -n "$(IMAGES)" ]; then .venv/bin/geomosaic mosaic "$(IMAGES)" -o "$(OUT)"; \
+	else $(PY) tools/demo.py "$(OUT)"; fi
+
+test: setup lint types layers unit ## all checks and tests
+
+lint: setup ## ruff
+	.venv/bin/ruff check geomosaic tests tools
+	.venv/bin/ruff format --check geomosaic tests tools
+
+types: setup ## mypy --strict on the package
+	.venv/bin/mypy
+
+layers: setup ## import-linter: data walks one way
+	.venv/bin/lint-imports
+
+unit: setup ## pytest, two workers
+	.venv/bin/pytest -n $(WORKERS) --dist loadfile
+
+format: setup ## rewrite the code's layout
+	.venv/bin/ruff check --fix geomosaic tests tools
+	.venv/bin/ruff format geomosaic tests tools
+
+clean: ## delete results and caches, keep .venv
+	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+.PHONY: help setup demo test lint types layers unit format clean

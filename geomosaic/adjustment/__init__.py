@@ -1,0 +1,1 @@
+"""Error sharing and its rivals, global least squares: from tie points to adjusted poses."""

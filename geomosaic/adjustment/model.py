@@ -1,0 +1,60 @@
+"""What every adjustment method takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.matching.model import TiePoints
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A survey ready to be adjusted: where the frames are believed to be, and what ties them.
+
+    `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
+    number of frame i's flight line. `ground_pixel_m` is the paper's D.
+    """
+
+    names: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    poses: Poses
+    ground: GroundSurface
+    ties: TiePoints
+    sequence: tuple[int, ...]
+    lines: tuple[int, ...]
+    ground_pixel_m: float
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of an adjustment, as recorded.
+
+    misalignments_m: (pairs, 2) east and north of right minus left before the moves, NaN if unknown.
+    moves_m: (frames, 2) east and north by which each frame moved in this round.
+    """
+
+    misalignments_m: Floats
+    moves_m: Floats
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
+
+    residuals_m: per pair of `Block.ties.pairs` (k, 2): where the right frame puts each tie point on
+    the ground minus where the left one does, east and north, after the adjustment.
+    """
+
+    poses: Poses
+    cameras: tuple[Camera, ...]
+    status: tuple[str, ...]
+    rounds: tuple[Round, ...]
+    residuals_m: tuple[Floats, ...]

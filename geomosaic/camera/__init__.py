@@ -1,0 +1,1 @@
+"""Interior orientation, lens distortion, exterior orientation, collinearity."""

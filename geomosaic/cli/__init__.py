@@ -1,0 +1,1 @@
+"""The command line: knows the registry and nothing below it."""

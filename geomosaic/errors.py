@@ -1,0 +1,78 @@
+"""One exception tree. Each error is also the builtin it resembles and knows its exit code.
+
+The command line prints `str(error)` as its one line and exits with `error.exit_code`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class GeomosaicError(Exception):
+    """Anything the package raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(GeomosaicError, ValueError):
+    """What the user gave can't be used.
+
+    `problem` says what is wrong, `file` names where, `mend` says what to do about it.
+    """
+
+    exit_code = 2
+
+    def __init__(self, problem: str, *, file: str | Path | None = None, mend: str | None = None) -> None:
+        self.problem = problem
+        self.file = None if file is None else str(file)
+        self.mend = mend
+        text = problem if file is None else f"{file}: {problem}"
+        super().__init__(" ".join(f"{text}; {mend}".split()) if mend else " ".join(text.split()))
+
+
+class FileError(InputError, OSError):
+    """A file can't be read, or is not what its name says."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class UnknownNameError(InputError, LookupError):
+    """A name (stage, parameter, method, frame) that doesn't exist; says which are near."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None) -> None:
+        names = sorted(known)
+        near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        mend = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
+        super().__init__(f"unknown {kind} '{name}'", file=file, mend=mend)
+
+
+class OutputError(GeomosaicError, OSError):
+    """A result can't be written: no permission, disk full, the target is in the way."""
+
+    exit_code = 2
+
+    def __init__(self, problem: str, *, file: str | Path, mend: str | None = None) -> None:
+        self.file = str(file)
+        super().__init__(" ".join(f"{file}: {problem}{'; ' + mend if mend else ''}".split()))
+
+
+class NotSolvableError(GeomosaicError, ArithmeticError):
+    """The observations don't determine what was asked for."""
+
+
+class PluginError(GeomosaicError, ImportError):
+    """A third-party stage that can't be loaded, or that claims an id already taken."""
+
+    exit_code = 2
+
+
+class CancelledError(GeomosaicError):
+    """The user stopped the run."""
+
+    exit_code = 130
+
+    def __init__(self, text: str = "stopped") -> None:
+        super().__init__(text)

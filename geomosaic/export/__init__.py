@@ -1,0 +1,1 @@
+"""COG, GeoPackage, positions, tiles, report: what people take away."""

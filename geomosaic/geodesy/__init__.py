@@ -1,0 +1,1 @@
+"""The Earth: ellipsoid radii, geodetic, ECEF and local ENU coordinates, map CRS, heights."""

@@ -1,0 +1,82 @@
+"""Map coordinate systems: only for reading DEMs and control and for writing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Proj, Transformer
+from pyproj.exceptions import CRSError
+
+from geomosaic.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+def utm_crs(lon_deg: float, lat_deg: float) -> str:
+    """`EPSG:326zz` or `EPSG:327zz` of a point, with the grid's exceptions for Norway and Svalbard."""
+    zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
+    if 56.0 <= lat_deg < 64.0 and 3.0 <= lon_deg < 12.0:
+        zone = 32
+    if 72.0 <= lat_deg < 84.0 and 0.0 <= lon_deg < 42.0:
+        zone = 31 + 2 * int((lon_deg + 3.0) // 12.0)
+    return f"EPSG:{326 if lat_deg >= 0.0 else 327}{zone:02d}"
+
+
+def map_crs(text: str) -> CRS:
+    """A projected CRS in metres from an EPSG code, WKT or PROJ string; `InputError` otherwise."""
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(
+            f"'{text}' is no coordinate reference system", mend="give an EPSG code such as EPSG:32632"
+        ) from error
+    if not crs.is_projected or any(a.unit_conversion_factor != 1.0 for a in crs.axis_info[:2]):
+        raise InputError(
+            f"'{text}' is no map projection in metres", mend="give a projected CRS such as EPSG:32632"
+        )
+    return crs
+
+
+@lru_cache(maxsize=32)
+def _map_from_geodetic(crs: str) -> Transformer:
+    return Transformer.from_crs("EPSG:4979", CRS.from_user_input(crs).to_2d(), always_xy=True)
+
+
+@lru_cache(maxsize=32)
+def _projection(crs: str) -> Proj:
+    return Proj(CRS.from_user_input(crs))
+
+
+@dataclass(frozen=True)
+class MapProjection:
+    """A map CRS by its name (`EPSG:32615` or WKT), moving points between it and WGS 84."""
+
+    crs: str
+
+    def map_from_geodetic(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
+        """Easting and northing in metres, shape (..., 2)."""
+        lon, lat = np.broadcast_arrays(
+            np.asarray(lon_deg, dtype=np.float64), np.asarray(lat_deg, dtype=np.float64)
+        )
+        en = _map_from_geodetic(self.crs).transform(lon.ravel(), lat.ravel())
+        return np.stack(en, axis=-1).reshape((*lon.shape, 2))
+
+    def geodetic_from_map(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Floats:
+        """Longitude and latitude in degrees, shape (..., 2)."""
+        east, north = np.broadcast_arrays(
+            np.asarray(easting_m, dtype=np.float64), np.asarray(northing_m, dtype=np.float64)
+        )
+        lonlat = _map_from_geodetic(self.crs).transform(east.ravel(), north.ravel(), direction="INVERSE")
+        return np.stack(lonlat, axis=-1).reshape((*east.shape, 2))
+
+    def grid_convergence_rad(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
+        """Angle from grid north to true north, positive where true north lies west of grid north.
+
+        True azimuth = grid azimuth + convergence; east of a northern UTM zone's central meridian
+        the convergence is positive.
+        """
+        factors = _projection(self.crs).get_factors(np.asarray(lon_deg), np.asarray(lat_deg))
+        return np.radians(np.asarray(factors.meridian_convergence, dtype=np.float64))

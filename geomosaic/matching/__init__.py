@@ -1,0 +1,1 @@
+"""Enhancement, SIFT, guided search, geometric check, consensus: from pictures to tie points."""

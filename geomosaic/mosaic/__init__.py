@@ -1,0 +1,1 @@
+"""Output grid, seams, blending, streaming composition."""

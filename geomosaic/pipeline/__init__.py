@@ -1,0 +1,1 @@
+"""Stage, parameters, registry, recipe, cache, executors, runner."""

@@ -1,0 +1,1 @@
+"""Nadir points on the map, flight lines, the overlap graph, candidate pairs."""

@@ -1,0 +1,31 @@
+"""Where frames lie on the ground and how large their pixels are there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+
+
+def ground_from_image(pose: Pose, camera: Camera, ground: GroundSurface, image_px: Floats) -> Floats:
+    """Ground points (..., 3) in the work frame of cols and rows (..., 2); NaN where a ray misses."""
+    return ground.intersect(pose.position_m, pose.ray_from_image(camera, image_px))
+
+
+def footprint(pose: Pose, camera: Camera, ground: GroundSurface, per_side: int = 8) -> Floats:
+    """The frame's outline on the ground, (4 * per_side, 3), in the order of `Camera.border_px`."""
+    return ground_from_image(pose, camera, ground, camera.border_px(per_side))
+
+
+def ground_sampling_distance_m(pose: Pose, camera: Camera, ground: GroundSurface) -> float:
+    """Side in metres of the square with the area of the middle pixel's footprint."""
+    middle = np.array([camera.width_px / 2.0, camera.height_px / 2.0])
+    half = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * 16.0
+    p = ground_from_image(pose, camera, ground, middle + half)[:, :2]
+    d1, d2 = p[2] - p[0], p[3] - p[1]
+    return float(np.sqrt(abs(d1[0] * d2[1] - d1[1] * d2[0]) / 2.0) / 16.0)

@@ -1,0 +1,1 @@
+"""Displacement vectors, SSIM, jumps between patches, misalignment: judged apart from the pipeline."""

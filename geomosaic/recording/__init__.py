@@ -1,0 +1,1 @@
+"""MCAP writer and reader, replay, diff, the Rerun view: beside the staircase, not on it."""

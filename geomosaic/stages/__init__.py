@@ -1,0 +1,1 @@
+"""One thin file per stage: adapt, call the rooms, return."""

@@ -1,0 +1,116 @@
+"""The nouns of a survey. What isn't known is None: nothing is invented here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a frame's projection centre was, as observed.
+
+    Geodetic WGS 84. Either height may be unknown. Standard deviations always have a value: the
+    observation's own, or the default of its source (see `survey.accuracy`); `source` says which.
+    """
+
+    lon_deg: float
+    lat_deg: float
+    height_ellipsoidal_m: float | None
+    height_above_ground_m: float | None
+    sd_horizontal_m: float
+    sd_vertical_m: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """How a frame was turned, as observed: body angles of a camera that looks down (`Rotation`).
+
+    yaw_deg is the true heading of the image's top edge, pitch_deg > 0 looks forward (0 is nadir),
+    roll_deg > 0 looks left. Each may be unknown by itself.
+    """
+
+    yaw_deg: float | None
+    pitch_deg: float | None
+    roll_deg: float | None
+    sd_yaw_deg: float
+    sd_tilt_deg: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture: its file, its camera's name, and what the platform said of it.
+
+    `name` is the file's name without folders; `path` is absolute. `valid_mask` names a raster of
+    the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC.
+    """
+
+    name: str
+    path: str
+    width_px: int
+    height_px: int
+    bands: int
+    dtype: str
+    camera: str
+    position: Position
+    attitude: Attitude
+    time_s: float | None = None
+    valid_mask: str | None = None
+    nodata: float | None = None
+
+
+@dataclass(frozen=True)
+class ElevationModel:
+    """A DEM raster and what must be added to its values to have ellipsoidal heights.
+
+    `vertical` says how that was settled: the CRS's own vertical datum, an offset given, or assumed.
+    """
+
+    path: str
+    offset_m: float
+    vertical: str
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A point known on the ground. `check` points are never used in a solve."""
+
+    name: str
+    lon_deg: float
+    lat_deg: float
+    height_ellipsoidal_m: float
+    sd_horizontal_m: float
+    sd_vertical_m: float
+    check: bool
+    images: tuple[tuple[str, float, float], ...]
+    """(frame name, col_px, row_px) of each picture it was measured in."""
+
+
+@dataclass(frozen=True)
+class Warn:
+    """Something the user should know: a stable code, the frame it is about (or ''), one line."""
+
+    code: str
+    frame: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Frames in order of capture (time, then name), their cameras, and where all of it lies."""
+
+    frames: tuple[Frame, ...]
+    cameras: tuple[Camera, ...]
+    work_frame: LocalFrame
+    map_crs: str
+    elevation: ElevationModel | None = None
+    control: tuple[ControlPoint, ...] = ()
+    warnings: tuple[Warn, ...] = ()
+
+    def camera_of(self, i: int) -> Camera:
+        """The camera that took frame i."""
+        return next(c for c in self.cameras if c.name == self.frames[i].camera)
