@@ -1,0 +1,74 @@
+"""Frames whose pixels were turned after the flight: found from where their neighbours lie."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+
+Floats = NDArray[np.float64]
+_QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+
+
+def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_nadir: Floats) -> Floats:
+    """Misalignment of a pair under each hypothesis of quarter turns, (4, 4): [left, right].
+
+    A frame whose picture is turned puts its ground points on the wrong side of its nadir point.
+    Turning its points back by k quarters about the nadir point rights them; that is exact for a
+    camera that looks straight down, and good to the tilt's displacement otherwise. Two frames turned
+    alike also show: their overlap then lies on the sides facing away from each other.
+
+    Args: (k, 2) east and north of tie points as each frame places them; nadir points (2,).
+    """
+    a, b = left_en - left_nadir, right_en - right_nadir
+    base = right_nadir - left_nadir
+    costs = np.empty((4, 4))
+    for i, turn_left in enumerate(_QUARTERS):
+        for j, turn_right in enumerate(_QUARTERS):
+            miss = b @ turn_right.T + base - a @ turn_left.T
+            costs[i, j] = np.median(np.linalg.norm(miss, axis=1))
+    return costs
+
+
+def turned_frames(n: int, costs_m: list[tuple[int, int, Floats]], cap_m: float) -> dict[int, int]:
+    """Quarter turns (1 to 3, counter-clockwise on the ground) of frames that need them.
+
+    Minimises the sum over pairs of the misalignment, each capped, plus half a cap for every turned
+    frame, by coordinate descent from the pairs' own votes: where the evidence is level, a frame
+    counts as it was tagged.
+
+    Args: costs_m: (left, right, (4, 4) costs) per pair. cap_m: beyond this a pair says no more.
+    """
+    capped = [(a, b, np.minimum(c, cap_m)) for a, b, c in costs_m]
+    votes = np.zeros((n, 4))
+    for a, b, c in capped:
+        i, j = np.unravel_index(int(c.argmin()), c.shape)
+        weight = float(c[0, 0] - c[i, j])
+        votes[a, i] += weight
+        votes[b, j] += weight
+    turn = np.where(votes.max(axis=1) > 0.0, votes.argmax(axis=1), 0)
+    mine: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
+    for a, b, c in capped:
+        mine[a].append((b, c))
+        mine[b].append((a, c.T))
+    for _ in range(20):
+        before = turn.copy()
+        for frame in range(n):
+            if not mine[frame]:
+                continue
+            cost = np.sum([c[:, turn[other]] for other, c in mine[frame]], axis=0)
+            cost[1:] += cap_m / 2.0
+            turn[frame] = int(cost.argmin())
+        if np.array_equal(turn, before):
+            break
+    return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
+
+
+def righted(poses: Poses, turns: dict[int, int]) -> Poses:
+    """Poses with the rotations of turned pictures; a picture turned clockwise shows its points turned
+    counter-clockwise about the nadir."""
+    rotations = poses.rotations.copy()
+    for i, quarters in turns.items():
+        rotations[i] = poses[i].rotation.turned(quarters).matrix
+    return Poses(poses.positions_m, rotations, poses.positions_sd_m, poses.rotations_sd_rad)

@@ -1,0 +1,92 @@
+"""Flight lines and the overlap graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def flight_lines(positions_m: Floats, turn_deg: float = 40.0, gap: float = 4.0) -> tuple[int, ...]:
+    """Number of the flight line of each frame, in order of capture.
+
+    A new line begins where the course turns by more than turn_deg, or where a step is more than
+    `gap` times the median step.
+
+    Args: positions_m (n, 2 or 3), in order of capture.
+    """
+    steps = np.diff(positions_m[:, :2], axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    typical = float(np.median(length[length > 0.0])) if np.any(length > 0.0) else 1.0
+    lines, line, course = [0], 0, None
+    for step, size in zip(steps, length, strict=True):
+        if size < 0.05 * typical:
+            lines.append(line)
+            continue
+        direction = step / size
+        if size > gap * typical or (
+            course is not None and float(course @ direction) < np.cos(np.radians(turn_deg))
+        ):
+            line, course = line + 1, None
+        else:
+            course = direction
+        lines.append(line)
+    return tuple(lines)
+
+
+def overlapping_pairs(
+    footprints_m: Sequence[Floats], reach_m: float, most: int = 12, least: float = 0.02
+) -> tuple[tuple[int, int], ...]:
+    """Pairs of frames that may see the same ground, left < right, by falling overlap.
+
+    Each outline grows by reach_m (how far a frame may be misplaced, plus how a turned frame may
+    stick out); a pair stands if the true outlines share anything, or the grown ones more than `least`
+    of the smaller true one.
+
+    Args: footprints_m: per frame (k, 2 or 3) outline on the ground. most: how many neighbours a frame
+        asks for; a pair stays if either of its frames asks for it.
+    """
+    outlines = [
+        shapely.make_valid(shapely.Polygon(f[:, :2])) if len(f) >= 3 else shapely.Point()
+        for f in footprints_m
+    ]
+    grown = [o.buffer(reach_m) for o in outlines]
+    left, right = shapely.STRtree(grown).query(grown, predicate="intersects")
+    keep = left < right
+    left, right = left[keep], right[keep]
+    if not left.size:
+        return ()
+    outlines_a, grown_a = np.array(outlines, dtype=object), np.array(grown, dtype=object)
+    smaller = np.minimum(shapely.area(outlines_a)[left], shapely.area(outlines_a)[right])
+    shared = shapely.area(shapely.intersection(outlines_a[left], outlines_a[right])) / smaller
+    near = shapely.area(shapely.intersection(grown_a[left], grown_a[right])) / smaller
+    score = shared + 0.01 * near
+    asked = np.zeros(left.size, dtype=bool)
+    for i in range(len(outlines)):
+        mine = np.flatnonzero((left == i) | (right == i))
+        asked[mine[np.argsort(-score[mine], kind="stable")[:most]]] = True
+    wanted = np.flatnonzero(asked & ((shared > 0.0) | (near > least)))
+    wanted = wanted[np.argsort(-score[wanted], kind="stable")]
+    return tuple((int(left[k]), int(right[k])) for k in wanted)
+
+
+def connected_parts(n: int, pairs: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """Groups of frames that hang together by pairs, largest first; lonely frames are parts of one."""
+    part = list(range(n))
+
+    def find(i: int) -> int:
+        while part[i] != i:
+            part[i] = part[part[i]]
+            i = part[i]
+        return i
+
+    for a, b in pairs:
+        part[find(a)] = find(b)
+    groups: dict[int, list[int]] = {}
+    for i in range(n):
+        groups.setdefault(find(i), []).append(i)
+    return sorted(groups.values(), key=lambda g: (-len(g), g[0]))

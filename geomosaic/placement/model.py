@@ -1,0 +1,24 @@
+"""Where frames are believed to lie before any of them is compared with another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomosaic.camera.exterior import Poses
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Prior poses in the work frame, the order of flight, and who may overlap whom.
+
+    sequence: frame indices in order of capture. lines: the number of each frame's flight line.
+    pairs: (left, right) with left < right, by falling overlap. ground_pixel_m: the median ground
+    sampling distance, the paper's D. formula: how positions came into the work frame.
+    """
+
+    poses: Poses
+    sequence: tuple[int, ...]
+    lines: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+    ground_pixel_m: float
+    formula: str

@@ -1,0 +1,140 @@
+"""Prior poses: a survey's positions and attitudes brought into the work frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.survey.model import Frame, Survey
+
+Floats = NDArray[np.float64]
+UNKNOWN_YAW_SD_DEG = 180.0
+COURSE_YAW_SD_DEG = 20.0
+
+
+def rigorous(work_frame: LocalFrame, lon_lat_height: Floats) -> tuple[Floats, Floats]:
+    """Positions (n, 3) by ECEF, and the rotations (n, 3, 3) from each point's own axes."""
+    lon, lat, height = lon_lat_height.T
+    return work_frame.enu_from_geodetic(lon, lat, height), work_frame.enu_from_local_rotation(lon, lat)
+
+
+def mid_latitude(work_frame: LocalFrame, lon_lat_height: Floats) -> tuple[Floats, Floats]:
+    """The paper's plane map: its equation 4 from the work frame's origin, no Earth curvature."""
+    lon, lat, height = lon_lat_height.T
+    en = mid_latitude_offset_m(work_frame.lon_deg, work_frame.lat_deg, lon, lat)
+    up = height - work_frame.height_ellipsoidal_m
+    return np.column_stack([en, up]), np.broadcast_to(np.eye(3), (len(lon), 3, 3))
+
+
+FORMULAS: dict[str, Callable[[LocalFrame, Floats], tuple[Floats, Floats]]] = {
+    "rigorous": rigorous,
+    "mid_latitude": mid_latitude,
+}
+
+
+def _body(yaw_deg: Floats, pitch_deg: Floats, roll_deg: Floats) -> Rotation:
+    return Rotation.from_yaw_pitch_roll(*np.radians([yaw_deg, pitch_deg, roll_deg]))
+
+
+def _paper(yaw_deg: Floats, pitch_deg: Floats, roll_deg: Floats) -> Rotation:
+    return Rotation.from_phi_omega_kappa(*np.radians([pitch_deg, roll_deg, -yaw_deg]))
+
+
+ATTITUDES: dict[str, Callable[[Floats, Floats, Floats], Rotation]] = {
+    "yaw_pitch_roll": _body,
+    "phi_omega_kappa": _paper,
+}
+
+
+def frame_heights_m(
+    frames: tuple[Frame, ...], terrain_height_m: Floats | None, ground_height_m: float | None
+) -> Floats:
+    """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
+
+    A height above the ground, where a frame has one and the ground's height is known, is believed
+    before an absolute height of worse stated accuracy: on one flat ground directly; over a DEM after
+    one shift of the whole survey, for such heights count from the take-off point.
+    """
+    absolute = np.array([_or_nan(f.position.height_ellipsoidal_m) for f in frames])
+    above = np.array([_or_nan(f.position.height_above_ground_m) for f in frames])
+    weak = np.array([f.position.sd_vertical_m > 3.0 for f in frames]) | np.isnan(absolute)
+    if terrain_height_m is not None and np.isfinite(above).any():
+        take_off = np.nanmedian(terrain_height_m[np.isfinite(above)])
+        return np.where(weak & np.isfinite(above), take_off + above, absolute)
+    if ground_height_m is not None:
+        return np.where(weak & np.isfinite(above), ground_height_m + above, absolute)
+    return absolute
+
+
+def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
+    """The flat ground's ellipsoidal height: the median of absolute minus relative heights."""
+    both = [
+        p.height_ellipsoidal_m - p.height_above_ground_m
+        for p in (f.position for f in frames)
+        if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
+    ]
+    return float(np.median(both)) if both else None
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
+    """True course over ground at each frame (n,), from its neighbours in the same flight line."""
+    n = len(positions_m)
+    course = np.full(n, np.nan)
+    for line in sorted(set(lines)):
+        at = [i for i in range(n) if lines[i] == line]
+        if len(at) < 2:
+            continue
+        for k, i in enumerate(at):
+            d = positions_m[at[min(k + 1, len(at) - 1)]] - positions_m[at[max(k - 1, 0)]]
+            course[i] = np.degrees(np.arctan2(d[0], d[1]))
+    return course
+
+
+def prior_poses(
+    survey: Survey,
+    heights_m: Floats,
+    lines: tuple[int, ...],
+    formula: str = "rigorous",
+    attitude: str = "yaw_pitch_roll",
+) -> Poses:
+    """Poses of all frames from their observed positions and attitudes.
+
+    An unknown tilt is taken as nadir, an unknown yaw as the course of the flight line; their standard
+    deviations say how little that is worth (COURSE_YAW_SD_DEG, UNKNOWN_YAW_SD_DEG).
+
+    Args: heights_m (n,) ellipsoidal, see `frame_heights_m`.
+    """
+    frames = survey.frames
+    llh = np.array(
+        [[f.position.lon_deg, f.position.lat_deg, h] for f, h in zip(frames, heights_m, strict=True)]
+    )
+    positions, work_from_local = FORMULAS[formula](survey.work_frame, llh)
+    yaw = np.array([_or_nan(f.attitude.yaw_deg) for f in frames])
+    sd_yaw = np.array([f.attitude.sd_yaw_deg for f in frames])
+    unknown = np.isnan(yaw)
+    course = courses_deg(positions, lines)
+    sd_yaw[unknown] = np.where(np.isnan(course), UNKNOWN_YAW_SD_DEG, COURSE_YAW_SD_DEG)[unknown]
+    yaw = np.where(unknown, np.nan_to_num(course), yaw)
+    pitch, roll = (
+        np.array([getattr(f.attitude, angle) or 0.0 for f in frames]) for angle in ("pitch_deg", "roll_deg")
+    )
+    local = ATTITUDES[attitude](yaw, pitch, roll).matrix
+    sd_tilt = np.array([f.attitude.sd_tilt_deg for f in frames])
+    return Poses(
+        positions_m=positions,
+        rotations=work_from_local @ local,
+        positions_sd_m=np.array(
+            [[f.position.sd_horizontal_m] * 2 + [f.position.sd_vertical_m] for f in frames]
+        ),
+        rotations_sd_rad=np.radians(np.column_stack([sd_tilt, sd_tilt, sd_yaw])),
+    )
