@@ -1,0 +1,369 @@
+"""Writes the recording of a run: an MCAP file of protobuf messages.
+
+The file grows under its final name, unlike every other result: a run that is killed leaves a file
+that is whole up to the last stage that finished, and `reader.read_recording` reads it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from mcap.well_known import MessageEncoding
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import ArrayLike
+
+from geomosaic import __version__
+from geomosaic.camera.interior import Camera
+from geomosaic.errors import OutputError
+from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, TiePoints
+
+PROFILE = "geomosaic"
+FORMAT = "1"
+RECIPE, ENVIRONMENT, MANIFEST = "recipe.yaml", "environment.json", "manifest.json"
+CHUNK_BYTES = 128 * 1024
+ARTEFACT_PART_BYTES = 1024 * 1024
+COLOURS = {
+    "observed": (0.45, 0.55, 0.70, 1.0),
+    "tied": (0.18, 0.70, 0.35, 1.0),
+    "placed": (0.95, 0.65, 0.10, 1.0),
+    "rejected": (0.85, 0.20, 0.20, 1.0),
+}
+_OTHER_COLOUR = (0.60, 0.60, 0.60, 1.0)
+
+
+class Recorder:
+    """The recording of one run.
+
+    Every call writes at most a few messages and keeps nothing, so memory doesn't grow with the run.
+    Arguments are plain values and arrays: a call can be stored and made again. All messages share one
+    clock and one counter (the MCAP sequence number), so that they share every timeline. Log times
+    rise strictly: the wall clock, or with `fixed_time` steps of 1 ms from the epoch, without
+    durations, so that equal runs give equal bytes.
+
+    Raises OutputError where the file can't be written; further calls then raise it again.
+    """
+
+    def __init__(self, path: Path, fixed_time: bool = False) -> None:
+        self.path = path
+        self._fixed_time = fixed_time
+        self._time_ns = 0
+        self._sequence = 0
+        self._stage_index = -1
+        self._schema_ids: dict[str, int] = {}
+        self._channel_ids: dict[str, int] = {}
+        self._writer: Any  # mcap's writer is partly untyped
+        self._failed: OutputError | None = None
+        self._closed = False
+        with self._writing():
+            self._file = path.open("wb")
+            self._writer = Writer(
+                self._file,
+                chunk_size=CHUNK_BYTES,
+                compression=CompressionType.ZSTD,
+                enable_data_crcs=True,
+            )
+            self._writer.start(profile=PROFILE, library=f"geomosaic {__version__}")
+
+    def begin_run(
+        self, recipe_yaml: str, environment: Mapping[str, Any], manifest: Mapping[str, Any]
+    ) -> None:
+        """What the run was told and where it ran, written first and put on the disk at once.
+
+        `environment` holds versions and the machine, `manifest` the inputs with their hashes; both of
+        values that JSON knows.
+        """
+        attachments = (
+            (RECIPE, "application/yaml", recipe_yaml.encode()),
+            (ENVIRONMENT, "application/json", _json(environment).encode()),
+            (MANIFEST, "application/json", _json(manifest).encode()),
+        )
+        with self._writing():
+            self._writer.add_metadata(
+                PROFILE,
+                {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()},
+            )
+            for name, media_type, data in attachments:
+                now = self._now_ns()
+                self._writer.add_attachment(
+                    create_time=now, log_time=now, name=name, media_type=media_type, data=data
+                )
+        self.flush()
+
+    def stage_started(
+        self, stage_id: str, version: int, params: Mapping[str, Any], input_fingerprints: Mapping[str, str]
+    ) -> None:
+        """A stage begins; what is recorded until the next call belongs to it."""
+        self._stage_index += 1
+        event = StageEvent(stage_id=stage_id, stage_index=self._stage_index, version=version)
+        event.params_json = _json(params)
+        for name, fingerprint in input_fingerprints.items():
+            event.inputs.add(name=name, fingerprint=fingerprint)
+        self._write("/stages", event)
+
+    def stage_finished(
+        self, stage_id: str, output_fingerprints: Mapping[str, str], seconds: float | None, cached: bool
+    ) -> None:
+        """A stage is done and its artefacts are recorded: all of it is put on the disk."""
+        event = StageEvent(
+            stage_id=stage_id, stage_index=max(self._stage_index, 0), finished=True, cached=cached
+        )
+        if seconds is not None and not self._fixed_time:
+            event.seconds = seconds
+        for name, fingerprint in output_fingerprints.items():
+            event.outputs.add(name=name, fingerprint=fingerprint)
+        self._write("/stages", event)
+        self.flush()
+
+    def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: bytes) -> None:
+        """An output of a stage as bytes, from which a replay can go on. Written in parts of 1 MiB."""
+        parts = max(1, -(-len(data) // ARTEFACT_PART_BYTES))
+        for part in range(parts):
+            start = part * ARTEFACT_PART_BYTES
+            message = Artefact(
+                stage_id=stage_id,
+                stage_index=max(self._stage_index, 0),
+                name=name,
+                type_name=type_name,
+                fingerprint=fingerprint,
+                part=part,
+                parts=parts,
+                total_bytes=len(data),
+                data=data[start : start + ARTEFACT_PART_BYTES],
+            )
+            self._write("/artefacts", message)
+
+    def log(self, level: str, text: str, stage: str = "", frame: str = "") -> None:
+        """One line, of level debug, info, warning or error, about a stage and a frame if they are named."""
+        number = LEVELS.index(level) + 1
+        self._write(
+            "/log", Log(level=number, message=_text(text), name=stage, file=_text(frame)), stamped=True
+        )
+
+    def image(self, topic: str, label: str, jpeg: bytes) -> None:
+        """A small JPEG (see `thumbnail`), e.g. of topic `/images/before` with the frame's name as label."""
+        self._write(topic, CompressedImage(frame_id=_text(label), data=jpeg, format="jpeg"), stamped=True)
+
+    def location(
+        self,
+        frame: str,
+        lon_deg: float,
+        lat_deg: float,
+        height_ellipsoidal_m: float,
+        sd_e_m: float,
+        sd_n_m: float,
+        sd_u_m: float,
+        status: str,
+    ) -> None:
+        """Where a frame's projection centre is. `status` is `observed` or that of the adjustment.
+
+        Each status has its own topic and colour. Standard deviations that aren't finite are left out.
+        """
+        fix = LocationFix(
+            frame_id=_text(frame),
+            latitude=lat_deg,
+            longitude=lon_deg,
+            altitude=height_ellipsoidal_m,
+        )
+        variances = np.square([sd_e_m, sd_n_m, sd_u_m], dtype=np.float64)
+        if np.isfinite(variances).all():
+            fix.position_covariance.extend(np.diag(variances).ravel().tolist())
+            fix.position_covariance_type = LocationFix.DIAGONAL_KNOWN
+        fix.color.r, fix.color.g, fix.color.b, fix.color.a = COLOURS.get(status, _OTHER_COLOUR)
+        self._write(f"/location/{_topic_part(status)}", fix, stamped=True)
+
+    def geojson(self, topic: str, features: Iterable[Mapping[str, Any]]) -> None:
+        """GeoJSON features (dicts, lon and lat in degrees), e.g. of topic `/map/footprints`."""
+        collection = {"type": "FeatureCollection", "features": list(features)}
+        self._write(topic, GeoJSON(geojson=_json(collection)))
+
+    def offsets(
+        self,
+        stage: str,
+        round_index: int,
+        pairs: Sequence[tuple[str | int, str | int, float, float]],
+        moves: Sequence[tuple[str | int, float, float]],
+    ) -> None:
+        """One round of an adjustment.
+
+        `pairs` has (left, right, d_east_m, d_north_m): the misalignments before this round's moves, NaN
+        where unknown. `moves` has (frame, d_east_m, d_north_m). Frames by their names.
+        """
+        misalignments = np.array([p[2:] for p in pairs], dtype=np.float64).reshape(-1, 2)
+        moved = np.array([m[1:] for m in moves], dtype=np.float64).reshape(-1, 2)
+        lengths = np.hypot(*misalignments.T)
+        known = lengths[np.isfinite(lengths)]
+        message = PairOffsets(
+            stage=stage,
+            round=round_index,
+            left=[_text(p[0]) for p in pairs],
+            right=[_text(p[1]) for p in pairs],
+            east_m=misalignments[:, 0],
+            north_m=misalignments[:, 1],
+            frame=[_text(m[0]) for m in moves],
+            move_east_m=moved[:, 0],
+            move_north_m=moved[:, 1],
+            largest_misalignment_m=known.max() if known.size else np.nan,
+            rms_misalignment_m=np.sqrt(np.mean(known**2)) if known.size else np.nan,
+            largest_move_m=np.nanmax(np.hypot(*moved.T), initial=0.0),
+            stage_index=max(self._stage_index, 0),
+        )
+        self._write(f"/offsets/{_topic_part(stage)}", message)
+
+    def tie_points(
+        self,
+        left: str | int,
+        right: str | int,
+        left_px: ArrayLike,
+        right_px: ArrayLike,
+        residual_m: ArrayLike | None,
+    ) -> None:
+        """The tie points of a pair: (k, 2) cols and rows in both frames, (k, 2) residuals on the ground.
+
+        Recorded in single precision (0.001 px at col 8000); the artefacts hold the full one.
+        """
+        a, b = (np.asarray(px, dtype=np.float32).reshape(-1, 2) for px in (left_px, right_px))
+        r = np.asarray(() if residual_m is None else residual_m, dtype=np.float32).reshape(-1, 2)
+        message = TiePoints(
+            left=_text(left),
+            right=_text(right),
+            left_col_px=a[:, 0],
+            left_row_px=a[:, 1],
+            right_col_px=b[:, 0],
+            right_row_px=b[:, 1],
+            residual_east_m=r[:, 0],
+            residual_north_m=r[:, 1],
+            stage_index=max(self._stage_index, 0),
+        )
+        self._write("/tie_points", message)
+
+    def camera(self, name: str, camera: Camera) -> None:
+        """A camera's interior orientation as OpenCV's model: pixel centres on whole numbers."""
+        f = camera.focal_length_px
+        col, row = camera.principal_col_px - 0.5, camera.principal_row_px - 0.5
+        message = CameraCalibration(
+            frame_id=_text(name),
+            width=camera.width_px,
+            height=camera.height_px,
+            distortion_model="plumb_bob",
+            D=camera.distortion,
+            K=[f, 0.0, col, 0.0, f, row, 0.0, 0.0, 1.0],
+            R=np.eye(3).ravel(),
+            P=[f, 0.0, col, 0.0, 0.0, f, row, 0.0, 0.0, 0.0, 1.0, 0.0],
+        )
+        self._write(f"/camera/{_topic_part(name)}", message, stamped=True)
+
+    def flush(self) -> None:
+        """End the chunk and put everything on the disk."""
+        with self._writing():
+            self._writer.flush()
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Write the summary and the footer, which make the file whole. Closing twice is harmless."""
+        if self._closed:
+            return
+        self._closed = True
+        with self._writing():
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None or self._failed is None:
+            self.close()
+
+    def _now_ns(self) -> int:
+        self._time_ns = (
+            self._time_ns + 1_000_000 if self._fixed_time else max(time.time_ns(), self._time_ns + 1)
+        )
+        return self._time_ns
+
+    def _write(self, topic: str, message: Any, stamped: bool = False) -> None:
+        now = self._now_ns()
+        if stamped:
+            message.timestamp.FromNanoseconds(now)
+        with self._writing():
+            channel = self._channel_ids.get(topic)
+            if channel is None:
+                channel = self._register(topic, type(message))
+            self._writer.add_message(
+                channel_id=channel,
+                log_time=now,
+                publish_time=now,
+                sequence=self._sequence & 0xFFFFFFFF,
+                data=message.SerializeToString(deterministic=True),
+            )
+        self._sequence += 1
+
+    def _register(self, topic: str, message_class: Any) -> int:
+        schema = message_class.DESCRIPTOR.full_name
+        if schema not in self._schema_ids:
+            descriptors = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
+            self._schema_ids[schema] = self._writer.register_schema(schema, "protobuf", descriptors)
+        self._channel_ids[topic] = self._writer.register_channel(
+            topic, MessageEncoding.Protobuf, self._schema_ids[schema]
+        )
+        return self._channel_ids[topic]
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turns an OSError into an OutputError, and keeps it: a file with a hole takes no more."""
+        if self._failed is not None:
+            raise self._failed
+        try:
+            yield
+        except OSError as error:
+            self._failed = OutputError(
+                error.strerror or str(error),
+                file=self.path,
+                mend="free some space or choose another output folder",
+            )
+            self._closed = True
+            if hasattr(self, "_file"):
+                with contextlib.suppress(OSError):
+                    self._file.close()
+            raise self._failed from error
+
+
+def _json(value: Any) -> str:
+    """JSON in the order given, numpy numbers and arrays as plain ones, paths as text; NaN refused."""
+    return json.dumps(value, allow_nan=False, default=_plain, separators=(",", ":"))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value)
+
+
+def _text(name: str | int) -> str:
+    """A name or a message as protobuf takes it: a file name that isn't Unicode gets question marks."""
+    return str(name).encode("utf-8", "replace").decode()
+
+
+def _topic_part(name: str) -> str:
+    """A name as one level of a topic: no slash, no blank."""
+    return re.sub(r"[^\w.+-]+", "_", _text(name)) or "_"
