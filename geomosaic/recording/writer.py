@@ -149,10 +149,9 @@ class Recorder:
 
     def log(self, level: str, text: str, stage: str = "", frame: str = "") -> None:
         """One line, of level debug, info, warning or error, about a stage and a frame if they are named."""
-        number = LEVELS.index(level) + 1
-        self._write(
-            "/log", Log(level=number, message=_text(text), name=stage, file=_text(frame)), stamped=True
-        )
+        message = Log(message=_text(text), name=stage, file=_text(frame))
+        message.level = Log.Level.Value(level.upper())
+        self._write("/log", message, stamped=True)
 
     def image(self, topic: str, label: str, jpeg: bytes) -> None:
         """A small JPEG (see `thumbnail`), e.g. of topic `/images/before` with the frame's name as label."""
