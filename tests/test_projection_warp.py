@@ -1,0 +1,125 @@
+"""The warp against the exact path, and against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.projection.ground import GroundSurface, flat_ground
+from geomosaic.projection.warp import frame_from_map, ground_window
+
+CRS = "EPSG:32632"
+HOME = LocalFrame(9.7, 47.2, 430.0)
+LENS = Camera("lens", 4000, 3000, 2400.0, 2013.7, 1488.2, -0.28, 0.09, -0.01, 0.0011, -0.0007)
+PLAIN = Camera("plain", 800, 600, 1000.0, 400.0, 300.0)
+
+
+def hills() -> GroundSurface:
+    i, j = np.mgrid[0:61, 0:61]
+    rough = np.random.default_rng(3).normal(0.0, 1.5, (61, 61))
+    return GroundSurface("dem", -300.0, -300.0, 10.0, 25.0 * np.sin(i / 4.0) + 18.0 * np.cos(j / 5.0) + rough)
+
+
+def exact(ground: GroundSurface, pose: Pose, camera: Camera, west: float, north: float, gsd: float, n: int):
+    """The same by pyproj at every pixel and the fixed point run to its end."""
+    axis = (np.arange(n) + 0.5) * gsd
+    easting, northing = np.meshgrid(west + axis, north - axis)
+    lonlat = MapProjection(CRS).geodetic_from_map(easting, northing)
+    height = np.full(easting.shape, 430.0)
+    for _ in range(8):
+        enu = HOME.enu_from_geodetic(lonlat[..., 0], lonlat[..., 1], height)
+        height += ground.up_at(enu[..., 0], enu[..., 1]) - enu[..., 2]
+    enu = HOME.enu_from_geodetic(lonlat[..., 0], lonlat[..., 1], height)
+    return pose.image_from_ground(camera, enu)
+
+
+@pytest.mark.parametrize("ground", [flat_ground(HOME, 431.5, 600.0), hills()], ids=["flat", "dem"])
+@pytest.mark.parametrize("tilt_deg", [0.0, 12.0, 35.0])
+def test_the_warp_is_the_exact_path_for_tilted_frames_with_distortion(ground, tilt_deg):
+    west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2) + np.array([-60.0, 70.0])
+    pose = Pose(
+        np.array([12.0, -31.0, 120.0]), Rotation.from_yaw_pitch_roll(0.6, np.radians(tilt_deg), -0.07)
+    )
+    window = ground_window(CRS, HOME, ground, west, north, 0.5, 256, 256)
+    col, row = frame_from_map(window, pose, LENS)
+    want = exact(ground, pose, LENS, west, north, 0.5, 256)
+    inside = (want > 0.0).all(axis=-1) & (want < [4000.0, 3000.0]).all(axis=-1)
+    assert inside.mean() > 0.3
+    assert np.abs(col - want[..., 0])[inside].max() < 0.02
+    assert np.abs(row - want[..., 1])[inside].max() < 0.02
+    seen = np.isfinite(col) & (col > 0.0) & (col < 4000.0) & (row > 0.0) & (row < 3000.0)
+    assert (seen == inside).mean() > 0.9995, "nothing folds back into the frame"
+
+
+def test_a_part_of_the_window_is_the_same_part_of_the_whole():
+    west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2)
+    window = ground_window(CRS, HOME, hills(), west, north, 0.3, 200, 150)
+    pose = Pose(np.array([30.0, -20.0, 150.0]), Rotation.from_yaw_pitch_roll(2.0, 0.1, 0.2))
+    col, row = frame_from_map(window, pose, LENS)
+    part_col, part_row = frame_from_map(window, pose, LENS, slice(70, 149), slice(20, 95))
+    np.testing.assert_array_equal(part_col, col[70:149, 20:95])
+    np.testing.assert_array_equal(part_row, row[70:149, 20:95])
+
+
+def test_corner_origin_by_hand():
+    """A camera 100 m over the origin, f = 1000 px: 0.1 m on the ground is one pixel; top to the north.
+
+    The window's upper left pixel is centred 3 m west and 2 m north of the nadir: col 400 - 30 = 370,
+    row 300 - 20 = 280. On the central meridian UTM shrinks by 0.9996 and there is no convergence.
+    """
+    home = LocalFrame(9.0, 47.0, 0.0)
+    ground = flat_ground(home, 0.0, 300.0)
+    centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
+    scale = 0.9996
+    west, north = centre + np.array([-3.05, 2.05]) * scale
+    window = ground_window(CRS, home, ground, west, north, 0.1 * scale, 64, 48)
+    pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
+    col, row = frame_from_map(window, pose, PLAIN)
+    assert col[0, 0] == pytest.approx(370.0, abs=2e-3)
+    assert row[0, 0] == pytest.approx(280.0, abs=2e-3)
+    assert col[0, 10] == pytest.approx(380.0, abs=2e-3)
+    assert row[5, 0] == pytest.approx(285.0, abs=2e-3)
+
+
+def test_relief_displaces_away_from_the_nadir():
+    """20 m high under a camera at 100 m, 30 m east of its nadir: 1000 * 30 / 80 = 375 px, not 300."""
+    home = LocalFrame(9.0, 47.0, 0.0)
+    table = GroundSurface("dem", -500.0, -500.0, 1000.0, np.full((2, 2), 20.0))
+    centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
+    window = ground_window(CRS, home, table, centre[0] + 29.95 * 0.9996, centre[1] + 0.05, 0.1 * 0.9996, 4, 4)
+    pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
+    col, row = frame_from_map(window, pose, PLAIN)
+    assert col[0, 0] == pytest.approx(775.0, abs=0.01)
+    assert row[0, 0] == pytest.approx(300.0, abs=0.01)
+
+
+def test_what_lies_behind_the_camera_is_not_seen():
+    home = LocalFrame(9.0, 47.0, 0.0)
+    west, north = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
+    window = ground_window(CRS, home, flat_ground(home, 0.0, 500.0), west, north, 10.0, 32, 32)
+    upwards = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, np.pi, 0.0))
+    col, row = frame_from_map(window, upwards, PLAIN)
+    assert np.isnan(col).all() and np.isnan(row).all()
+
+
+def test_far_from_the_origin_and_wide_windows_stay_exact():
+    """A 10 m ground pixel, 10 km window, 40 km from the work frame's origin: bend of 125 m, convergence."""
+    ground = flat_ground(HOME, 500.0, 60000.0, 2000.0)
+    far = MapProjection(CRS).map_from_geodetic(10.2, 47.3)
+    enu = HOME.enu_from_geodetic(10.2, 47.3, 9000.0)
+    pose = Pose(
+        enu,
+        Rotation(HOME.enu_from_local_rotation(10.2, 47.3) @ Rotation.from_yaw_pitch_roll(1, 0.1, 0).matrix),
+    )
+    window = ground_window(CRS, HOME, ground, far[0] - 5000, far[1] + 5000, 100.0, 100, 100)
+    col, row = frame_from_map(window, pose, PLAIN)
+    want = exact(ground, pose, PLAIN, far[0] - 5000, far[1] + 5000, 100.0, 100)
+    inside = (want > 0.0).all(axis=-1) & (want < [800.0, 600.0]).all(axis=-1)
+    assert inside.sum() > 1000
+    assert np.abs(col - want[..., 0])[inside].max() < 0.02
+    assert np.abs(row - want[..., 1])[inside].max() < 0.02
