@@ -1,0 +1,181 @@
+"""Artefacts as bytes: frozen dataclasses of plain values and numpy arrays to one file and back.
+
+An artefact is an uncompressed zip with a tree in JSON (`tree.json`) and one `.npy` member for each
+array. Equal artefacts give equal bytes, so a hash of the bytes names the artefact. Nothing in the file
+is ever executed or imported: a class is known by its name only if the type asked for contains it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import math
+import types
+import typing
+import zipfile
+from collections.abc import Iterable
+from hashlib import blake2b
+from typing import Any, TypeVar
+
+import numpy as np
+
+from geomosaic.errors import FileError
+
+T = TypeVar("T")
+
+_NOT_WHOLE = (ValueError, KeyError, TypeError, IndexError, zipfile.BadZipFile, EOFError, RecursionError)
+
+_TREE = "tree.json"
+_TIMELESS = (1980, 1, 1, 0, 0, 0)
+_KINDS = "biufcSU"
+
+
+def fingerprint_of_bytes(data: bytes) -> str:
+    """BLAKE2b with 160 bits, in hexadecimal: the one hash of the pipeline."""
+    return blake2b(data, digest_size=20).hexdigest()
+
+
+def fingerprint_of_json(value: Any) -> str:
+    """The fingerprint of plain values, by their canonical JSON."""
+    return fingerprint_of_bytes(json.dumps(value, sort_keys=True, separators=(",", ":")).encode())
+
+
+def fingerprint(artefact: Any) -> str:
+    """Names an artefact by its content."""
+    return fingerprint_of_bytes(encode(artefact))
+
+
+def encode(artefact: Any) -> bytes:
+    """The artefact as bytes. Raises `TypeError` where it holds what has no plain form."""
+    members: list[bytes] = []
+    tree = _tree(artefact, members, type(artefact).__name__)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:
+        text = json.dumps(tree, separators=(",", ":"), allow_nan=False)
+        file.writestr(zipfile.ZipInfo(_TREE, _TIMELESS), text)
+        for i, member in enumerate(members):
+            file.writestr(zipfile.ZipInfo(str(i), _TIMELESS), member)
+    return out.getvalue()
+
+
+def _tree(value: Any, members: list[bytes], where: str) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    match value:
+        case None | bool() | int() | str():
+            return value if type(value) in (types.NoneType, bool, int, str) else _plain(value, where)
+        case float():
+            return float(value) if math.isfinite(value) else {"float": repr(float(value))}
+        case complex():
+            return {"complex": [repr(value.real), repr(value.imag)]}
+        case bytes():
+            members.append(value)
+            return {"bytes": len(members) - 1}
+        case np.ndarray():
+            if value.dtype.kind not in _KINDS:
+                raise TypeError(f"{where}: an array of {value.dtype} can't be kept as an artefact")
+            npy = io.BytesIO()
+            np.lib.format.write_array(npy, np.ascontiguousarray(value).reshape(value.shape), version=(1, 0))
+            members.append(npy.getvalue())
+            return {"array": len(members) - 1}
+        case tuple() | list():
+            items = [_tree(v, members, f"{where}[{i}]") for i, v in enumerate(value)]
+            return {"tuple" if isinstance(value, tuple) else "list": items}
+        case dict():
+            return {
+                "dict": [
+                    [_tree(k, members, where), _tree(v, members, f"{where}[{k!r}]")] for k, v in value.items()
+                ]
+            }
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {
+            f.name: _tree(getattr(value, f.name), members, f"{where}.{f.name}")
+            for f in dataclasses.fields(value)
+            if f.init
+        }
+        return {"is": type_name(type(value)), "fields": fields}
+    return _plain(value, where)
+
+
+def _plain(value: Any, where: str) -> typing.NoReturn:
+    raise TypeError(
+        f"{where}: {type(value).__name__} can't be kept as an artefact; use plain values and arrays"
+    )
+
+
+def type_name(cls: Any) -> str:
+    """How a class is named in a file."""
+    return f"{cls.__module__}:{cls.__qualname__}" if isinstance(cls, type) else str(cls)
+
+
+def dataclasses_in(annotation: Any, found: dict[str, type] | None = None) -> dict[str, type]:
+    """Every dataclass that a value of this type can hold, by name, through the fields' types."""
+    found = {} if found is None else found
+    name = type_name(annotation)
+    if isinstance(annotation, type) and dataclasses.is_dataclass(annotation) and name not in found:
+        found[name] = annotation
+        for hint in typing.get_type_hints(annotation).values():
+            dataclasses_in(hint, found)
+    for argument in typing.get_args(annotation):
+        dataclasses_in(argument, found)
+    return found
+
+
+def decode(data: bytes, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
+    """The artefact of a type (a dataclass, or an annotation such as `tuple[Camera, ...]`) from bytes.
+
+    `also` names more classes the file may hold. Raises `FileError` if the bytes are anything else.
+    """
+    known = dataclasses_in(as_type)
+    for cls in also:
+        dataclasses_in(cls, known)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            if any(m.compress_type != zipfile.ZIP_STORED or m.file_size > len(data) for m in file.infolist()):
+                raise ValueError("it is compressed")
+            value = _value(json.loads(file.read(_TREE)), file, known)
+    except _NOT_WHOLE as error:
+        raise FileError(f"this is no whole artefact of type {type_name(as_type)} ({error})") from error
+    if isinstance(as_type, type) and as_type not in (object, Any) and not isinstance(value, as_type):
+        raise FileError(f"this artefact is a {type(value).__name__}, not a {type_name(as_type)}")
+    return typing.cast(T, value)
+
+
+def _value(tree: Any, file: zipfile.ZipFile, known: dict[str, type]) -> Any:
+    if not isinstance(tree, dict):
+        if isinstance(tree, list):
+            raise ValueError("a bare list")
+        return tree
+    if "is" in tree:
+        cls = known.get(tree["is"])
+        if cls is None:
+            raise ValueError(f"it holds a {tree['is']!r}, which doesn't belong there")
+        return cls(**{str(name): _value(v, file, known) for name, v in tree["fields"].items()})
+    ((kind, content),) = tree.items()
+    match kind:
+        case "float":
+            return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[content]
+        case "complex":
+            return complex(float(content[0]), float(content[1]))
+        case "bytes":
+            return file.read(str(int(content)))
+        case "array":
+            return _array(file.read(str(int(content))))
+        case "tuple":
+            return tuple(_value(v, file, known) for v in content)
+        case "list":
+            return [_value(v, file, known) for v in content]
+        case "dict":
+            return {_value(k, file, known): _value(v, file, known) for k, v in content}
+    raise ValueError(f"a {kind!r}")
+
+
+def _array(data: bytes) -> np.ndarray[Any, Any]:
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("an array of another format version")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    if dtype.kind not in _KINDS or fortran or math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
+        raise ValueError("an array whose size disagrees with its header")
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape).copy()

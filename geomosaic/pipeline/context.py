@@ -1,0 +1,273 @@
+"""What a stage gets besides its inputs: folders, recorder, progress, workers, randomness, notes."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import math
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from geomosaic.errors import CancelledError, FileError
+from geomosaic.pipeline import files
+from geomosaic.pipeline.artefacts import (
+    decode,
+    encode,
+    fingerprint,
+    fingerprint_of_bytes,
+    fingerprint_of_json,
+)
+from geomosaic.pipeline.executor import Workers
+from geomosaic.pipeline.recorded import StageRecorder
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class RunFile:
+    """An artefact that is a file: its name relative to the run folder, and the hash of its contents."""
+
+    name: str
+    fingerprint: str
+
+
+@dataclass
+class Notes:
+    """What a stage adds to run.json besides its artefacts; kept with them in the cache."""
+
+    warnings: list[dict[str, str]] = field(default_factory=list)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict)
+
+    def add_to(self, summary: dict[str, Any]) -> None:
+        """Adds these notes to a summary of the shape of run.json."""
+        summary.setdefault("warnings", []).extend(copy.deepcopy(self.warnings))
+        _merge(summary.setdefault("metrics", {}), self.metrics)
+        summary.update(copy.deepcopy(self.report))
+
+
+def _merge(into: dict[str, Any], other: Mapping[str, Any]) -> None:
+    for name, value in other.items():
+        if isinstance(value, dict) and isinstance(into.get(name), dict):
+            _merge(into[name], value)
+        else:
+            into[name] = copy.deepcopy(value)
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON knows it: numpy numbers and arrays as plain ones, not-a-number as None."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError(f"{type(value).__name__} has no place in run.json")
+
+
+class Context:
+    """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test."""
+
+    def __init__(
+        self,
+        run_folder: Path,
+        *,
+        stage_id: str = "stage",
+        version: int = 1,
+        work_folder: Path | None = None,
+        recorder: StageRecorder | None = None,
+        workers: Workers | None = None,
+        hashes: files.FileHashes | None = None,
+        seed: int = 0,
+        key: str = "",
+        fixed_time: bool = False,
+        on_progress: Progress | None = None,
+        on_warning: Callable[[str], None] | None = None,
+        cancelled: Callable[[], bool] | None = None,
+        summary: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.run_folder = run_folder
+        self.work_folder = work_folder or run_folder / "work" / stage_id
+        self.work_folder.mkdir(parents=True, exist_ok=True)
+        self.stage_id = stage_id
+        self.recorder = recorder or StageRecorder(stage=stage_id)
+        self.fixed_time = fixed_time
+        self.notes = Notes()
+        self.kept: list[Path] = []
+        self._version = version
+        self._workers = workers or Workers()
+        self._hashes = hashes or files.FileHashes()
+        self._seed = seed
+        self._key = key
+        self._on_progress = on_progress
+        self._on_warning = on_warning
+        self._cancelled = cancelled
+        self._summary = summary or {}
+
+    def progress(self, done: int, total: int, text: str = "") -> None:
+        """Says how far the stage is; raises `CancelledError` if the user stopped the run."""
+        self.check_cancelled()
+        if self._on_progress is not None:
+            self._on_progress(done, total, text)
+
+    def check_cancelled(self) -> None:
+        """Raises `CancelledError` if the user stopped the run; long loops call it."""
+        if self._cancelled is not None and self._cancelled():
+            raise CancelledError
+
+    def warn(self, code: str, frame: str, text: str) -> None:
+        """Something the user should know: a stable kebab-case code, the frame (or ''), one line."""
+        self.notes.warnings.append({"code": code, "frame": frame, "text": text})
+        self.recorder.log("warning", f"{code}: {text}", frame=frame)
+        if self._on_warning is not None:
+            self._on_warning(f"{frame}: {text}" if frame else text)
+
+    def metric(self, name: str, value: Any) -> None:
+        """A number for run.json's `metrics`; dots in the name nest: `adjustment.rounds`."""
+        *path, last = name.split(".")
+        at = self.notes.metrics
+        for part in path:
+            at = at.setdefault(part, {})
+        at[last] = plain(value)
+
+    def report(self, key: str, value: Any) -> None:
+        """A whole entry of run.json: `frames`, `camera`, `mosaic`."""
+        self.notes.report[key] = plain(value)
+
+    def summary(self) -> dict[str, Any]:
+        """What run.json will hold so far, this stage's notes included."""
+        summary = copy.deepcopy(dict(self._summary))
+        self.notes.add_to(summary)
+        return summary
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """A random generator of the recipe's seed, this stage and this purpose alone."""
+        name = int(fingerprint_of_bytes(f"{self.stage_id}/{purpose}".encode()), 16)
+        return np.random.default_rng(np.random.SeedSequence([self._seed, name]))
+
+    @contextmanager
+    def writing(self, filename: str) -> Iterator[Path]:
+        """A temporary path that becomes RUN/filename if the block succeeds (see `files.writing`).
+
+        The file, or the folder made there, is one of the stage's outputs. A name such as
+        `work/mosaic.compose/raster.tif` puts it into the work folder.
+        """
+        path = files.path_within(self.run_folder, filename)
+        with files.writing(path) as temporary:
+            yield temporary
+        self.keep(path)
+
+    def keep(self, path: Path) -> None:
+        """Says that a file the stage wrote by itself belongs to its outputs.
+
+        The stage is taken from the cache only as long as all such files are unchanged, and their
+        contents enter the fingerprints of its outputs.
+        """
+        if path not in self.kept:
+            self.kept.append(path)
+
+    def run_file(self, filename: str) -> RunFile:
+        """The artefact of a file in the run folder."""
+        path = files.path_within(self.run_folder, filename)
+        return RunFile(filename, self._hashes.of_written(path))
+
+    def path_of(self, file: RunFile) -> Path:
+        """Where a file artefact lies. Raises `FileError` if it isn't there any more."""
+        path = files.path_within(self.run_folder, file.name)
+        if not path.exists():
+            raise FileError("the file is gone", file=path, mend="run the recipe again")
+        return path
+
+    def map(
+        self,
+        name: str,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        keys: Sequence[Any] | None = None,
+        *,
+        reads: Callable[[Item], Iterable[str | Path]] | None = None,
+    ) -> list[Result]:
+        """`[function(item) for item in items]`, spread over the workers, each result kept on disk.
+
+        `function` is a module-level function (or a partial of one) whose result depends on its argument
+        alone; it says what it returns in its annotation. A killed run finds the finished results again.
+        Results are kept under the stage's own fingerprint, `name`, and the item (or its key, if the item
+        is no artefact), so any change to the stage's parameters or inputs redoes them all. With
+        `reads`, which names the files the function reads for an item, they are kept under the item and
+        those files' contents alone, and so outlive changes that don't touch them.
+        """
+        items = list(items)
+        returns = _returns(function)
+        paths = self._item_paths(name, function, items, keys, reads)
+        done: dict[int, Result] = {}
+        for i, path in enumerate(paths):
+            if path is not None and path.is_file():
+                try:
+                    done[i] = decode(path.read_bytes(), returns)
+                except FileError:
+                    path.unlink()
+        waiting = [i for i in range(len(items)) if i not in done]
+        waiting.reverse()
+        running: dict[Future[Any], int] = {}
+        while waiting or running:
+            self.progress(len(done), len(items), name)
+            while waiting and len(running) < (2 * self._workers.workers if self._workers.workers > 1 else 1):
+                i = waiting.pop()
+                running[self._workers.submit(functools.partial(_encoded, function), items[i])] = i
+            for future in wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done:
+                i = running.pop(future)
+                data = self._workers.result(future)
+                if (path := paths[i]) is not None:
+                    files.write_bytes(path, data)
+                done[i] = decode(data, returns)
+        self.progress(len(items), len(items), name)
+        return [done[i] for i in range(len(items))]
+
+    def _item_paths(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        items: Sequence[Any],
+        keys: Sequence[Any] | None,
+        reads: Callable[[Any], Iterable[str | Path]] | None,
+    ) -> list[Path | None]:
+        if not self._key:
+            return [None] * len(items)
+        base = [self.stage_id, self._version, name]
+        if reads is None:
+            base.append(self._key)
+        elif isinstance(function, functools.partial):
+            base.append(fingerprint((function.args, function.keywords)))
+        paths: list[Path | None] = []
+        for item, key in zip(items, items if keys is None else keys, strict=True):
+            read = [] if reads is None else [self._hashes.of_file(Path(path)) for path in reads(item)]
+            mark = fingerprint_of_json([*base, fingerprint(key), *read])
+            paths.append(self.work_folder / "items" / mark[:2] / mark[2:])
+        return paths
+
+
+def _encoded(function: Callable[[Any], Any], item: Any) -> bytes:
+    return encode(function(item))
+
+
+def _returns(function: Callable[..., Any]) -> Any:
+    """The type a function says it returns. Raises `TypeError` if it doesn't say."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    hints = typing.get_type_hints(function)
+    if "return" not in hints:
+        raise TypeError(f"{function.__qualname__} must say in its annotation what it returns")
+    return hints["return"]

@@ -1,0 +1,59 @@
+"""The contract of a stage: what it declares, what it gets, what it gives.
+
+A stage is a class that adapts between the rooms and the runner and holds no maths:
+
+    class Enhance(Stage):
+        id = "matching.enhance"
+        display_name = "Enhance contrast"
+        group = "Matching"
+        version = 1
+        inputs: ClassVar = {"survey": Survey}
+        outputs: ClassVar = {"enhanced": Enhanced}
+
+        class Params(StageParams):
+            clip: float = param(2.0, help="contrast limit", ge=0.5, le=8.0)
+
+        def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+            ...
+
+It enters by the entry-point group `geomosaic.stages`. Its outputs are kept under a fingerprint of id,
+version, parameters that affect the output, the contents of the files they name, the seed, and the
+fingerprints of its inputs: whoever changes what a stage computes raises its `version`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from geomosaic.pipeline.context import Context, RunFile
+from geomosaic.pipeline.params import StageParams, param
+
+__all__ = ["Context", "RunFile", "Stage", "StageParams", "param"]
+
+
+class Stage(ABC):
+    """One step of the staircase, with its declaration.
+
+    inputs, outputs, optional_inputs: artefact types by name. Artefacts are frozen dataclasses of
+    numbers, strings, tuples, dicts and numpy arrays (also nested), or `RunFile`s; they pass from stage
+    to stage by name, and a later stage that gives the same name replaces it. An optional input is
+    missing from `inputs` if no earlier stage gives it.
+    cached: False for a stage that reads more than its inputs (the report reads the run's summary);
+    it runs every time.
+    """
+
+    id: ClassVar[str]
+    display_name: ClassVar[str]
+    group: ClassVar[str]
+    version: ClassVar[int] = 1
+    inputs: ClassVar[dict[str, type]] = {}
+    optional_inputs: ClassVar[dict[str, type]] = {}
+    outputs: ClassVar[dict[str, type]] = {}
+    cached: ClassVar[bool] = True
+    Params: ClassVar[type[StageParams]] = StageParams
+
+    @abstractmethod
+    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+        """The outputs by name. Everything it tells or writes goes by way of `context`."""
