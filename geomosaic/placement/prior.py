@@ -52,24 +52,21 @@ ATTITUDES: dict[str, Callable[[Floats, Floats, Floats], Rotation]] = {
 }
 
 
-def frame_heights_m(
-    frames: tuple[Frame, ...], terrain_height_m: Floats | None, ground_height_m: float | None
-) -> Floats:
+def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floats:
     """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
 
-    A height above the ground, where a frame has one and the ground's height is known, is believed
-    before an absolute height of worse stated accuracy: on one flat ground directly; over a DEM after
-    one shift of the whole survey, for such heights count from the take-off point.
+    Heights above the ground count from the take-off point, whose height is taken as the median of the
+    ground below the frames. They are believed before an absolute height of worse than 3 m.
+
+    Args: ground_heights_m (n,) ellipsoidal heights of the ground below the frames.
     """
     absolute = np.array([_or_nan(f.position.height_ellipsoidal_m) for f in frames])
     above = np.array([_or_nan(f.position.height_above_ground_m) for f in frames])
     weak = np.array([f.position.sd_vertical_m > 3.0 for f in frames]) | np.isnan(absolute)
-    if terrain_height_m is not None and np.isfinite(above).any():
-        take_off = np.nanmedian(terrain_height_m[np.isfinite(above)])
-        return np.where(weak & np.isfinite(above), take_off + above, absolute)
-    if ground_height_m is not None:
-        return np.where(weak & np.isfinite(above), ground_height_m + above, absolute)
-    return absolute
+    relative = np.isfinite(above)
+    if not relative.any():
+        return absolute
+    return np.where(weak & relative, np.median(ground_heights_m[relative]) + above, absolute)
 
 
 def ground_height_m(frames: tuple[Frame, ...]) -> float | None:

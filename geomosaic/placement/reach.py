@@ -1,0 +1,41 @@
+"""How far frames reach over the ground, and how far POS may put them off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+_MOST_TILT_RAD = 0.5
+_MOST_YAW_RAD = 1.0
+
+
+def half_extent_m(camera: Camera, height_m: float) -> float:
+    """Distance on flat ground from the nadir point to the corner of a level frame."""
+    return float(np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px * height_m)
+
+
+def heights_above_ground_m(poses: Poses, ground: GroundSurface) -> Floats:
+    """Each projection centre above the surface below it, (n,)."""
+    return np.asarray(poses.positions_m[:, 2] - ground.up_at(*poses.positions_m[:, :2].T))
+
+
+def misplacement_m(
+    poses: Poses, cameras: Sequence[Camera], ground: GroundSurface, sigmas: float = 3.0
+) -> Floats:
+    """How far a frame's ground points may lie off at `sigmas` standard deviations, (n,).
+
+    From the position's, the tilt's, and at half of the frame's reach the yaw's deviation.
+    """
+    height = heights_above_ground_m(poses, ground)
+    reach = np.array([half_extent_m(c, h) for c, h in zip(cameras, height, strict=True)]) / 2.0
+    tilt = height * np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), _MOST_TILT_RAD)
+    yaw = reach * np.minimum(poses.rotations_sd_rad[:, 2], _MOST_YAW_RAD)
+    position = poses.positions_sd_m[:, :2].max(axis=1)
+    return np.asarray(sigmas * np.sqrt(position**2 + tilt**2 + yaw**2))

@@ -1,0 +1,86 @@
+"""Tie points in, adjusted poses out, by the method of choice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.adjustment.methods import METHODS, Settings
+from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.model import Placement
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.telling import record_adjusted
+from geomosaic.survey.model import Survey
+
+
+class AdjustmentSolve(Stage):
+    """Moves the frames so that they agree."""
+
+    id = "adjustment.solve"
+    display_name = "Adjust the frames"
+    group = "Adjustment"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
+    }  # fmt: skip
+    outputs: ClassVar[dict[str, type]] = {"adjusted": Adjusted}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        method: str = param("least_squares", help="adjustment method", choices=METHODS)
+        epsilon_px: float = param(
+            10.0,
+            help="error sharing stops when no misalignment is larger",
+            unit="ground px",
+            ge=0.01,
+            le=1000.0,
+        )
+        max_rounds: int = param(12, help="most rounds of error sharing", unit="rounds", ge=1, le=1000)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Builds the block, adjusts it, tells what happened."""
+        survey: Survey = inputs["survey"]
+        placement: Placement = inputs["placement"]
+        ties: TiePoints = inputs["ties"]
+        block = Block(
+            names=tuple(f.name for f in survey.frames),
+            cameras=tuple(survey.camera_of(i) for i in range(len(survey.frames))),
+            poses=placement.poses,
+            ground=inputs["ground"],
+            ties=ties,
+            sequence=placement.sequence,
+            lines=placement.lines,
+            ground_pixel_m=placement.ground_pixel_m,
+        )
+        adjusted = METHODS[params.method](block, Settings(params.epsilon_px, params.max_rounds))
+        parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
+        for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
+            context.warn(
+                "no-tie-points",
+                block.names[frame],
+                "tied to no other frame; placed by its position and attitude",
+            )
+        large = [part for part in parts if len(part) > 1]
+        for part in large[1:]:
+            context.warn(
+                "separate-part",
+                block.names[part[0]],
+                f"{len(part)} frames from here on hang together but have no ties to the rest; "
+                "placed by their own positions",
+            )
+        residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
+        residual = residual[np.isfinite(residual).all(axis=1)]
+        context.metric("adjustment.method", params.method)
+        context.metric("adjustment.rounds", len(adjusted.rounds))
+        context.metric(
+            "adjustment.ground_residual_rms_m",
+            float(np.sqrt((residual**2).mean())) if residual.size else None,
+        )
+        record_adjusted(context, survey, block, adjusted)
+        return {"adjusted": adjusted}

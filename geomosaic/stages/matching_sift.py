@@ -1,0 +1,122 @@
+"""SIFT tie points between frames that may overlap; frames turned after the flight are righted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from geomosaic.matching.features import Features, grey, reduction_for, sift_features
+from geomosaic.matching.match import PairJob, match_pair
+from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.matching.search import CHECKS
+from geomosaic.matching.turned import righted, turn_costs_m, turned_frames
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.model import Placement
+from geomosaic.placement.reach import misplacement_m
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Frame, Survey
+from geomosaic.survey.pixels import read_pixels
+
+
+def frame_features(frame: Frame, longest_px: int, most: int, band: int | None) -> Features:
+    """Decodes a frame once, reduced, and takes its keypoints."""
+    reduction = reduction_for(frame.width_px, frame.height_px, longest_px)
+    pixels, valid = read_pixels(frame, reduction)
+    return sift_features(grey(pixels, valid, band), valid, reduction, most)
+
+
+class MatchingSift(Stage):
+    """Finds the same ground in two pictures."""
+
+    id = "matching.sift"
+    display_name = "Match frames with SIFT"
+    group = "Matching"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
+    outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        longest_px: int = param(
+            3000, help="frames are halved until no side is longer", unit="px", ge=300, le=20000
+        )
+        keypoints: int = param(6000, help="most keypoints of a frame", ge=100, le=50000)
+        band: int | None = param(
+            None, help="band to match, counted from 1; luma if none is given", ge=1, le=1000
+        )
+        radius_m: float | Literal["auto"] = param(
+            "auto",
+            help="how far apart two frames may place a point; auto: at least 300 ground px",
+            unit="m",
+            ge=0.0,
+        )
+        ratio: float = param(0.8, help="Lowe's ratio of the best to the second distance", ge=0.1, le=1.0)
+        tolerance_px: float = param(
+            2.0, help="tolerance of the geometric check, in reduced pixels", unit="px", ge=0.1, le=50
+        )
+        check: str = param("auto", help="geometric check", choices=CHECKS)
+        least: int = param(16, help="fewest tie points that tie a pair", ge=4, le=1000)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Keypoints per frame, tie points per pair, then turned frames."""
+        survey: Survey = inputs["survey"]
+        placement: Placement = inputs["placement"]
+        frames = survey.frames
+        take = partial(frame_features, longest_px=params.longest_px, most=params.keypoints, band=params.band)
+        features = context.map(
+            "keypoints", take, frames, reads=lambda f: [p for p in (f.path, f.valid_mask) if p is not None]
+        )
+        cameras = [survey.camera_of(i) for i in range(len(frames))]
+        ground_m = [
+            ground_from_image(placement.poses[i], cameras[i], inputs["ground"], features[i].image_px)[:, :2]
+            for i in range(len(frames))
+        ]
+        reach_m = misplacement_m(placement.poses, cameras, inputs["ground"])
+        jobs = [
+            self._job(params, placement, cameras, features, ground_m, reach_m, a, b)
+            for a, b in placement.pairs
+        ]
+        found = context.map("pairs", match_pair, jobs, keys=placement.pairs)
+        pairs, untied, costs = [], [], []
+        for (a, b), match in zip(placement.pairs, found, strict=True):
+            if not len(match.left):
+                untied.append((a, b))
+                continue
+            i, j = match.left, match.right
+            pairs.append(TiePair(a, b, features[a].image_px[i], features[b].image_px[j], i, j))
+            nadir = placement.poses.positions_m[:, :2]
+            costs.append((a, b, turn_costs_m(ground_m[a][i], ground_m[b][j], nadir[a], nadir[b])))
+        cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
+        turns = turned_frames(len(frames), costs, cap_m)
+        for i, quarters in turns.items():
+            context.warn(
+                "frame-turned",
+                frames[i].name,
+                f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
+            )
+        context.metric("matching.pairs_tried", len(placement.pairs))
+        context.metric("matching.pairs_tied", len(pairs))
+        context.metric("matching.tie_points", sum(len(p) for p in pairs))
+        return {
+            "ties": TiePoints(tuple(pairs), tuple(untied)),
+            "placement": replace(placement, poses=righted(placement.poses, turns)),
+        }
+
+    @staticmethod
+    def _job(params, placement, cameras, features, ground_m, reach_m, a, b) -> PairJob:  # type: ignore[no-untyped-def]
+        radius = params.radius_m
+        if radius == "auto":
+            radius = max(300.0 * placement.ground_pixel_m, float(np.hypot(reach_m[a], reach_m[b])))
+        reduction = max(
+            reduction_for(cameras[i].width_px, cameras[i].height_px, params.longest_px) for i in (a, b)
+        )
+        return PairJob(
+            features[a], features[b], ground_m[a], ground_m[b], float(radius),
+            params.tolerance_px * reduction, params.ratio, params.check, params.least,
+        )  # fmt: skip

@@ -1,0 +1,94 @@
+"""Frames onto the map by their position and attitude alone: the coarse mosaic."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.errors import InputError
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.graph import flight_lines, overlapping_pairs
+from geomosaic.placement.model import Placement
+from geomosaic.placement.prior import ATTITUDES, FORMULAS, frame_heights_m, prior_poses
+from geomosaic.placement.reach import misplacement_m
+from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.telling import outline_feature, record_locations
+from geomosaic.survey.model import Survey
+
+
+class PlacementPos(Stage):
+    """Brings the survey's positions and attitudes into the work frame and finds who may overlap whom."""
+
+    id = "placement.pos"
+    display_name = "Place frames by POS"
+    group = "Placement"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
+    outputs: ClassVar[dict[str, type]] = {"placement": Placement}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        formula: str = param("rigorous", help="how longitude and latitude become metres", choices=FORMULAS)
+        attitude: str = param(
+            "yaw_pitch_roll",
+            help="how the three angles turn a frame; the paper's is phi_omega_kappa",
+            choices=ATTITUDES,
+        )
+        neighbours: int = param(12, help="most neighbours a frame is compared with", ge=1, le=200)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Prior poses, flight lines, footprints, overlap graph."""
+        survey: Survey = inputs["survey"]
+        ground: GroundSurface = inputs["ground"]
+        names = [f.name for f in survey.frames]
+        cameras = [survey.camera_of(i) for i in range(len(names))]
+        level = FORMULAS[params.formula](
+            survey.work_frame,
+            np.array([[f.position.lon_deg, f.position.lat_deg, 0.0] for f in survey.frames]),
+        )[0]
+        below = survey.work_frame.geodetic_from_enu(
+            np.column_stack([level[:, :2], ground.up_at(*level[:, :2].T)])
+        )
+        heights_m = frame_heights_m(survey.frames, below[:, 2])
+        for name, height, floor in zip(names, heights_m, below[:, 2], strict=True):
+            if not height > floor:
+                problem = (
+                    "its height is unknown"
+                    if np.isnan(height)
+                    else f"lies {floor - height:.1f} m below the ground"
+                )
+                raise InputError(
+                    problem, file=name, mend="give heights with --pos, or check the DEM's --dem-offset"
+                )
+        lines = flight_lines(level)
+        poses = prior_poses(survey, heights_m, lines, params.formula, params.attitude)
+        outlines = [footprint(poses[i], cameras[i], ground) for i in range(len(names))]
+        for name, outline in zip(names, outlines, strict=True):
+            if np.isnan(outline).any():
+                context.warn(
+                    "horizon", name, "part of the frame looks past the horizon; that part is left out"
+                )
+        outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
+        reach_m = float(np.median(misplacement_m(poses, cameras, ground)))
+        pixels = [ground_sampling_distance_m(poses[i], cameras[i], ground) for i in range(len(names))]
+        placement = Placement(
+            poses=poses,
+            sequence=tuple(range(len(names))),
+            lines=lines,
+            pairs=overlapping_pairs(outlines, reach_m, params.neighbours),
+            ground_pixel_m=float(np.nanmedian(pixels)),
+            formula=params.formula,
+        )
+        record_locations(context, survey.work_frame, names, poses, ["placed"] * len(names))
+        features = [
+            outline_feature(survey.work_frame, o, {"frame": n}) for n, o in zip(names, outlines, strict=True)
+        ]
+        context.recorder.geojson("/footprints/placed", features)
+        context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
+        context.metric("placement.flight_lines", max(lines) + 1)
+        context.metric("placement.candidate_pairs", len(placement.pairs))
+        return {"placement": placement}

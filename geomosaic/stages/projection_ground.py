@@ -1,0 +1,92 @@
+"""The ground under the survey: a DEM if there is one, else flat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.prior import frame_heights_m, ground_height_m
+from geomosaic.placement.reach import half_extent_m
+from geomosaic.projection.ground import GroundSurface, flat_ground
+from geomosaic.projection.relief import relief
+from geomosaic.survey.dem import dem_crs, read_heights
+from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
+_MOST_FLAT_REACH = 3.0
+
+
+class ProjectionGround(Stage):
+    """Makes the surface that all rays are projected on."""
+
+    id = "projection.ground"
+    display_name = "Make the ground surface"
+    group = "Projection"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey}
+    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        height_m: float | Literal["auto"] = param(
+            "auto",
+            help="ellipsoidal height of flat ground; auto: from the frames' heights",
+            unit="m",
+            ge=-500,
+            le=9000,
+        )
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """A DEM's relief around the frames, or the surface of one height."""
+        survey: Survey = inputs["survey"]
+        height = params.height_m if params.height_m != "auto" else ground_height_m(survey.frames)
+        if survey.elevation is None and height is None:
+            raise InputError(
+                "how high the frames flew above the ground is unknown",
+                file=survey.frames[0].path,
+                mend="give a DEM with --dem, or the ground's height with --set projection.ground.height_m=METRES",
+            )
+        positions = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
+        enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
+        if survey.elevation is None:
+            top = frame_heights_m(survey.frames, np.full(len(enu), float(height or 0.0)))
+            reach = self._reach_m(survey, top - float(height or 0.0))
+            ground = flat_ground(survey.work_frame, float(height or 0.0), float(np.abs(enu).max()) + reach)
+            context.recorder.log("info", f"flat ground at {height:.2f} m above the ellipsoid")
+        else:
+            ground = self._dem(survey, enu)
+            context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
+        context.metric("ground.kind", ground.kind)
+        return {"ground": ground}
+
+    @staticmethod
+    def _reach_m(survey: Survey, heights_above_m: Floats) -> float:
+        """How far from the nadir points a survey looks: three times a level frame's half extent."""
+        known = heights_above_m[np.isfinite(heights_above_m)]
+        height = float(known.max()) if known.size else 100.0
+        return _MOST_FLAT_REACH * max(half_extent_m(c, max(height, 1.0)) for c in survey.cameras)
+
+    def _dem(self, survey: Survey, enu: Floats) -> GroundSurface:
+        assert survey.elevation is not None
+        projection = MapProjection(dem_crs(survey.elevation))
+        at = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
+        xy = projection.map_from_geodetic(at[:, 0], at[:, 1])
+        near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
+        below = near.at(xy[:, 0], xy[:, 1])
+        low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
+        reach = self._reach_m(survey, frame_heights_m(survey.frames, below) - low)
+        corners = np.array([[e, n] for e in (enu[:, 0].min() - reach, enu[:, 0].max() + reach)
+                            for n in (enu[:, 1].min() - reach, enu[:, 1].max() + reach)])  # fmt: skip
+        lonlat = survey.work_frame.geodetic_from_enu(np.column_stack([corners, np.zeros(4)]))
+        box = projection.map_from_geodetic(lonlat[:, 0], lonlat[:, 1])
+        raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)))
+        metres = np.linalg.norm(corners[3] - corners[0]) / np.linalg.norm(box[3] - box[0])
+        spacing = max(0.02, float(raster.pixel_y * metres))
+        return relief(survey.work_frame, raster, corners[0], corners[3], spacing)

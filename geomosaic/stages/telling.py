@@ -1,0 +1,65 @@
+"""What several stages tell the recording and run.json in the same words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.camera.exterior import Poses
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.pipeline.stage import Context
+from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
+
+
+def record_locations(
+    context: Context, work_frame: LocalFrame, names: Iterable[str], poses: Poses, status: Iterable[str]
+) -> None:
+    """Where the frames are believed to be now."""
+    geodetic = work_frame.geodetic_from_enu(poses.positions_m)
+    for name, at, sd, state in zip(names, geodetic, poses.positions_sd_m, status, strict=True):
+        context.recorder.location(name, *(float(v) for v in (*at, *sd)), state)
+
+
+def outline_feature(work_frame: LocalFrame, outline_m: Floats, properties: dict[str, Any]) -> dict[str, Any]:
+    """A GeoJSON polygon of an outline (k, 3) in the work frame."""
+    seen = outline_m[np.isfinite(outline_m).all(axis=1)]
+    ring = [[float(lon), float(lat)] for lon, lat, _ in work_frame.geodetic_from_enu(seen)]
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": {"type": "Polygon", "coordinates": [[*ring, *ring[:1]]]},
+    }
+
+
+def record_adjusted(context: Context, survey: Survey, block: Block, adjusted: Adjusted) -> None:
+    """The rounds of an adjustment, the residuals of every pair, and where the frames ended up."""
+    pairs = [(block.names[t.left], block.names[t.right]) for t in block.ties.pairs]
+    for number, round_ in enumerate(adjusted.rounds):
+        context.recorder.offsets(
+            context.stage_id,
+            number,
+            [
+                (a, b, float(e), float(n))
+                for (a, b), (e, n) in zip(pairs, round_.misalignments_m, strict=True)
+            ],
+            [(name, float(e), float(n)) for name, (e, n) in zip(block.names, round_.moves_m, strict=True)],
+        )
+    for tie, (left, right), residual in zip(block.ties.pairs, pairs, adjusted.residuals_m, strict=True):
+        context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual)
+    record_locations(context, survey.work_frame, block.names, adjusted.poses, adjusted.status)
+    total = len(block.names)
+    count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
+    context.report("frames", {"total": total, **count})
+    used = {c.name: c for c in adjusted.cameras}
+    context.report("camera", [vars_of(c) for c in used.values()])
+
+
+def vars_of(camera: Any) -> dict[str, Any]:
+    """A camera's numbers under their names."""
+    return {k: getattr(camera, k) for k in camera.__dataclass_fields__}
