@@ -1,6 +1,22 @@
 """MCAP writer and reader, replay, diff, the Rerun view: beside the staircase, not on it."""
 
+from geomosaic.recording.compare import compare
+from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
+from geomosaic.recording.reader import artefact_data, messages, printable, read_recording
+from geomosaic.recording.summary import summary
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.recording.writer import Recorder
 
-__all__ = ["Recorder", "thumbnail"]
+__all__ = [
+    "ArtefactEntry",
+    "Recorder",
+    "Recording",
+    "StageRecord",
+    "artefact_data",
+    "compare",
+    "messages",
+    "printable",
+    "read_recording",
+    "summary",
+    "thumbnail",
+]

@@ -1,0 +1,121 @@
+"""What differs between two recordings."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.recording.model import Recording, StageRecord
+
+
+def compare(a: Recording, b: Recording) -> dict[str, Any]:
+    """What `geomosaic diff --json` prints: only what differs, values as [of a, of b].
+
+    `equal` says whether the runs did the same and came to the same: the recipe, the inputs, the stages
+    with their versions, parameters and fingerprints, the moves of the frames, the warnings, and how
+    far each got. Durations, what came from the cache, and the environment don't count; the environment's
+    differences are listed. `first_stage` names the first stage that differs.
+    """
+    stages = _stages(a.stages, b.stages)
+    out: dict[str, Any] = {
+        "whole": [] if a.whole == b.whole else [a.whole, b.whole],
+        "recipe": list(
+            difflib.unified_diff(
+                a.recipe_yaml.splitlines(), b.recipe_yaml.splitlines(), "a", "b", lineterm="", n=1
+            )
+        ),
+        "manifest": _changes(a.manifest, b.manifest),
+        "first_stage": stages[0]["stage"] if stages else None,
+        "stages": stages,
+        "offsets": _offsets(a, b),
+        "warnings": _warnings(a, b),
+    }
+    equal = not any(out.values())
+    return {
+        "equal": equal,
+        "paths": [str(a.path), str(b.path)],
+        **out,
+        "environment": _changes(a.environment, b.environment),
+    }
+
+
+def _stages(a: list[StageRecord], b: list[StageRecord]) -> list[dict[str, Any]]:
+    """Stages that differ, in order; those of equal id are held against each other."""
+    out: list[dict[str, Any]] = []
+    matcher = difflib.SequenceMatcher(None, [s.stage_id for s in a], [s.stage_id for s in b], autojunk=False)
+    for kind, a0, a1, b0, b1 in matcher.get_opcodes():
+        if kind != "equal":
+            out += [{"stage": s.stage_id, "only_in": "a"} for s in a[a0:a1]]
+            out += [{"stage": s.stage_id, "only_in": "b"} for s in b[b0:b1]]
+            continue
+        for left, right in zip(a[a0:a1], b[b0:b1], strict=True):
+            changes = {
+                name: _changes(getattr(left, name), getattr(right, name))
+                for name in ("version", "params", "inputs", "outputs", "finished")
+            }
+            if any(changes.values()):
+                out.append({"stage": left.stage_id} | {k: v for k, v in changes.items() if v})
+    return out
+
+
+def _changes(a: Any, b: Any, name: str = "") -> dict[str, list[Any]]:
+    """Dotted names of differing values with [of a, of b]; None where one lacks it."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        out: dict[str, list[Any]] = {}
+        for key in dict.fromkeys([*a, *b]):
+            out |= _changes(a.get(key), b.get(key), f"{name}.{key}" if name else str(key))
+        return out
+    return {} if a == b else {name: [a, b]}
+
+
+def _offsets(a: Recording, b: Recording) -> list[dict[str, Any]]:
+    """For each stage that moved frames: by how much further b moved each, and the rounds of both."""
+    moved_a, moved_b = _moves_m(a), _moves_m(b)
+    out = []
+    for stage in dict.fromkeys([*moved_a, *moved_b]):
+        rounds_a, of_a = moved_a.get(stage, (0, {}))
+        rounds_b, of_b = moved_b.get(stage, (0, {}))
+        frames = []
+        for frame in dict.fromkeys([*of_a, *of_b]):
+            if frame not in of_a or frame not in of_b:
+                frames.append({"frame": frame, "only_in": "a" if frame in of_a else "b"})
+            elif not np.array_equal(of_a[frame], of_b[frame], equal_nan=True):
+                east_m, north_m = np.nan_to_num(of_b[frame] - of_a[frame]).tolist()
+                frames.append({"frame": frame, "d_east_m": east_m, "d_north_m": north_m})
+        if frames or rounds_a != rounds_b:
+            lengths = [np.hypot(f["d_east_m"], f["d_north_m"]) for f in frames if "d_east_m" in f]
+            out.append(
+                {
+                    "stage": stage,
+                    "rounds": [rounds_a, rounds_b],
+                    "largest_m": float(max(lengths, default=0.0)),
+                    "frames": frames,
+                }
+            )
+    return out
+
+
+def _moves_m(recording: Recording) -> dict[str, tuple[int, dict[str, NDArray[np.float64]]]]:
+    """By stage: the number of rounds, and each frame's moves summed (east, north)."""
+    out: dict[str, tuple[int, dict[str, NDArray[np.float64]]]] = {}
+    for offsets in recording.rounds:
+        count, sums = out.get(offsets.stage, (0, {}))
+        for frame, move in zip(offsets.frames, offsets.moves_m, strict=True):
+            sums[frame] = sums.get(frame, np.zeros(2)) + move
+        out[offsets.stage] = count + 1, sums
+    return out
+
+
+def _warnings(a: Recording, b: Recording) -> list[dict[str, str]]:
+    of_a, of_b = (
+        Counter((w.level, w.stage, w.frame, w.text) for w in recording.warnings) for recording in (a, b)
+    )
+    return [
+        {"only_in": where, "level": level, "stage": stage, "frame": frame, "text": text}
+        for where, only in (("a", of_a - of_b), ("b", of_b - of_a))
+        for level, stage, frame, text in only.elements()
+    ]

@@ -1,0 +1,118 @@
+"""What a recording holds, as read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class StageRecord:
+    """One stage of a run; `index` counts them in order of execution.
+
+    `finished` is False where the run ended within it; seconds are None where unknown.
+    """
+
+    index: int
+    stage_id: str
+    version: int
+    params: dict[str, Any]
+    inputs: dict[str, str]
+    outputs: dict[str, str] = field(default_factory=dict)
+    seconds: float | None = None
+    cached: bool = False
+    finished: bool = False
+
+
+@dataclass(frozen=True)
+class LogLine:
+    """One line of the log. level is debug, info, warning or error; stage and frame may be empty."""
+
+    time_ns: int
+    level: str
+    text: str
+    stage: str
+    frame: str
+
+
+@dataclass(frozen=True)
+class RoundOffsets:
+    """One round of an adjustment, see `Recorder.offsets`.
+
+    pairs: (left, right) names; misalignments_m: (pairs, 2); frames: names; moves_m: (frames, 2);
+    each east and north in metres, NaN where unknown.
+    """
+
+    stage: str
+    stage_index: int
+    round_index: int
+    pairs: tuple[tuple[str, str], ...]
+    misalignments_m: Floats
+    frames: tuple[str, ...]
+    moves_m: Floats
+
+
+@dataclass
+class ArtefactEntry:
+    """An artefact in the recording, not loaded.
+
+    `found` has each part's place: the file offset of its chunk and its log time there.
+    """
+
+    stage_id: str
+    stage_index: int
+    name: str
+    type_name: str
+    fingerprint: str
+    parts: int
+    total_bytes: int
+    found: list[tuple[int, int]] = field(default_factory=list)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every part is there."""
+        return len(self.found) == self.parts
+
+
+@dataclass
+class Topic:
+    """A topic, the name of its messages' schema, and how many there are."""
+
+    name: str
+    schema: str
+    messages: int = 0
+
+
+@dataclass
+class Recording:
+    """What a recording holds, without pictures, tie points and the artefacts' bytes, which stay in the file.
+
+    `problem` is empty for a whole file, else it says where the file ends or what is damaged.
+    """
+
+    path: Path
+    problem: str = ""
+    recipe_yaml: str = ""
+    environment: dict[str, Any] = field(default_factory=dict)
+    manifest: dict[str, Any] = field(default_factory=dict)
+    stages: list[StageRecord] = field(default_factory=list)
+    log: list[LogLine] = field(default_factory=list)
+    rounds: list[RoundOffsets] = field(default_factory=list)
+    artefacts: list[ArtefactEntry] = field(default_factory=list)
+    topics: dict[str, Topic] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the file was closed and nothing in it is damaged."""
+        return not self.problem
+
+    @property
+    def warnings(self) -> list[LogLine]:
+        """The log's warnings and errors."""
+        return [line for line in self.log if line.level in ("warning", "error", "fatal")]

@@ -1,0 +1,196 @@
+"""Reads a recording, also one whose run was killed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
+
+from geomosaic.errors import FileError
+from geomosaic.recording.mcapfile import BROKEN, MEND, Item, items, opened, stream, unpacked
+from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent
+from geomosaic.recording.model import ArtefactEntry, LogLine, Recording, RoundOffsets, StageRecord, Topic
+from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, RECIPE
+
+MAX_KEPT_BYTES = 512 * 2**20
+MAX_ARTEFACT_BYTES = 4 * 2**30
+_KEPT_WHOLE = ("geomosaic.StageEvent", "geomosaic.PairOffsets", "foxglove.Log")
+_KEPT = (*_KEPT_WHOLE, "geomosaic.Artefact")
+
+
+def read_recording(path: Path) -> Recording:
+    """Reads a recording in one pass; of an unfinished or damaged file everything that is whole.
+
+    Pictures, tie points and the artefacts' bytes stay in the file (`messages`, `artefact_data`).
+    Raises FileError if the file can't be opened, is no MCAP, no recording of geomosaic, or larger than
+    any run could make it.
+    """
+    recording = Recording(path)
+    kept_bytes = 0
+    with opened(path) as file:
+        for item in items(path, file):
+            _check_ours(path, item)
+            kept_bytes += _kept_bytes(item)
+            if kept_bytes > MAX_KEPT_BYTES:
+                raise FileError(f"its log and offsets take more than {MAX_KEPT_BYTES} bytes", file=path)
+            try:
+                _take(recording, item)
+            except BROKEN as error:
+                item = Item(
+                    item.offset, None, problem=f"a message behind byte {item.offset} is damaged ({error})"
+                )
+            if item.record is None and not recording.problem:
+                recording.problem = printable(item.problem)
+    recording.stages.sort(key=lambda stage: stage.index)
+    return recording
+
+
+def messages(path: Path, schema: str) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, log time in ns and bytes of every message of a schema, e.g. `foxglove.CompressedImage`."""
+    with opened(path) as file:
+        for item in items(path, file):
+            if isinstance(item.record, Message) and item.schema == schema:
+                yield item.topic, item.record.log_time, item.record.data
+
+
+def artefact_data(recording: Recording, entry: ArtefactEntry) -> bytes:
+    """The bytes of an artefact. Raises FileError if a part is missing or the size is not as said."""
+    data = bytearray()
+    with opened(recording.path) as file:
+        for part, (offset, log_time) in enumerate(entry.found):
+            try:
+                chunk = next(stream(file, offset))
+                for record in unpacked(chunk) if isinstance(chunk, Chunk) else ():
+                    if isinstance(record, Message) and record.log_time == log_time:
+                        message = Artefact.FromString(record.data)
+                        if (message.name, message.part) == (entry.name, part):
+                            data += message.data
+            except BROKEN as error:
+                text = f"artefact '{printable(entry.name)}' is damaged ({printable(str(error))})"
+                raise FileError(text, file=recording.path, mend="run again") from error
+    if not entry.complete or len(data) != entry.total_bytes:
+        raise FileError(
+            f"artefact '{printable(entry.name)}' of stage {printable(entry.stage_id)} is incomplete",
+            file=recording.path,
+            mend="replay from an earlier stage, or run again",
+        )
+    return bytes(data)
+
+
+def printable(text: str) -> str:
+    """A stranger's text on one line, without the control characters a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def _check_ours(path: Path, item: Item) -> None:
+    if isinstance(item.record, Header) and item.record.profile != PROFILE:
+        raise FileError("this MCAP is no recording of geomosaic", file=path, mend=MEND)
+    if isinstance(item.record, Metadata) and item.record.name == PROFILE:
+        written = item.record.metadata.get("format", "unknown")
+        if written != FORMAT:
+            raise FileError(
+                f"a recording of format {printable(written)}, while this version reads {FORMAT}",
+                file=path,
+                mend="read it with the geomosaic that wrote it",
+            )
+
+
+def _kept_bytes(item: Item) -> int:
+    """About how much memory an item will take for good."""
+    if isinstance(item.record, Message):
+        whole = len(item.record.data) if item.schema in _KEPT_WHOLE else 0
+        return 256 + 4 * whole if item.schema in _KEPT else 0
+    return 1024 if isinstance(item.record, Channel) else 0
+
+
+def _take(recording: Recording, item: Item) -> None:
+    record = item.record
+    if isinstance(record, Channel):
+        recording.topics.setdefault(item.topic, Topic(item.topic, item.schema))
+    if isinstance(record, Attachment):
+        _take_attachment(recording, record)
+    if not isinstance(record, Message):
+        return
+    if not item.topic:
+        raise ValueError("its channel is unknown")
+    recording.topics[item.topic].messages += 1
+    match item.schema:
+        case "geomosaic.StageEvent":
+            _take_stage(recording.stages, StageEvent.FromString(record.data))
+        case "geomosaic.PairOffsets":
+            recording.rounds.append(_round(PairOffsets.FromString(record.data)))
+        case "geomosaic.Artefact":
+            _take_part(recording.artefacts, Artefact.FromString(record.data), item.offset, record.log_time)
+        case "foxglove.Log":
+            log = Log.FromString(record.data)
+            level = Log.Level.Name(log.level).lower()
+            recording.log.append(LogLine(record.log_time, level, log.message, log.name, log.file))
+
+
+def _take_attachment(recording: Recording, attachment: Attachment) -> None:
+    if attachment.name == RECIPE:
+        recording.recipe_yaml = attachment.data.decode()
+    elif attachment.name == ENVIRONMENT:
+        recording.environment = _json_object(attachment.data)
+    elif attachment.name == MANIFEST:
+        recording.manifest = _json_object(attachment.data)
+
+
+def _json_object(text: str | bytes) -> dict[str, Any]:
+    value = json.loads(text)
+    if not isinstance(value, dict):
+        raise ValueError("no JSON object")
+    return value
+
+
+def _take_stage(stages: list[StageRecord], event: Any) -> None:
+    if not event.finished:
+        if stages and event.stage_index <= stages[-1].index:
+            raise ValueError(f"stage {event.stage_id[:80]} begins twice")
+        inputs = {f.name: f.fingerprint for f in event.inputs}
+        params = _json_object(event.params_json)
+        stages.append(StageRecord(event.stage_index, event.stage_id, event.version, params, inputs))
+        return
+    if not stages or (stages[-1].index, stages[-1].stage_id) != (event.stage_index, event.stage_id):
+        raise ValueError(f"stage {event.stage_id[:80]} ends without having begun")
+    stages[-1].outputs = {f.name: f.fingerprint for f in event.outputs}
+    stages[-1].seconds = event.seconds if event.HasField("seconds") else None
+    stages[-1].cached, stages[-1].finished = event.cached, True
+
+
+def _round(message: Any) -> RoundOffsets:
+    pairs = tuple(zip(message.left, message.right, strict=True))
+    misalignments = np.array([message.east_m, message.north_m], dtype=np.float64).T
+    moves = np.array([message.move_east_m, message.move_north_m], dtype=np.float64).T
+    if len(misalignments) != len(pairs) or len(moves) != len(message.frame):
+        raise ValueError("offsets of unequal lengths")
+    return RoundOffsets(
+        message.stage, message.stage_index, message.round, pairs, misalignments, tuple(message.frame), moves
+    )
+
+
+def _take_part(artefacts: list[ArtefactEntry], message: Any, offset: int, log_time: int) -> None:
+    """The parts of an artefact follow one another; nothing stands between them."""
+    if message.part == 0:
+        if message.total_bytes > MAX_ARTEFACT_BYTES:
+            raise ValueError(f"an artefact of {message.total_bytes} bytes")
+        artefacts.append(
+            ArtefactEntry(
+                message.stage_id,
+                message.stage_index,
+                message.name,
+                message.type_name,
+                message.fingerprint,
+                message.parts,
+                message.total_bytes,
+            )
+        )
+    entry = artefacts[-1] if artefacts else None
+    if entry is None or (message.name, message.part) != (entry.name, len(entry.found)):
+        raise ValueError(f"part {message.part} of an artefact is out of its order")
+    entry.found.append((offset, log_time))

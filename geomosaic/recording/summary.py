@@ -1,0 +1,92 @@
+"""A recording in short, as values that JSON knows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.recording.model import Recording, RoundOffsets
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """What `geomosaic inspect --json` prints.
+
+    Keys: path, whole, problem, recipe, environment, manifest, stages, rounds, warnings, artefacts, topics.
+    """
+    ids = {stage.index: stage.stage_id for stage in recording.stages}
+    return {
+        "path": str(recording.path),
+        "whole": recording.whole,
+        "problem": recording.problem,
+        "recipe": recording.recipe_yaml,
+        "environment": recording.environment,
+        "manifest": recording.manifest,
+        "stages": [
+            {
+                "index": stage.index,
+                "id": stage.stage_id,
+                "version": stage.version,
+                "params": stage.params,
+                "inputs": stage.inputs,
+                "outputs": stage.outputs,
+                "seconds": stage.seconds,
+                "cached": stage.cached,
+                "finished": stage.finished,
+            }
+            for stage in recording.stages
+        ],
+        "rounds": [
+            {
+                "stage": offsets.stage,
+                "round": offsets.round_index,
+                "pairs": len(offsets.pairs),
+                "largest_misalignment_m": largest_m(offsets.misalignments_m),
+                "rms_misalignment_m": rms_m(offsets.misalignments_m),
+                "largest_move_m": largest_m(offsets.moves_m),
+                "worst_pair": worst_pair(offsets),
+            }
+            for offsets in recording.rounds
+        ],
+        "warnings": [
+            {"level": w.level, "stage": w.stage, "frame": w.frame, "text": w.text} for w in recording.warnings
+        ],
+        "artefacts": [
+            {
+                "stage": ids.get(a.stage_index, a.stage_id),
+                "name": a.name,
+                "type": a.type_name,
+                "fingerprint": a.fingerprint,
+                "bytes": a.total_bytes,
+                "whole": a.complete,
+            }
+            for a in recording.artefacts
+        ],
+        "topics": [
+            {"topic": t.name, "schema": t.schema, "messages": t.messages} for t in recording.topics.values()
+        ],
+    }
+
+
+def largest_m(vectors_m: NDArray[np.float64]) -> float | None:
+    """The greatest length of (n, 2) vectors; None if none is known."""
+    known = _known_lengths_m(vectors_m)
+    return float(known.max()) if known.size else None
+
+
+def rms_m(vectors_m: NDArray[np.float64]) -> float | None:
+    """The root mean square length of (n, 2) vectors; None if none is known."""
+    known = _known_lengths_m(vectors_m)
+    return float(np.sqrt(np.mean(known**2))) if known.size else None
+
+
+def worst_pair(offsets: RoundOffsets) -> list[str] | None:
+    """The names of the two frames with the largest misalignment; None if none is known."""
+    lengths = np.hypot(*offsets.misalignments_m.T)
+    return list(offsets.pairs[int(np.nanargmax(lengths))]) if np.isfinite(lengths).any() else None
+
+
+def _known_lengths_m(vectors_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    lengths = np.hypot(*vectors_m.T)
+    return np.asarray(lengths[np.isfinite(lengths)])
