@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from hashlib import blake2b
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeGuard
 
 from geomosaic.errors import FileError, GeomosaicError, OutputError
 from geomosaic.pipeline.artefacts import fingerprint_of_json
@@ -29,6 +29,12 @@ _MENDS = {
     errno.EFBIG: ("the file is too large for the disk", "choose another output folder"),
     errno.ENOENT: ("the folder can't be made", "choose another output folder"),
 }
+
+
+def is_output_error(error: BaseException) -> TypeGuard[OSError]:
+    """Whether the system refused to write, and nobody has said so to the user yet."""
+    full = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+    return isinstance(error, OSError) and not isinstance(error, GeomosaicError) and error.errno in full
 
 
 def output_error(error: OSError, path: Path) -> OutputError:

@@ -173,6 +173,12 @@ def output_values(params: StageParams) -> dict[str, Any]:
 
 
 def file_values(params: StageParams) -> dict[str, Path]:
-    """The files and folders the parameters name, by parameter."""
-    values = {p.name: getattr(params, p.name) for p in describe_params(type(params)) if p.is_file}
-    return {name: value for name, value in values.items() if isinstance(value, Path)}
+    """The files and folders the parameters name, by parameter (`name[i]` in a list)."""
+    found = {}
+    for p in describe_params(type(params)):
+        value = getattr(params, p.name)
+        if isinstance(value, Path):
+            found[p.name] = value
+        elif isinstance(value, tuple | list):
+            found.update({f"{p.name}[{i}]": v for i, v in enumerate(value) if isinstance(v, Path)})
+    return found

@@ -1,0 +1,237 @@
+"""Recipes: an ordered list of stages with parameters, checked as a whole before the first pixel.
+
+name: error sharing
+description: the paper's method
+seed: 1
+stages:
+  - projection.ground
+  - stage: adjustment.solve
+    params: {method: error_sharing}
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.pipeline.params import StageParams, accepts, check_params, file_values
+from geomosaic.pipeline.registry import Registry
+from geomosaic.pipeline.stage import Stage
+
+MAX_RECIPE_BYTES = 1 << 20
+_KEYS = ("name", "description", "seed", "stages")
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stage with its parameters."""
+
+    stage: type[Stage]
+    params: StageParams
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A checked recipe. `file` is where it was read, for messages."""
+
+    name: str
+    description: str
+    seed: int
+    steps: tuple[Step, ...]
+    file: str | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The recipe with every parameter as plain values, defaults included and paths absolute."""
+        stages = [{"stage": s.stage.id, "params": s.params.model_dump(mode="json")} for s in self.steps]
+        return {"name": self.name, "description": self.description, "seed": self.seed, "stages": stages}
+
+    def yaml(self) -> str:
+        """`plain` as YAML: a recipe again."""
+        return yaml.safe_dump(self.plain(), sort_keys=False, allow_unicode=True)
+
+    def check_files(self, skip: Collection[int] = ()) -> None:
+        """`FileError` for the first file parameter that names nothing; steps in `skip` aren't asked."""
+        for i, step in enumerate(self.steps):
+            for name, path in file_values(step.params).items() if i not in skip else ():
+                if not path.exists():
+                    mend = f"give an existing one for {step.stage.id}.{name}"
+                    raise FileError("no such file or folder", file=path, mend=mend)
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain YAML that refuses a key given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := next((key for key in keys if keys.count(key) > 1), None):
+            raise yaml.constructor.ConstructorError(None, None, f"'{twice}' is given twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def _load_yaml(text: str, file: str | None) -> Any:
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506  a SafeLoader
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"line {mark.line + 1}: " if mark is not None else ""
+        problem = getattr(error, "problem", None) or str(error)
+        raise InputError(
+            f"{where}this is no YAML ({problem})", file=file, mend="see docs/recipes.md"
+        ) from error
+
+
+def load_recipe(path: Path, registry: Registry, overrides: Iterable[str] = ()) -> Recipe:
+    """A recipe file. Paths in it are relative to its folder, those of `overrides` to the current one."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_RECIPE_BYTES + 1)
+        text = data.decode("utf-8-sig")
+    except OSError as error:
+        raise FileError(
+            f"can't be read ({error.strerror})", file=path, mend="give a recipe, such as those in recipes/"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise FileError("is no text in UTF-8", file=path, mend="give a recipe in YAML") from error
+    if len(data) > MAX_RECIPE_BYTES:
+        raise FileError("is larger than 1 MiB", file=path, mend="give a recipe in YAML")
+    return parse_recipe(text, registry, overrides, file=str(path), base=path.absolute().parent)
+
+
+def parse_recipe(
+    text: str,
+    registry: Registry,
+    overrides: Iterable[str] = (),
+    *,
+    file: str | None = None,
+    base: Path | None = None,
+) -> Recipe:
+    """A recipe from YAML, see `recipe_from`."""
+    return recipe_from(_load_yaml(text, file), registry, overrides, file=file, base=base)
+
+
+def recipe_from(
+    plain: Any,
+    registry: Registry,
+    overrides: Iterable[str] = (),
+    *,
+    file: str | None = None,
+    base: Path | None = None,
+    given: Mapping[str, type] | None = None,
+) -> Recipe:
+    """A recipe from plain values, everything checked but whether its files exist (`check_files`).
+
+    overrides: `stage.id.param=value`; the value is a YAML scalar. base: the folder that relative paths
+    start from (default: the current one). given: artefacts that are there before the first stage.
+    Raises `InputError` and its kin with one line that names the file, the stage and the mend.
+    """
+    if not isinstance(plain, dict) or not isinstance(plain.get("stages"), list) or not plain["stages"]:
+        raise InputError("has no list 'stages'", file=file, mend="see docs/recipes.md")
+    if unknown := [key for key in plain if key not in _KEYS]:
+        raise UnknownNameError("key", str(unknown[0]), _KEYS, file=file)
+    seed = plain.get("seed", 0)
+    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 1 << 63:
+        raise InputError(f"seed = {seed!r}: must be a whole number from 0", file=file)
+    entries = [_entry(entry, i, file) for i, entry in enumerate(plain["stages"])]
+    stages = [registry.get(id, file=file) for id, _ in entries]
+    values = [
+        {key: _absolute(stage, key, value, base or Path.cwd()) for key, value in params.items()}
+        for stage, (_, params) in zip(stages, entries, strict=True)
+    ]
+    for override in overrides:
+        _override(override, stages, values)
+    steps = tuple(
+        Step(stage, check_params(stage.Params, v, stage=stage.id, file=file))
+        for stage, v in zip(stages, values, strict=True)
+    )
+    check_wiring(stages, given or {}, file)
+    return Recipe(str(plain.get("name", "")), str(plain.get("description", "")), seed, steps, file)
+
+
+def _entry(entry: Any, i: int, file: str | None) -> tuple[str, dict[str, Any]]:
+    if isinstance(entry, str):
+        return entry, {}
+    if not isinstance(entry, dict) or not isinstance(entry.get("stage"), str):
+        raise InputError(f"stage number {i + 1} has no name", file=file, mend="write '- stage: ID'")
+    if unknown := [key for key in entry if key not in ("stage", "params")]:
+        kind = f"key of stage {entry['stage']}"
+        raise UnknownNameError(kind, str(unknown[0]), ("stage", "params"), file=file)
+    params = entry.get("params") or {}
+    if not isinstance(params, dict):
+        raise InputError(
+            f"stage {entry['stage']}: params is no mapping", file=file, mend="write 'key: value'"
+        )
+    return entry["stage"], {str(key): value for key, value in params.items()}
+
+
+def _absolute(stage: type[Stage], name: str, value: Any, base: Path) -> Any:
+    """A path parameter's text as an absolute path; any other value as it is."""
+    field = stage.Params.model_fields.get(name)
+    if field is None or not accepts(field.annotation, Path):
+        return value
+    if isinstance(value, list | tuple):
+        return [_absolute(stage, name, v, base) for v in value]
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        value = str(value)
+    words = [w for a in typing.get_args(field.annotation) for w in typing.get_args(a)]
+    return base / Path(value).expanduser() if isinstance(value, str | Path) and value not in words else value
+
+
+def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[str, Any]]) -> None:
+    target, equals, text = override.partition("=")
+    id, dot, name = target.strip().rpartition(".")
+    if not (equals and dot and id and name):
+        raise InputError(f"--set {override}: not understood", mend="write --set stage.id.parameter=value")
+    if id not in (stage.id for stage in stages):
+        raise UnknownNameError(
+            "stage of this recipe", id, (stage.id for stage in stages), file=f"--set {override}"
+        )
+    for stage, params in zip(stages, values, strict=True):
+        if stage.id == id:
+            field = stage.Params.model_fields.get(name)
+            if field is None:
+                raise UnknownNameError(
+                    f"parameter of stage {id}", name, stage.Params.model_fields, file=f"--set {override}"
+                )
+            value = _load_yaml(text, f"--set {override}")
+            as_text = isinstance(value, str | int | float) and not isinstance(value, bool)
+            if as_text and (accepts(field.annotation, Path) or accepts(field.annotation, str)):
+                value = text
+            params[name] = _absolute(stage, name, value, Path.cwd())
+
+
+def check_wiring(stages: Sequence[type[Stage]], given: Mapping[str, type], file: str | None = None) -> None:
+    """`InputError` unless each stage finds its inputs, of the right types, among earlier outputs."""
+    there = {name: (kind, "what is given") for name, kind in given.items()}
+    for i, stage in enumerate(stages):
+        for name, wanted in {**stage.inputs, **stage.optional_inputs}.items():
+            if name not in there:
+                if name in stage.optional_inputs:
+                    continue
+                later = [s.id for s in stages[i + 1 :] if name in s.outputs]
+                mend = f"move {later[0]} before it" if later else f"add a stage that gives '{name}' before it"
+                raise InputError(
+                    f"stage {stage.id} needs '{name}', which no earlier stage gives", file=file, mend=mend
+                )
+            kind, source = there[name]
+            if not _fits(kind, wanted):
+                raise InputError(
+                    f"stage {stage.id} wants '{name}' as {_name(wanted)}, but {source} gives {_name(kind)}",
+                    file=file,
+                )
+        there.update({name: (kind, stage.id) for name, kind in stage.outputs.items()})
+
+
+def _fits(kind: Any, wanted: Any) -> bool:
+    if isinstance(kind, type) and isinstance(wanted, type):
+        return issubclass(kind, wanted)
+    return bool(kind == wanted)
+
+
+def _name(kind: Any) -> str:
+    return getattr(kind, "__name__", str(kind))

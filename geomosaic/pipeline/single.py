@@ -1,0 +1,68 @@
+"""One stage by itself: for commands that are no run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import PluginError
+from geomosaic.pipeline import files
+from geomosaic.pipeline.context import Context, Notes
+from geomosaic.pipeline.executor import Workers
+from geomosaic.pipeline.params import StageParams
+from geomosaic.pipeline.recipe import Recipe, Step
+from geomosaic.pipeline.reporter import Reporter, Silent
+from geomosaic.pipeline.stage import Stage
+
+
+def check_outputs(stage: type[Stage], values: Any) -> None:
+    """`PluginError` unless a stage gave just what it declared."""
+    if not isinstance(values, dict) or values.keys() != stage.outputs.keys():
+        got = sorted(values) if isinstance(values, dict) else type(values).__name__
+        raise PluginError(f"stage {stage.id} gave {got} instead of {sorted(stage.outputs)}")
+    for name, kind in stage.outputs.items():
+        if isinstance(kind, type) and not isinstance(values[name], kind):
+            raise PluginError(
+                f"stage {stage.id} gave '{name}' as {type(values[name]).__name__}, not {kind.__name__}"
+            )
+
+
+def run_stage(
+    stage: type[Stage],
+    params: StageParams,
+    folder: Path,
+    inputs: Mapping[str, Any] | None = None,
+    *,
+    work_folder: Path,
+    workers: int = 1,
+    seed: int = 0,
+    reporter: Reporter | None = None,
+    summary: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], Notes]:
+    """One stage by itself, without recording or cache: its outputs and what it noted.
+
+    `folder` is what the stage knows as the run folder; `work_folder` is the caller's to delete.
+    """
+    reporter = reporter or Silent()
+    Recipe("", "", seed, (Step(stage, params),)).check_files()
+    files.make_folder(folder)
+    reporter.stage_started(0, 1, stage.display_name)
+    started = time.monotonic()
+    with Workers(workers) as team:
+        context = Context(
+            folder.absolute(),
+            stage_id=stage.id,
+            version=stage.version,
+            work_folder=work_folder,
+            workers=team,
+            seed=seed,
+            on_progress=reporter.progress,
+            on_warning=reporter.warning,
+            summary=summary,
+        )
+        values = stage().run(inputs or {}, params, context)
+    check_outputs(stage, values)
+    reporter.stage_finished(time.monotonic() - started, False)
+    return values, context.notes
