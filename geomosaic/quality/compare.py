@@ -1,0 +1,253 @@
+"""A mosaic laid over a reference picture: displacement vectors, the figures from them, and SSIM."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.vrt import WarpedVRT
+from rasterio.windows import Window
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.quality.displacement import Displacements, measure_displacements
+from geomosaic.quality.figures import Figures, figures, touching_patches
+from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_raster, pixel_m, read_luma
+from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, pooled, ssim_maps
+
+Floats = NDArray[np.float64]
+
+_BLOCK_PX = 1536
+_GLANCE_PX = 1024
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a mosaic and a reference say of each other; displacements are mosaic minus reference.
+
+    vectors_m: (n, 4) easting and northing of the patch in the reference, displacement east and north.
+    vectors_sd_px: (n,) standard deviation of each. overlap_share: valid pixels the reference covers.
+    ssim_cells: (rows, cols) mean SSIM of cells of ssim_cell_m from the top left corner (west_m,
+    north_m), NaN where nothing is valid.
+    """
+
+    mosaic: str
+    reference: str
+    crs: str
+    gsd_m: float
+    patch_px: int
+    step_px: int
+    search_px: int
+    overlap_share: float
+    figures: Figures
+    vectors_m: Floats
+    vectors_sd_px: Floats
+    ssim: SsimTerms
+    ssim_cells: NDArray[np.float32]
+    ssim_cell_m: float
+    west_m: float
+    north_m: float
+
+
+def compare(
+    mosaic: Path,
+    reference: Path,
+    *,
+    patch_px: int = 64,
+    step_px: int = 64,
+    search_px: int = 128,
+    match_tone: bool = False,
+    min_correlation: float = 0.5,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Compare two rasters on the mosaic's grid.
+
+    The reference may lie on another grid or in another CRS: it is resampled (cubic) to the mosaic's
+    pixels, by blocks, so that memory doesn't grow with the mosaic. Colours count as their luma.
+
+    Args:
+        patch_px, step_px, search_px: side of a patch, distance between patches, longest displacement
+            looked for, in the mosaic's pixels.
+        match_tone: before SSIM, bring the mosaic's mean and contrast to the reference's (one gain and
+            one offset for all of it); the displacements don't depend on either.
+        progress: called with the blocks done and their number; may raise to stop.
+    Raises:
+        FileError: a file that isn't a raster, or has no georeference. InputError: no overlap.
+    """
+    if not (16 <= patch_px <= 512 and 1 <= step_px <= 4096 and 1 <= search_px <= 4096):
+        raise InputError(
+            "patch, step or search out of bounds", mend="patch 16 to 512 px, step and search up to 4096 px"
+        )
+    with ExitStack() as stack:
+        a = stack.enter_context(open_raster(mosaic))
+        b = stack.enter_context(open_raster(reference))
+        gsd_m, metres = pixel_m(a, mosaic)
+        pair = stack.enter_context(on_grid_of(a, b, reference))
+        sizes = _Sizes(patch_px, step_px, search_px, min_correlation)
+        tones = _tones(a, pair, match_tone, mosaic, reference)
+        windows = list(blocks(a.height, a.width, max(step_px, _BLOCK_PX // step_px * step_px)))
+        parts: list[_Part] = []
+        for done, block in enumerate(windows):
+            if progress:
+                progress(done, len(windows))
+            parts.append(_compare_block(a, pair, block, sizes, tones))
+        if progress:
+            progress(len(windows), len(windows))
+        if not any(p.shared_px for p in parts):
+            raise InputError(
+                "does not overlap the mosaic", file=reference, mend="give a reference of the same place"
+            )
+        t = a.transform
+        affine = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f]]) * metres
+        names = mosaic.name, reference.name
+        return _assembled(parts, names, a.crs.to_string(), a.shape, affine, gsd_m, sizes)
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    patch_px: int
+    step_px: int
+    search_px: int
+    min_correlation: float
+
+
+@dataclass(frozen=True)
+class _Tones:
+    span: float
+    gain: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one block says; displacements are in pixels of the whole mosaic, cells lie at row, col."""
+
+    valid_px: int
+    shared_px: int
+    found: Displacements
+    terms: SsimTerms
+    cells: NDArray[np.float32]
+    row: int
+    col: int
+
+
+def _compare_block(
+    mosaic: rasterio.DatasetReader, pair: WarpedVRT, block: Window, sizes: _Sizes, tones: _Tones
+) -> _Part:
+    """Patches that begin in the block and SSIM of its pixels, read with a margin around it."""
+    outer = grown(block, max(sizes.search_px + sizes.patch_px, WINDOW_PX), mosaic.height, mosaic.width)
+    picture, picture_valid = read_luma(mosaic, outer)
+    if picture_valid.any():
+        reference, reference_valid = read_luma(pair, outer)
+    else:
+        reference, reference_valid = np.zeros_like(picture), np.zeros_like(picture_valid)
+    both = picture_valid & reference_valid
+    row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
+    inner = np.s_[row : row + block.height, col : col + block.width]
+    corners = _corners(block, outer, sizes.patch_px, sizes.step_px)
+    found = measure_displacements(
+        picture,
+        reference,
+        picture_valid,
+        reference_valid,
+        corners if both.any() else corners[:0],
+        patch_px=sizes.patch_px,
+        search_px=sizes.search_px,
+        min_correlation=sizes.min_correlation,
+    )
+    maps = ssim_maps(picture * tones.gain + tones.offset, reference, both, tones.span).cut(inner)
+    return _Part(
+        int(picture_valid[inner].sum()),
+        int(both[inner].sum()),
+        replace(found, centres_px=found.centres_px + np.array([outer.col_off, outer.row_off])),
+        mean_terms(maps, tones.gain, tones.offset),
+        _cell_means(maps.ssim, sizes.step_px),
+        block.row_off // sizes.step_px,
+        block.col_off // sizes.step_px,
+    )
+
+
+def _assembled(
+    parts: list[_Part],
+    names: tuple[str, str],
+    crs: str,
+    shape: tuple[int, int],
+    affine: Floats,
+    gsd_m: float,
+    sizes: _Sizes,
+) -> Comparison:
+    """The blocks as one; affine (2, 3) takes col, row, 1 to metres on the map."""
+    cells = np.full([-(-n // sizes.step_px) for n in shape], np.nan, dtype=np.float32)
+    for p in parts:
+        cells[p.row : p.row + p.cells.shape[0], p.col : p.col + p.cells.shape[1]] = p.cells
+    centres = np.concatenate([p.found.centres_px for p in parts])
+    at_m = centres @ affine[:, :2].T + affine[:, 2]
+    displacement_m = np.concatenate([p.found.displacement_px for p in parts]) @ affine[:, :2].T
+    touching = touching_patches(centres, sizes.patch_px, sizes.step_px)
+    asked = sum(p.found.asked for p in parts)
+    return Comparison(
+        mosaic=names[0],
+        reference=names[1],
+        crs=crs,
+        gsd_m=gsd_m,
+        patch_px=sizes.patch_px,
+        step_px=sizes.step_px,
+        search_px=sizes.search_px,
+        overlap_share=sum(p.shared_px for p in parts) / sum(p.valid_px for p in parts),
+        figures=figures(at_m, displacement_m, touching, gsd_m, asked),
+        vectors_m=np.concatenate([at_m, displacement_m], axis=1),
+        vectors_sd_px=np.concatenate([p.found.sd_px for p in parts]),
+        ssim=pooled([p.terms for p in parts]),
+        ssim_cells=cells,
+        ssim_cell_m=sizes.step_px * gsd_m,
+        west_m=float(affine[0, 2]),
+        north_m=float(affine[1, 2]),
+    )
+
+
+def _tones(
+    mosaic: rasterio.DatasetReader, pair: WarpedVRT, match_tone: bool, path: Path, reference: Path
+) -> _Tones:
+    """Span of the values, and the mosaic's gain and offset against the reference, from reduced reads."""
+    scale = max(1.0, max(mosaic.shape) / _GLANCE_PX)
+    shape = (max(1, round(mosaic.height / scale)), max(1, round(mosaic.width / scale)))
+    a, a_valid = read_luma(mosaic, None, shape)
+    if not a_valid.any():
+        raise FileError("has no valid pixel", file=path, mend="give a mosaic with pixels in it")
+    b, b_valid = read_luma(pair, None, shape)
+    both = a_valid & b_valid
+    if not both.any():
+        raise InputError(
+            "does not overlap the mosaic", file=reference, mend="give a reference of the same place"
+        )
+    eight_bits = mosaic.dtypes[0] == "uint8" and pair.dtypes[0] == "uint8"
+    span = 255.0 if eight_bits else max(float(np.ptp(b[both])), 1e-6)
+    gain, offset = 1.0, 0.0
+    if match_tone:
+        gain, offset = gain_and_offset(a[both].astype(np.float64), b[both].astype(np.float64))
+    return _Tones(span, gain, offset)
+
+
+def _corners(inner: Window, outer: Window, patch_px: int, step_px: int) -> NDArray[np.int64]:
+    """First row and col, in the outer window, of the grid's patches that begin in the inner one."""
+    last_row = outer.row_off + outer.height - patch_px
+    last_col = outer.col_off + outer.width - patch_px
+    rows = np.arange(inner.row_off, min(inner.row_off + inner.height, last_row + 1), step_px)
+    cols = np.arange(inner.col_off, min(inner.col_off + inner.width, last_col + 1), step_px)
+    grid = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.asarray(grid - [outer.row_off, outer.col_off], dtype=np.int64)
+
+
+def _cell_means(values: Floats, side: int) -> NDArray[np.float32]:
+    """Means of square cells that are not NaN; the last row and col of cells may be smaller."""
+    rows, cols = (-(-n // side) for n in values.shape)
+    padded = np.full((rows * side, cols * side), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    tiles = padded.reshape(rows, side, cols, side)
+    count = np.isfinite(tiles).sum(axis=(1, 3))
+    total = np.nansum(tiles, axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)

@@ -1,0 +1,201 @@
+"""Least-squares matching of patches: sub-pixel shift with gain and offset, many patches at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.fft import rfft2
+from scipy.ndimage import spline_filter
+
+Floats = NDArray[np.float64]
+Picture = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_ROUNDS = 12
+_CONVERGED_PX = 0.002
+_REACH_PX = 2.0
+_MARGIN_PX = 4
+_LEAST_GAIN = 0.05
+_AT_ONCE = 256
+
+
+_SLOPE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Match:
+    """shift (n, 2) rows and cols, sd_px (n,) of the worse axis, correlation (n,), converged (n,)."""
+
+    shift: Floats
+    sd_px: Floats
+    correlation: Floats
+    converged: Mask
+
+
+def refine(
+    picture: Picture,
+    reference: Picture,
+    picture_valid: Mask,
+    reference_valid: Mask,
+    corners: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    patch_px: int,
+) -> Match:
+    """Sub-pixel shifts from whole-pixel ones.
+
+    With T the reference and I the picture, `I(x + d) = a T(x) + b`; about a shift d0 the picture is
+    regressed on T's two gradients, T and 1 (Gruen 1985, without the affine terms), the gradient's
+    coefficients over T's being d0 - d. The picture is read between its pixels by a cubic B-spline, which
+    for one shift a patch is separable. The normal matrix is the patch's own and stays.
+
+    The stated deviation is the sandwich `N^-1 (G' C G) N^-1`, G the gradients and C the covariance of the
+    residuals, which are correlated from pixel to pixel; G' C G is summed in the frequency domain.
+
+    Args: corners (n, 2) first row and col in the reference, shifts (n, 2) rows and cols.
+    """
+    coefficients = np.pad(
+        spline_filter(picture, order=3, output=np.float32, mode="mirror"), _MARGIN_PX, "reflect"
+    )
+    bases = [_filtered(reference, _SLOPE.T), _filtered(reference, _SLOPE), reference]
+    safe = [_eroded(picture_valid), _eroded(reference_valid)]
+    parts = [
+        _refine_some(
+            coefficients,
+            bases,
+            safe[0],
+            safe[1],
+            corners[i : i + _AT_ONCE],
+            shifts[i : i + _AT_ONCE],
+            patch_px,
+        )
+        for i in range(0, len(corners), _AT_ONCE)
+    ]
+    if not parts:
+        return Match(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, dtype=bool))
+    return Match(
+        np.concatenate([p.shift for p in parts]),
+        np.concatenate([p.sd_px for p in parts]),
+        np.concatenate([p.correlation for p in parts]),
+        np.concatenate([p.converged for p in parts]),
+    )
+
+
+def _filtered(picture: Picture, kernel: Picture) -> Picture:
+    return np.asarray(cv2.filter2D(picture, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _eroded(valid: Mask) -> Picture:
+    """1 where all pixels within 3 are valid, else 0."""
+    near = np.ones((7, 7), np.uint8)
+    inner = cv2.erode(valid.astype(np.uint8), near, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(inner, dtype=np.float32)
+
+
+def _refine_some(
+    coefficients: Picture,
+    bases: list[Picture],
+    picture_safe: Picture,
+    reference_safe: Picture,
+    corners: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    patch_px: int,
+) -> Match:
+    weight = _patches(reference_safe, corners, patch_px) * _patches(picture_safe, corners + shifts, patch_px)
+    weight = weight.reshape(len(corners), -1).astype(np.float32)
+    count = weight.sum(axis=1)
+    enough = count > 0.5 * patch_px**2
+    design = np.stack(
+        [_patches(b, corners, patch_px).reshape(len(corners), -1) for b in bases] + [np.ones_like(weight)],
+        axis=1,
+    )
+    mean = (design[:, 2] * weight).sum(axis=1) / np.maximum(count, 1.0)
+    design[:, 2] -= mean[:, None]
+    weighted = design * weight[:, None]
+    normal = np.einsum("nik,njk->nij", weighted, design, optimize=True).astype(np.float64)
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    shift = shifts.astype(np.float64)
+    converged = np.zeros(len(corners), dtype=bool)
+    active = enough & (normal[:, 2, 2] > 1e-3 * np.maximum(count, 1.0))
+    answer = np.zeros((len(corners), 4))
+    warped = np.zeros_like(weight)
+    for _ in range(_ROUNDS):
+        at = np.flatnonzero(active)
+        if not at.size:
+            break
+        seen = _shifted(coefficients, corners[at], shift[at], patch_px).reshape(at.size, -1)
+        right = np.einsum("nik,nk->ni", weighted[at], seen, optimize=True)
+        answer[at] = np.einsum("nij,nj->ni", inverse[at], right)
+        warped[at] = seen
+        gain = answer[at, 2]
+        step = np.clip(answer[at, :2] / np.maximum(gain, _LEAST_GAIN)[:, None], -1.0, 1.0)
+        shift[at] -= step
+        done = np.abs(step).max(axis=1) < _CONVERGED_PX
+        lost = (gain <= _LEAST_GAIN) | (np.abs(shift[at] - shifts[at]).max(axis=1) > _REACH_PX)
+        converged[at[done & ~lost]] = True
+        active[at[done | lost]] = False
+    return _judged(shift, converged, answer, warped, design, weight, inverse, patch_px)
+
+
+def _judged(
+    shift: Floats,
+    converged: Mask,
+    answer: Floats,
+    warped: Picture,
+    design: Picture,
+    weight: Picture,
+    inverse: Floats,
+    patch_px: int,
+) -> Match:
+    count = np.maximum(weight.sum(axis=1, dtype=np.float64), 8.0)
+    fitted = np.einsum("ni,nik->nk", answer.astype(np.float32), design, optimize=True)
+    residual = ((warped - fitted) * weight).reshape(-1, patch_px, patch_px)
+    slopes = (design[:, :2] * weight[:, None]).reshape(-1, 2, patch_px, patch_px)
+    spectrum = rfft2(slopes)
+    power = np.abs(rfft2(residual)) ** 2
+    power[:, :, 1 : (patch_px + 1) // 2] *= 2.0
+    middle = np.einsum("nirc,njrc,nrc->nij", spectrum, spectrum.conj(), power, optimize=True).real
+    middle /= (patch_px**2 * (count - 4.0))[:, None, None]
+    covariance = inverse[:, :2, :2] @ middle @ inverse[:, :2, :2]
+    worst = np.linalg.eigvalsh(covariance)[:, 1]
+    sd = np.sqrt(np.maximum(worst, 0.0)) / np.maximum(np.abs(answer[:, 2]), 1e-6)
+    about = warped - ((warped * weight).sum(axis=1) / count)[:, None]
+    spread = np.sqrt(
+        (design[:, 2] ** 2 * weight).sum(axis=1, dtype=np.float64)
+        * (about**2 * weight).sum(axis=1, dtype=np.float64)
+    )
+    correlation = (design[:, 2] * about * weight).sum(axis=1) / np.maximum(spread, 1e-12)
+    sd[~converged] = np.inf
+    return Match(shift, sd, correlation.astype(np.float64), converged)
+
+
+def _patches(picture: NDArray[np.generic], corners: NDArray[np.int64], size_px: int) -> NDArray[np.float32]:
+    """Copies of square windows, (n, size_px, size_px), clamped to the picture."""
+    windows = sliding_window_view(picture, (size_px, size_px))
+    r = np.clip(corners[:, 0], 0, windows.shape[0] - 1)
+    c = np.clip(corners[:, 1], 0, windows.shape[1] - 1)
+    return windows[r, c].astype(np.float32)
+
+
+def _shifted(coefficients: Picture, corners: NDArray[np.int64], shift: Floats, patch_px: int) -> Picture:
+    """The picture's patches at shifted places, by the separable cubic B-spline (padded coefficients)."""
+    whole = np.floor(shift).astype(np.int64)
+    wide = _patches(coefficients, corners + whole + (_MARGIN_PX - 1), patch_px + 3)
+    rows, cols = (_bspline_weights(shift[:, k] - whole[:, k]) for k in (0, 1))
+    down = rows[:, 0, None, None] * wide[:, :patch_px]
+    for k in range(1, 4):
+        down += rows[:, k, None, None] * wide[:, k : k + patch_px]
+    across = cols[:, 0, None, None] * down[:, :, :patch_px]
+    for k in range(1, 4):
+        across += cols[:, k, None, None] * down[:, :, k : k + patch_px]
+    return np.asarray(across)
+
+
+def _bspline_weights(t: Floats) -> Picture:
+    """Weights of the four nodes around a fraction t in [0, 1], shape (n, 4)."""
+    u = 1.0 - t
+    w = [u**3, 3 * t**3 - 6 * t**2 + 4, 3 * u**3 - 6 * u**2 + 4, t**3]
+    return (np.stack(w, axis=-1) / 6.0).astype(np.float32)

@@ -1,0 +1,97 @@
+"""Rasters as the judge reads them: one band of luma with its valid pixels, on the mosaic's grid."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, Resampling
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.vrt import WarpedVRT
+from rasterio.windows import Window
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.quality.ssim import luma
+
+_RESAMPLING_TOLERANCE_PX = 0.005
+
+
+def open_raster(path: Path) -> rasterio.DatasetReader:
+    """An open raster with a georeference. Raises `FileError`."""
+    mend = "give a georeferenced raster such as a GeoTIFF"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            dataset = rasterio.open(path)
+    except (RasterioError, OSError) as error:
+        what = "no such file" if not path.exists() else "is not a raster that GDAL can read"
+        raise FileError(what, file=path, mend=mend) from error
+    if dataset.crs is None or dataset.transform.is_identity:
+        dataset.close()
+        raise FileError("has no coordinate reference system", file=path, mend=mend)
+    return dataset
+
+
+def pixel_m(dataset: rasterio.DatasetReader, path: Path) -> tuple[float, float]:
+    """Side of the pixel in metres, and metres per unit of the map."""
+    if not dataset.crs.is_projected:
+        raise FileError("is not in a map projection", file=path, mend="warp it to a projected CRS first")
+    metres = float(dataset.crs.linear_units_factor[1])
+    return float(np.sqrt(abs(dataset.transform.determinant))) * metres, metres
+
+
+def on_grid_of(mosaic: rasterio.DatasetReader, other: rasterio.DatasetReader, path: Path) -> WarpedVRT:
+    """The other raster (cubic) on the mosaic's grid; `path` names it in errors."""
+    alpha = ColorInterp.alpha in other.colorinterp
+    try:
+        return WarpedVRT(
+            other,
+            crs=mosaic.crs,
+            transform=mosaic.transform,
+            width=mosaic.width,
+            height=mosaic.height,
+            resampling=Resampling.cubic,
+            tolerance=_RESAMPLING_TOLERANCE_PX,
+            add_alpha=not alpha,
+        )
+    except RasterioError as error:
+        raise InputError(
+            "can't be brought into the mosaic's CRS", file=path, mend="warp it to the mosaic's CRS first"
+        ) from error
+
+
+def read_luma(
+    dataset: rasterio.DatasetReader, window: Window | None, shape: tuple[int, int] | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Luma and valid pixels of a window, at a reduced shape if one is given."""
+    colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
+    colours = colours[:3] if len(colours) >= 3 else colours[:1]
+    bands = dataset.read(
+        colours,
+        window=window,
+        out_shape=None if shape is None else (len(colours), *shape),
+        resampling=Resampling.nearest if shape is None else Resampling.average,
+    )
+    valid = dataset.dataset_mask(window=window, out_shape=shape) == 255
+    picture = luma(bands)
+    valid &= np.isfinite(picture)
+    return np.where(valid, picture, np.float32(0.0)), valid
+
+
+def blocks(height: int, width: int, side: int) -> Iterator[Window]:
+    """Square windows that fill a raster, row by row."""
+    for row in range(0, height, side):
+        for col in range(0, width, side):
+            yield Window(col, row, min(side, width - col), min(side, height - row))
+
+
+def grown(window: Window, margin: int, height: int, width: int) -> Window:
+    """A window with a margin around it, as far as the raster goes."""
+    row, col = max(0, window.row_off - margin), max(0, window.col_off - margin)
+    bottom = min(height, window.row_off + window.height + margin)
+    right = min(width, window.col_off + window.width + margin)
+    return Window(col, row, right - col, bottom - row)
