@@ -1,0 +1,169 @@
+"""Composition by windows: memory does not grow with the mosaic, and every pixel is resampled once."""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from rasterio.errors import NotGeoreferencedWarning
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.mosaic.frames import Decoded, DecodedFrames, decode, decoded_bytes, may_be_masked
+from geomosaic.mosaic.model import Mosaic, OutputGrid
+from geomosaic.mosaic.plan import Part, Scene, Window, near, parts, windows
+from geomosaic.mosaic.raster import writing_mosaic
+from geomosaic.mosaic.seamlines import SeamLabels
+from geomosaic.mosaic.seams import SEAMS, Seam
+from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.window import KERNEL_RADIUS_PX, RESAMPLING, Composed, compose_window
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Frame, Survey
+
+WINDOW_PX = 512
+AUTO_FEATHER_PX = 48
+"""The feather's width where none is given, in ground pixels of the mosaic."""
+_DTYPES = ("uint8", "uint16", "int16", "float32")
+
+
+def compose(
+    survey: Survey,
+    poses: Poses,
+    cameras: Sequence[Camera],
+    used: Sequence[bool],
+    ground: GroundSurface,
+    grid: OutputGrid,
+    raster_path: Path,
+    *,
+    seam: str = "nearest_nadir",
+    feather_m: float | None = None,
+    resampling: str = "cubic",
+    memory_bytes: int = 1 << 30,
+    sources_path: Path | None = None,
+    threads: int = 2,
+    progress: Callable[[int, int], None] | None = None,
+    check_cancelled: Callable[[], None] | None = None,
+) -> Mosaic:
+    """Warps all frames in use onto the grid and blends them into one raster.
+
+    The same bytes come out whatever the number of threads and the memory. `check_cancelled` raises to stop.
+
+    Args: poses, cameras, used: of each of the survey's frames. memory_bytes: for decoded frames; windows in
+    work take some 100 MB more for each thread. sources_path: where the raster of frame indices goes, if at
+    all (see `raster.writing_mosaic`).
+    Raises: `InputError` if frames don't go together or can't be resampled, `UnknownNameError` for a strategy.
+    """
+    if seam not in SEAMS:
+        raise UnknownNameError("seam strategy", seam, SEAMS)
+    if resampling not in RESAMPLING:
+        raise UnknownNameError("resampling", resampling, RESAMPLING)
+    feather_m = AUTO_FEATHER_PX * grid.gsd_m if feather_m is None else feather_m
+    views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
+    kind = _common_kind([survey.frames[v.frame] for v in views])
+    scene = Scene(survey.work_frame, ground, grid, views, feather_m)
+    labels = SeamLabels(grid, WINDOW_PX)
+    gave_pixels: set[int] = set()
+    names = [frame.name for frame in survey.frames]
+    order = windows(grid, WINDOW_PX)
+    with (
+        warnings.catch_warnings(),  # once here: it isn't safe in the threads that decode
+        ThreadPoolExecutor(threads) as pool,
+        writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
+    ):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            plan = _plan(scene, survey.frames, order, pool, check_cancelled)
+            frames = DecodedFrames(
+                [[p.view.frame for p in step] for step in plan],
+                {v.frame: decoded_bytes(survey.frames[v.frame]) for v in views},
+                memory_bytes,
+                pool,
+                lambda i: decode(survey.frames[i], KERNEL_RADIUS_PX[resampling]),
+            )
+            work = partial(
+                _work, scene, dtype=kind.dtype, bands=kind.bands, seam=SEAMS[seam], resampling=resampling
+            )
+            done = 0
+            running: deque[Future[Composed]] = deque()
+            for step, window in enumerate(order):
+                if check_cancelled is not None:
+                    check_cancelled()
+                running.append(pool.submit(work, window, plan[step], frames.for_step(step)))
+                while len(running) > (threads if step + 1 < len(order) else 0):
+                    composed = running.popleft().result()
+                    raster.write(composed)
+                    labels.add(composed)
+                    gave_pixels.update(composed.frames)
+                    done += 1
+                    if progress is not None:
+                        progress(done, len(order))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return Mosaic(
+        grid=grid,
+        raster=raster_path.name,
+        bands=kind.bands,
+        dtype=kind.dtype,
+        nodata=None,
+        seamlines=labels.seamlines(),
+        frames_used=tuple(sorted(gave_pixels)),
+        decodes=frames.decodes,
+    )
+
+
+def _plan(
+    scene: Scene,
+    frames: Sequence[Frame],
+    order: Sequence[Window],
+    pool: ThreadPoolExecutor,
+    check_cancelled: Callable[[], None] | None,
+) -> list[tuple[Part, ...]]:
+    valid = {v.frame: None for v in scene.views if not may_be_masked(frames[v.frame])}
+    plan = []
+    for found in pool.map(lambda w: parts(scene, w, near(scene, w), valid), order):
+        if check_cancelled is not None:
+            check_cancelled()
+        plan.append(found)
+    return plan
+
+
+def _work(
+    scene: Scene,
+    window: Window,
+    planned: Sequence[Part],
+    frames: dict[int, Future[Decoded]],
+    *,
+    dtype: str,
+    bands: int,
+    seam: Seam,
+    resampling: str,
+) -> Composed:
+    decoded = {frame: future.result() for frame, future in frames.items()}
+    return compose_window(scene, window, planned, decoded, dtype, bands, seam, resampling)
+
+
+def _common_kind(frames: Sequence[Frame]) -> Frame:
+    """A frame whose bands and data type all share."""
+    if not frames:
+        raise InputError("no frame is left to make a mosaic of", mend="check the positions and attitudes")
+    first = frames[0]
+    for frame in frames:
+        if (frame.bands, frame.dtype) != (first.bands, first.dtype):
+            raise InputError(
+                f"has {frame.bands} bands of {frame.dtype}, {first.name} {first.bands} of {first.dtype}",
+                file=frame.path,
+                mend="mosaic frames of one kind at a time",
+            )
+    if first.dtype not in _DTYPES:
+        raise InputError(
+            f"pixels of type {first.dtype} can't be resampled",
+            file=first.path,
+            mend=f"convert the frames to one of {', '.join(_DTYPES)}",
+        )
+    return first

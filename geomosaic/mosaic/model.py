@@ -1,0 +1,74 @@
+"""What composition takes and gives: the output grid, the mosaic, its seamlines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OutputGrid:
+    """A north-up raster on the map: its upper left corner, ground pixel and size.
+
+    The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel
+    share their pixels.
+    """
+
+    crs: str
+    west_m: float
+    north_m: float
+    gsd_m: float
+    width_px: int
+    height_px: int
+
+    @property
+    def east_m(self) -> float:
+        """The right edge's easting."""
+        return self.west_m + self.width_px * self.gsd_m
+
+    @property
+    def south_m(self) -> float:
+        """The lower edge's northing."""
+        return self.north_m - self.height_px * self.gsd_m
+
+    @property
+    def geotransform(self) -> tuple[float, float, float, float, float, float]:
+        """GDAL's six numbers: map from col and row with corner origin."""
+        return self.west_m, self.gsd_m, 0.0, self.north_m, 0.0, -self.gsd_m
+
+    def map_from_pixel(self, pixel: Floats) -> Floats:
+        """Easting and northing (..., 2) of cols and rows (..., 2)."""
+        return np.asarray([self.west_m, self.north_m] + np.asarray(pixel) * [self.gsd_m, -self.gsd_m])
+
+
+@dataclass(frozen=True)
+class Seamline:
+    """Where one frame (an index into `Survey.frames`) is the heaviest.
+
+    polygons: each a tuple of closed rings (n, 2) of easting and northing, the outer one first.
+    """
+
+    frame: int
+    polygons: tuple[tuple[Floats, ...], ...]
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """The composed mosaic, as an uncompressed raster with an internal mask.
+
+    raster: the raster's name inside the run folder. frames_used: indices of frames that gave pixels.
+    decodes: how often a frame was decoded; the number of frames where memory sufficed.
+    """
+
+    grid: OutputGrid
+    raster: str
+    bands: int
+    dtype: str
+    nodata: float | None
+    seamlines: tuple[Seamline, ...]
+    frames_used: tuple[int, ...]
+    decodes: int

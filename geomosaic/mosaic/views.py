@@ -1,0 +1,71 @@
+"""Frames as seen from the map: where each one's nadir point and outline lie, and how fine it is there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Pose, Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+_SAMPLES_PER_SIDE = 17
+
+
+@dataclass(frozen=True)
+class FrameView:
+    """One frame (an index into `Survey.frames`) on the map.
+
+    nadir_m: easting and northing below the projection centre. bounds_m: west, south, east, north of what
+    it sees of the ground. gsd_m: its ground sampling distance.
+    """
+
+    frame: int
+    pose: Pose
+    camera: Camera
+    nadir_m: Floats
+    bounds_m: Floats
+    gsd_m: float
+
+
+def frame_views(
+    work_frame: LocalFrame,
+    crs: str,
+    poses: Poses,
+    cameras: Sequence[Camera],
+    used: Sequence[bool],
+    ground: GroundSurface,
+) -> tuple[FrameView, ...]:
+    """The views of the frames in use, in the frames' order.
+
+    A frame whose middle looks past the ground has none. Of a frame that sees the horizon the part below
+    it counts.
+    """
+    projection = MapProjection(crs)
+    views = []
+    for i, camera in enumerate(cameras):
+        if not used[i]:
+            continue
+        pose = poses[i]
+        gsd_m = ground_sampling_distance_m(pose, camera, ground)
+        if not np.isfinite(gsd_m):
+            continue
+        seen = ground_from_image(pose, camera, ground, _image_samples(camera)).reshape(-1, 3)
+        seen = np.vstack([pose.position_m, seen[np.isfinite(seen).all(axis=1)]])
+        geodetic = work_frame.geodetic_from_enu(seen)
+        on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
+        bounds = np.concatenate([on_map[1:].min(axis=0), on_map[1:].max(axis=0)])
+        views.append(FrameView(i, pose, camera, on_map[0], bounds, gsd_m))
+    return tuple(views)
+
+
+def _image_samples(camera: Camera) -> Floats:
+    t = np.linspace(0.0, 1.0, _SAMPLES_PER_SIDE)
+    return np.stack(np.meshgrid(t * camera.width_px, t * camera.height_px), axis=-1)
