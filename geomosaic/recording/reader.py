@@ -129,7 +129,8 @@ def _take(recording: Recording, item: Item) -> None:
         case "foxglove.Log":
             log = Log.FromString(record.data)
             level = Log.Level.Name(log.level).lower()
-            recording.log.append(LogLine(record.log_time, level, log.message, log.name, log.file))
+            text = log.message.removeprefix(f"{log.file}: ")
+            recording.log.append(LogLine(record.log_time, level, text, log.name, log.file))
 
 
 def _take_attachment(recording: Recording, attachment: Attachment) -> None:
@@ -142,7 +143,7 @@ def _take_attachment(recording: Recording, attachment: Attachment) -> None:
 
 
 def _json_object(text: str | bytes) -> dict[str, Any]:
-    value = json.loads(text)
+    value = json.loads(text, parse_constant=lambda _: None)
     if not isinstance(value, dict):
         raise ValueError("no JSON object")
     return value

@@ -149,7 +149,7 @@ class Recorder:
 
     def log(self, level: str, text: str, stage: str = "", frame: str = "") -> None:
         """One line, of level debug, info, warning or error, about a stage and a frame if they are named."""
-        message = Log(message=_text(text), name=stage, file=_text(frame))
+        message = Log(message=_text(f"{frame}: {text}" if frame else text), name=stage, file=_text(frame))
         message.level = Log.Level.Value(level.upper())
         self._write("/log", message, stamped=True)
 
@@ -229,7 +229,7 @@ class Recorder:
         right: str | int,
         left_px: ArrayLike,
         right_px: ArrayLike,
-        residual_m: ArrayLike | None,
+        residual_m: ArrayLike | None = None,
     ) -> None:
         """The tie points of a pair: (k, 2) cols and rows in both frames, (k, 2) residuals on the ground.
 
