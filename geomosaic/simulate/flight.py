@@ -1,0 +1,152 @@
+"""The flight as it was, and what the platform says of it."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.simulate.plan import SurveyPlan
+
+Floats = NDArray[np.float64]
+
+START_S = datetime(2024, 6, 12, 9, 30, tzinfo=UTC).timestamp()
+_TURN_S = 20.0
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The true flight of n frames.
+
+    lon_lat_height: (n, 3) geodetic; yaw_pitch_roll_deg: (n, 3) body angles, see `Attitude`, against the
+    north and the vertical of each frame; poses: the same in the work frame; time_s: (n,) since 1970;
+    line: (n,) number of the flight line.
+    """
+
+    work_frame: LocalFrame
+    lon_lat_height: Floats
+    yaw_pitch_roll_deg: Floats
+    poses: Poses
+    time_s: Floats
+    line: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What the platform says: truth plus errors, which stand beside it.
+
+    position_errors_m: (n, 3) east, north, up; attitude_errors_deg: (n, 3) yaw, pitch, roll. Outliers and
+    wrong headings are in the errors, and not in the standard deviations that the POS states.
+    """
+
+    lon_lat_height: Floats
+    yaw_pitch_roll_deg: Floats
+    position_errors_m: Floats
+    attitude_errors_deg: Floats
+    outlier: NDArray[np.bool_]
+    yaw_wrong: NDArray[np.bool_]
+
+
+def fly(plan: SurveyPlan) -> Flight:
+    """The true flight of a plan."""
+    return _paper(plan) if plan.kind == "paper" else _planned(plan)
+
+
+def _planned(plan: SurveyPlan) -> Flight:
+    """Lines side by side to the right of the heading, centred on the plan's place, flown with wander."""
+    lines = 1 if plan.kind == "line" else plan.lines
+    n, along_n = plan.frames, plan.frames_per_line
+    base = (1.0 - plan.forward_overlap) * plan.height_px * plan.ground_pixel_m
+    apart = (1.0 - plan.side_overlap) * plan.width_px * plan.ground_pixel_m
+    line, k = np.divmod(np.arange(n), along_n)
+    backward = (line % 2 == 1) & plan.serpentine
+    k = np.where(backward, along_n - 1 - k, k)
+    forward_m, right_m = (k - (along_n - 1) / 2.0) * base, (line - (lines - 1) / 2.0) * apart
+
+    rng = plan.rng("flight")
+    wander = rng.standard_normal((n, 6))
+    heading = np.radians(plan.heading_deg)
+    east = forward_m * np.sin(heading) + right_m * np.cos(heading) + plan.wander_m * wander[:, 0]
+    north = forward_m * np.cos(heading) - right_m * np.sin(heading) + plan.wander_m * wander[:, 1]
+    work_frame = LocalFrame(plan.lon_deg, plan.lat_deg, plan.ground_height_m)
+    geodetic = work_frame.geodetic_from_enu(np.stack([east, north, np.zeros(n)], axis=-1))
+    geodetic[:, 2] = plan.ground_height_m + plan.height_above_ground_m + plan.wander_m * wander[:, 2]
+    yaw = plan.heading_deg + np.where(backward, 180.0, 0.0) + plan.wander_yaw_deg * wander[:, 3]
+    attitude = np.column_stack([yaw % 360.0, plan.wander_tilt_deg * wander[:, 4:]])
+    time_s = START_S + np.arange(n) * base / plan.speed_m_per_s + line * _TURN_S
+    return _flight(work_frame, geodetic, attitude, time_s, line)
+
+
+def paper_table() -> list[dict[str, float]]:
+    """Table 2 of Yue et al. 2021 (IRLA20200529), one dict a frame."""
+    with resources.files("geomosaic.simulate").joinpath("paper_table2.csv").open(encoding="ascii") as f:
+        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(f)]
+
+
+def _paper(plan: SurveyPlan) -> Flight:
+    """The nine frames of table 2: pitch is phi, roll omega, and kappa minus the heading (`Rotation`)."""
+    table = paper_table()
+    col = {key: np.array([row[key] for row in table]) for key in table[0]}
+    rotation = Rotation.from_phi_omega_kappa(
+        np.radians(col["pitch_deg"]), np.radians(col["roll_deg"]), -np.radians(col["heading_deg"])
+    )
+    attitude = np.degrees(np.column_stack(rotation.yaw_pitch_roll()))
+    attitude[:, 0] %= 360.0
+    geodetic = np.column_stack([col["lon_deg"], col["lat_deg"], col["height_m"] + plan.ground_height_m])
+    middle = geodetic.mean(axis=0)
+    work_frame = LocalFrame(float(middle[0]), float(middle[1]), plan.ground_height_m)
+    flown = np.linalg.norm(np.diff(work_frame.enu_from_geodetic(*geodetic.T), axis=0), axis=1)
+    time_s = START_S + np.concatenate([[0.0], np.cumsum(flown / plan.speed_m_per_s)])
+    return _flight(work_frame, geodetic, attitude, time_s, np.zeros(len(table), dtype=np.int64))
+
+
+def _flight(
+    work_frame: LocalFrame, geodetic: Floats, attitude_deg: Floats, time_s: Floats, line: NDArray[np.int64]
+) -> Flight:
+    n = len(geodetic)
+    poses = Poses(
+        work_frame.enu_from_geodetic(*geodetic.T),
+        rotations_in(work_frame, geodetic, attitude_deg),
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+    )
+    return Flight(work_frame, geodetic, attitude_deg, poses, time_s, line)
+
+
+def rotations_in(work_frame: LocalFrame, geodetic: Floats, attitude_deg: Floats) -> Floats:
+    """Rotations (n, 3, 3) in the work frame of body angles against each place's north and vertical."""
+    local = Rotation.from_yaw_pitch_roll(*np.radians(attitude_deg).T).matrix
+    return np.asarray(work_frame.enu_from_local_rotation(geodetic[:, 0], geodetic[:, 1]) @ local)
+
+
+def observe(plan: SurveyPlan, flight: Flight) -> Observed:
+    """The platform's position and attitude: truth, noise, lag, and whatever else is to be wrong."""
+    n = len(flight.poses)
+    noise = plan.rng("pos").standard_normal((n, 6))
+    errors_m = noise[:, :3] * [plan.position_sd_m, plan.position_sd_m, plan.height_sd_m]
+    errors_deg = noise[:, 3:] * [plan.yaw_sd_deg, plan.tilt_sd_deg, plan.tilt_sd_deg]
+    if plan.gps_lag_s:
+        heading = np.radians(flight.yaw_pitch_roll_deg[:, 0])
+        lag_m = plan.gps_lag_s * plan.speed_m_per_s
+        errors_m[:, :2] -= lag_m * np.column_stack([np.sin(heading), np.cos(heading)])
+
+    rng = plan.rng("outliers")
+    outlier, yaw_wrong = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    outlier[rng.permutation(n)[: plan.gps_outliers]] = True
+    direction = rng.uniform(0.0, 2.0 * np.pi, n)
+    away_m = plan.gps_outlier_m * np.column_stack([np.sin(direction), np.cos(direction)])
+    errors_m[:, :2] += np.where(outlier[:, None], away_m, 0.0)
+    yaw_wrong[rng.permutation(n)[: round(plan.yaw_wrong_share * n)]] = True
+    errors_deg[:, 0] += np.where(yaw_wrong, rng.uniform(30.0, 330.0, n), 0.0)
+
+    geodetic = flight.work_frame.geodetic_from_enu(flight.poses.positions_m + errors_m)
+    attitude = flight.yaw_pitch_roll_deg + errors_deg
+    attitude[:, 0] %= 360.0
+    return Observed(geodetic, attitude, errors_m, errors_deg, outlier, yaw_wrong)

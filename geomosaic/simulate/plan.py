@@ -1,0 +1,177 @@
+"""What to simulate: every number of the flight, the camera, the ground and the noise."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.camera.interior import Camera
+from geomosaic.errors import InputError, UnknownNameError
+
+KINDS = {"block": "parallel flight lines", "line": "one flight line", "paper": "Yue et al. 2021, table 2"}
+POS_IN = ("both", "csv", "exif")
+FORMATS = ("jpeg", "tiff8", "tiff16")
+PAPER_SIZE_PX = (5344, 4008)
+PAPER_PIXEL_M = 0.1
+PAPER_HEIGHT_M = 1475.0
+
+
+@dataclass(frozen=True)
+class SurveyPlan:
+    """Parameters of a simulated survey. Standard deviations are per axis; 0 switches a noise off.
+
+    kind `paper` takes positions, attitudes, frame size (times `scale`), pixel and height from table 2
+    of Yue et al. 2021 and ignores the flight's own numbers; its heights count from `ground_height_m`.
+    """
+
+    seed: int = 1
+    kind: str = "block"
+    scale: float = 1.0
+
+    lon_deg: float = 11.3
+    lat_deg: float = 48.1
+    ground_height_m: float = 520.0
+    lines: int = 3
+    frames_per_line: int = 4
+    forward_overlap: float = 0.7
+    side_overlap: float = 0.5
+    heading_deg: float = 32.0
+    serpentine: bool = True
+    height_above_ground_m: float = 100.0
+    ground_pixel_m: float = 0.1
+    speed_m_per_s: float = 8.0
+    wander_m: float = 1.0
+    wander_tilt_deg: float = 1.0
+    wander_yaw_deg: float = 2.0
+
+    width_px: int = 1000
+    height_px: int = 750
+    k1: float = -0.02
+    k2: float = 0.005
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    principal_col_offset_px: float = 0.0
+    principal_row_offset_px: float = 0.0
+    lens_told: bool = True
+    focal_error: float = 0.0
+
+    relief_m: float = 0.0
+    relief_wavelength_m: float = 300.0
+    buildings: float = 1.0
+    buildings_stand: bool = False
+
+    position_sd_m: float = 1.5
+    height_sd_m: float = 2.0
+    tilt_sd_deg: float = 0.3
+    yaw_sd_deg: float = 1.0
+    gps_lag_s: float = 0.0
+    gps_outliers: int = 0
+    gps_outlier_m: float = 100.0
+    yaw_wrong_share: float = 0.0
+    turned: str = ""
+    attitude_told: bool = True
+    height_told: bool = True
+
+    exposure_sd: float = 0.0
+    vignetting: float = 0.0
+    blur_px: float = 0.0
+    pixel_noise: float = 1.0
+
+    format: str = "jpeg"
+    jpeg_quality: int = 92
+    pos_in: str = "both"
+
+    def __post_init__(self) -> None:
+        for kind, name, known in (
+            ("kind of survey", self.kind, KINDS),
+            ("frame format", self.format, FORMATS),
+            ("place for the POS", self.pos_in, POS_IN),
+        ):
+            if name not in known:
+                raise UnknownNameError(kind, name, known)
+        positive = ("scale", "height_above_ground_m", "ground_pixel_m", "speed_m_per_s",
+                    "relief_wavelength_m", "lines", "frames_per_line")  # fmt: skip
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float) and not np.isfinite(value):
+                raise InputError(f"{field.name} is {value}", mend="give a number")
+            if field.name in positive and value <= 0:
+                raise InputError(f"{field.name} is {value}", mend="give a number above 0")
+            if field.name.endswith(("_sd", "_sd_m", "_sd_deg")) and value < 0:
+                raise InputError(f"{field.name} is {value}", mend="give 0 or more")
+        if not (0.0 <= self.forward_overlap < 1.0 and 0.0 <= self.side_overlap < 1.0):
+            raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
+        if min(self.width_px, self.height_px) < 64:
+            raise InputError("frames smaller than 64 pixels", mend="give a larger width_px and height_px")
+        if self.format != "jpeg" and self.pos_in != "csv":
+            raise InputError("TIFF frames are written without EXIF", mend="give pos_in csv")
+        self.turned_frames()
+
+    @property
+    def frames(self) -> int:
+        """How many frames the survey has."""
+        return {"paper": 9, "line": self.frames_per_line}.get(self.kind, self.lines * self.frames_per_line)
+
+    def camera(self) -> Camera:
+        """The camera that really took the frames."""
+        width, height, focal = self.width_px, self.height_px, self.height_above_ground_m / self.ground_pixel_m
+        if self.kind == "paper":
+            width, height = (round(n * self.scale) for n in PAPER_SIZE_PX)
+            focal = PAPER_HEIGHT_M / PAPER_PIXEL_M * self.scale
+        return Camera(
+            name="simulated",
+            width_px=width,
+            height_px=height,
+            focal_length_px=focal,
+            principal_col_px=width / 2.0 + self.principal_col_offset_px,
+            principal_row_px=height / 2.0 + self.principal_row_offset_px,
+            k1=self.k1,
+            k2=self.k2,
+            k3=self.k3,
+            p1=self.p1,
+            p2=self.p2,
+        )
+
+    def told_camera(self) -> Camera:
+        """The camera as the camera file tells it: perhaps a wrong focal length, perhaps no distortion."""
+        true = self.camera()
+        told = dataclasses.replace(true, focal_length_px=true.focal_length_px * (1.0 + self.focal_error))
+        if self.lens_told:
+            return told
+        return dataclasses.replace(
+            told,
+            principal_col_px=true.width_px / 2.0,
+            principal_row_px=true.height_px / 2.0,
+            k1=0.0,
+            k2=0.0,
+            k3=0.0,
+            p1=0.0,
+            p2=0.0,
+        )
+
+    @property
+    def pixel_m(self) -> float:
+        """Ground pixel of the frames and of the true ortho."""
+        return PAPER_PIXEL_M / self.scale if self.kind == "paper" else self.ground_pixel_m
+
+    def turned_frames(self) -> frozenset[int]:
+        """Indices (from 0) of the frames whose pixels are turned, from text such as `4-6, 9` (from 1)."""
+        found: set[int] = set()
+        for part in filter(None, (p.strip() for p in self.turned.split(","))):
+            match = re.fullmatch(r"(\d+)(?:\s*-\s*(\d+))?", part)
+            first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+            if not 1 <= first <= last <= self.frames:
+                raise InputError(
+                    f"turned: '{part}' names no frames of 1 to {self.frames}", mend="write it like 4-6,9"
+                )
+            found.update(range(first - 1, last))
+        return frozenset(found)
+
+    def rng(self, purpose: str, frame: int = 0) -> np.random.Generator:
+        """A generator of its own for each purpose (and frame), all from the one seed."""
+        key = (*purpose.encode(), frame)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))

@@ -1,0 +1,263 @@
+"""What a camera sees of the ground: exact collinearity, the picture sampled without aliasing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.projection.footprint import footprint, ground_from_image
+from geomosaic.projection.ground import GroundSurface, flat_ground
+from geomosaic.simulate.landscape import Bounds, Building
+from geomosaic.simulate.terrain import Relief
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Pixels = NDArray[np.uint8]
+
+_STEP_PX = 16
+_STRIP_PX = 256
+_OVERSAMPLING = 2
+_WALL = np.array([176.0, 168.0, 154.0])
+
+
+@dataclass(frozen=True)
+class World:
+    """Where the ground lies: its relief, its buildings that stand up, and the two coordinate systems."""
+
+    work_frame: LocalFrame
+    projection: MapProjection
+    relief: Relief
+    buildings: tuple[Building, ...] = ()
+
+    def map_from_enu(self, enu_m: Floats) -> Floats:
+        """Easting, northing, ellipsoidal height (..., 3) of points in the work frame."""
+        geodetic = self.work_frame.geodetic_from_enu(enu_m)
+        en = self.projection.map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
+        return np.concatenate([en, geodetic[..., 2:]], axis=-1)
+
+    def enu_from_map(self, easting_m: Floats, northing_m: Floats, height_ellipsoidal_m: Floats) -> Floats:
+        """Points (..., 3) in the work frame of map coordinates and ellipsoidal heights."""
+        lonlat = self.projection.geodetic_from_map(easting_m, northing_m)
+        return self.work_frame.enu_from_geodetic(lonlat[..., 0], lonlat[..., 1], height_ellipsoidal_m)
+
+    def surface_under(self, pose: Pose, camera: Camera) -> GroundSurface:
+        """The ground that a frame can see, fine enough that its chords are off by about a millimetre."""
+        reach = 1.5 * float(np.abs(pose.position_m[:2]).max()) + 2000.0
+        level = flat_ground(self.work_frame, self.relief.base_m, reach)
+        if self.relief.amplitude_m == 0.0:
+            return level
+        lowest = GroundSurface("flat", 0.0, 0.0, 1.0, level.up_m[:1, :1] * 0.0 + self._lowest_up(pose))
+        outline = footprint(pose, camera, lowest)
+        spacing = min(self.relief.wavelength_m / 300.0, 2.0)
+        low, high = outline[:, :2].min(axis=0) - 20.0, outline[:, :2].max(axis=0) + 20.0
+        east = np.arange(low[0], high[0] + spacing, spacing)
+        north = np.arange(low[1], high[1] + spacing, spacing)
+        e, n = np.meshgrid(east, north)
+        up = level.up_at(e, n)
+        for _ in range(4):
+            at = self.map_from_enu(np.stack([e, n, up], axis=-1))
+            up = up + self.relief.height_at(at[..., 0], at[..., 1]) - at[..., 2]
+        return GroundSurface("dem", float(east[0]), float(north[0]), spacing, up)
+
+    def _lowest_up(self, pose: Pose) -> float:
+        sinks = float((pose.position_m[:2] ** 2).sum()) / 12.7e6
+        return (
+            self.relief.base_m - 0.5 * self.relief.amplitude_m - self.work_frame.height_ellipsoidal_m - sinks
+        )
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where each pixel of a frame looks: cubic splines through rays traced every _STEP_PX pixels.
+
+    East, north and height of the ground on the map, and how east and north move along the ray per metre
+    of height. Between the nodes the splines are off by less than 0.001 pixel on smooth ground.
+    """
+
+    easting: RectBivariateSpline
+    northing: RectBivariateSpline
+    height: RectBivariateSpline
+    east_per_m: RectBivariateSpline
+    north_per_m: RectBivariateSpline
+    bounds_m: Bounds
+    """West, south, east, north of all that is seen."""
+
+
+def sight_of(camera: Camera, pose: Pose, world: World) -> Sight:
+    """Trace a frame's rays to the ground. Rays that miss it would make NaN: keep the horizon out."""
+    rows, cols = (_nodes(n) for n in (camera.height_px, camera.width_px))
+    image = np.stack(np.meshgrid(cols, rows), axis=-1)
+    ground = ground_from_image(pose, camera, world.surface_under(pose, camera), image)
+    ray = pose.ray_from_image(camera, image)
+    at, above = (world.map_from_enu(p) for p in (ground, ground + ray / ray[..., 2:] * 10.0))
+    rise = (above[..., :2] - at[..., :2]) / (above[..., 2:] - at[..., 2:])
+    layers = (at[..., 0], at[..., 1], at[..., 2], rise[..., 0], rise[..., 1])
+    low, high = at[..., :2].min(axis=(0, 1)), at[..., :2].max(axis=(0, 1))
+    splines = [RectBivariateSpline(rows, cols, z) for z in layers]
+    east, north, height, east_per_m, north_per_m = splines
+    bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    return Sight(east, north, height, east_per_m, north_per_m, bounds)
+
+
+def _nodes(size_px: int) -> Floats:
+    return np.linspace(0.0, size_px, max(int(np.ceil(size_px / _STEP_PX)), 4) + 1)
+
+
+def render(
+    camera: Camera,
+    pose: Pose,
+    world: World,
+    sight: Sight,
+    texture: Pixels,
+    west_m: float,
+    north_m: float,
+    pixel_m: float,
+) -> Floats32:
+    """The frame (rows, cols, 3) before exposure and noise, each pixel the mean of 2 x 2 bicubic samples.
+
+    Args: texture: a window of the ground's picture whose outer corner is west_m, north_m and which
+    covers `sight.bounds_m` with a margin of 4 pixels.
+    """
+    near = _standing(camera, pose, world)
+    out = np.empty((camera.height_px, camera.width_px, 3), dtype=np.float32)
+    cols = _samples(0, camera.width_px)
+    for top in range(0, camera.height_px, _STRIP_PX):
+        bottom = min(top + _STRIP_PX, camera.height_px)
+        rows = _samples(top, bottom)
+        east, north = sight.easting(rows, cols), sight.northing(rows, cols)
+        walls = _raise_buildings(near, sight, rows, cols, east, north)
+        x = ((east - west_m) / pixel_m - 0.5).astype(np.float32)
+        y = ((north_m - north) / pixel_m - 0.5).astype(np.float32)
+        seen = cv2.remap(texture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        for window, hit, colour in walls:
+            seen[window][hit] = colour[hit]
+        size = (camera.width_px, bottom - top)
+        out[top:bottom] = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return out
+
+
+def _samples(start_px: int, end_px: int) -> Floats:
+    """Where the samples of pixels start ... end lie, corner origin."""
+    return np.asarray((np.arange(start_px * _OVERSAMPLING, end_px * _OVERSAMPLING) + 0.5) / _OVERSAMPLING)
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """A building as a frame sees it: its roof's ellipsoidal height and the image box (col, row) it fills."""
+
+    building: Building
+    roof_m: float
+    low_px: Floats
+    high_px: Floats
+
+
+def _standing(camera: Camera, pose: Pose, world: World) -> list[_Standing]:
+    """The buildings in a frame's view, the farthest from its nadir point first."""
+    found = []
+    for b in world.buildings:
+        base = float(world.relief.height_at(b.easting_m, b.northing_m))
+        outline = np.tile(b.outline_m(), (2, 1))
+        heights = np.repeat([base - 1.0 - 0.3 * b.half_length_m, base + b.height_m], 4)
+        enu = world.enu_from_map(outline[:, 0], outline[:, 1], heights)
+        px = pose.image_from_ground(camera, enu)
+        if np.isnan(px).any():
+            continue
+        low, high = px.min(axis=0) - 2.0, px.max(axis=0) + 2.0
+        if (high > 0.0).all() and low[0] < camera.width_px and low[1] < camera.height_px:
+            distance = float(np.hypot(*(enu[:, :2].mean(axis=0) - pose.position_m[:2])))
+            found.append((distance, _Standing(b, base + b.height_m, low, high)))
+    return [s for _, s in sorted(found, key=lambda pair: -pair[0])]
+
+
+_Wall = tuple[tuple[slice, slice], NDArray[np.bool_], Pixels]
+
+
+def _raise_buildings(
+    standing: Sequence[_Standing], sight: Sight, rows: Floats, cols: Floats, east: Floats, north: Floats
+) -> list[_Wall]:
+    """Stand the buildings up in a strip of samples: each ray is cut with each prism in its box.
+
+    Where a ray meets a roof first, east and north are moved there in place; where it meets a wall, a
+    patch of wall colour is returned (window, hit, colour). Later buildings hide earlier ones.
+    """
+    walls: list[_Wall] = []
+    for s in standing:
+        r_0, r_1 = np.searchsorted(rows, [s.low_px[1], s.high_px[1]])
+        c_0, c_1 = np.searchsorted(cols, [s.low_px[0], s.high_px[0]])
+        if r_0 == r_1 or c_0 == c_1:
+            continue
+        window = np.s_[r_0:r_1, c_0:c_1]
+        r, c = rows[r_0:r_1], cols[c_0:c_1]
+        ground = np.stack([sight.easting(r, c), sight.northing(r, c)], axis=-1)
+        rise = np.stack([sight.east_per_m(r, c), sight.north_per_m(r, c)], axis=-1)
+        drop = s.roof_m - sight.height(r, c)
+        roof = ground + rise * drop[..., None]
+        b = s.building
+        centre, half = np.array([b.easting_m, b.northing_m]), np.array([b.half_length_m, b.half_width_m])
+        from_roof, to_ground = ((p - centre) @ b.axes.T for p in (roof, ground))
+        step = to_ground - from_roof
+        step = np.where(np.abs(step) < 1e-9, 1e-9, step)
+        t = np.stack([(-half - from_roof) / step, (half - from_roof) / step])
+        enters, leaves = t.min(axis=0), t.max(axis=0)
+        enter, leave = enters.max(axis=-1), leaves.min(axis=-1)
+        hit = (enter <= leave) & (leave >= 0.0) & (enter <= 1.0) & (drop > 0.0)
+        on_roof, on_wall = hit & (enter <= 0.0), hit & (enter > 0.0)
+        for name, plane in ((0, east), (1, north)):
+            plane[window] = np.where(on_roof, roof[..., name], plane[window])
+        _hide(walls, window, on_roof)
+        if on_wall.any():
+            walls.append((window, on_wall, _wall_colour(b, from_roof, step, enters, enter, drop)))
+    return walls
+
+
+def _hide(walls: list[_Wall], window: tuple[slice, slice], hidden: NDArray[np.bool_]) -> None:
+    """Take what a nearer roof hides away from earlier walls (in place)."""
+    rows, cols = window
+    for (rs, cs), hit, _ in walls:
+        top, bottom = max(rs.start, rows.start), min(rs.stop, rows.stop)
+        left, right = max(cs.start, cols.start), min(cs.stop, cols.stop)
+        if top < bottom and left < right:
+            mine = np.s_[top - rs.start : bottom - rs.start, left - cs.start : right - cs.start]
+            nearer = np.s_[top - rows.start : bottom - rows.start, left - cols.start : right - cols.start]
+            hit[mine] &= ~hidden[nearer]
+
+
+def _wall_colour(
+    b: Building, from_roof: Floats, step: Floats, enters: Floats, enter: Floats, drop: Floats
+) -> Pixels:
+    """Walls: one brightness a side, a row of windows a storey."""
+    long_side = enters[..., 1] >= enters[..., 0]
+    at = from_roof + step * enter[..., None]
+    along = np.where(long_side, at[..., 0], at[..., 1])
+    below_roof = enter * drop
+    window = (np.abs((along % 2.4) - 1.2) < 0.55) & (np.abs((below_roof % 2.8) - 1.5) < 0.6)
+    light = np.where(long_side, 0.95, 0.78) * np.where(window, 0.35, 1.0)
+    return np.asarray(np.clip(_WALL * light[..., None] * (b.roof[0] / 400.0 + 0.7), 0, 255), dtype=np.uint8)
+
+
+def develop(
+    light: Floats32, gain: float, vignetting: float, blur_px: float, noise: float, rng: np.random.Generator
+) -> Floats32:
+    """Exposure: blur, vignetting (the share of light lost in the corners, growing with r²), gain, noise.
+
+    Returns values of [0, 255], not rounded.
+    """
+    rows, cols = light.shape[:2]
+    if blur_px > 0.0:
+        light = np.asarray(cv2.GaussianBlur(light, (0, 0), blur_px), dtype=np.float32)
+    x = (np.arange(cols, dtype=np.float32) + 0.5 - cols / 2.0) / np.hypot(rows, cols) * 2.0
+    y = (np.arange(rows, dtype=np.float32) + 0.5 - rows / 2.0) / np.hypot(rows, cols) * 2.0
+    kept = gain * (1.0 - vignetting * (x * x + (y * y)[:, None]))
+    exposed = light * kept[..., None].astype(np.float32)
+    if noise > 0.0:
+        exposed += np.float32(noise) * rng.standard_normal(light.shape, dtype=np.float32)
+    return np.asarray(np.clip(exposed, 0.0, 255.0), dtype=np.float32)

@@ -1,0 +1,235 @@
+"""The front function: a simulated survey with its truth, in one folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.errors import OutputError
+from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
+from geomosaic.projection.footprint import footprint
+from geomosaic.simulate.flight import Flight, Observed, fly, observe
+from geomosaic.simulate.landscape import Bounds, Landscape
+from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.rasters import read_ortho, write_heights, write_ortho
+from geomosaic.simulate.render import Sight, World, develop, render, sight_of
+from geomosaic.simulate.terrain import Ground, hills
+from geomosaic.simulate.write import (
+    POSITIONS_COLUMNS,
+    frame_bytes,
+    frame_name,
+    opensfm_camera,
+    pos_rows,
+    true_positions,
+    write_bytes,
+    write_csv,
+    write_json,
+)
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+_DEM_MARGIN_M = 60.0
+
+
+@dataclass(frozen=True)
+class SimulatedSurvey:
+    """Where a simulated survey lies. `pos` is None where the POS is in the frames' EXIF alone."""
+
+    frames: Path
+    pos: Path | None
+    camera: Path
+    positions: Path
+    ortho: Path
+    dem: Path
+    dsm: Path | None
+    truth: Path
+
+
+def _silent(done: int, total: int, text: str) -> None:
+    pass
+
+
+def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -> SimulatedSurvey:
+    """Write a survey: frames, pos.csv, cameras.json, and truth/ with poses, ortho, DEM and every error drawn.
+
+    Equal plans write equal bytes. A folder that holds frames which this function didn't write is left
+    alone (`OutputError`).
+    """
+    names = [frame_name(plan, i) for i in range(plan.frames)]
+    _check_folder(out, names)
+    flight = fly(plan)
+    observed = observe(plan, flight)
+    camera, told = plan.camera(), plan.told_camera()
+    world = world_of(plan, flight)
+    paths = _paths(out, plan)
+
+    write_json(paths.truth, _truth(plan, flight, observed, world, names))
+    write_json(out / "truth" / "cameras.json", opensfm_camera(camera))
+    write_json(paths.camera, opensfm_camera(told))
+    rows = true_positions(plan, flight, observed, world.projection)
+    write_csv(paths.positions, POSITIONS_COLUMNS, rows)
+    if paths.pos:
+        write_csv(paths.pos, *pos_rows(plan, observed))
+
+    sights = [sight_of(camera, flight.poses[i], world) for i in range(plan.frames)]
+    _write_ground(plan, paths, camera, flight, world, sights, progress)
+    for i, name in enumerate(names):
+        light = _frame(plan, camera, flight.poses[i], world, sights[i], paths.ortho, i)
+        write_bytes(paths.frames / name, frame_bytes(plan, told, flight, observed, i, light))
+        progress(i + 1, len(names), "frames")
+    return paths
+
+
+def world_of(plan: SurveyPlan, flight: Flight) -> World:
+    """The world below a flight: map CRS of its centre, relief whose range is the plan's within its reach."""
+    centre = flight.work_frame
+    projection = MapProjection(utm_crs(centre.lon_deg, centre.lat_deg))
+    level = World(centre, projection, hills(plan.seed, plan.ground_height_m, 0.0, 1.0, np.zeros((1, 2))))
+    if plan.relief_m == 0.0:
+        return level
+    camera = plan.camera()
+    outlines = [
+        footprint(flight.poses[i], camera, level.surface_under(flight.poses[i], camera), per_side=12)
+        for i in range(plan.frames)
+    ]
+    shares = np.linspace(0.0, 1.0, 9)[:, None, None]
+    inside = [o.mean(axis=0) + (o - o.mean(axis=0)) * shares for o in outlines]
+    at = level.map_from_enu(np.stack(inside))[..., :2]
+    relief = hills(plan.seed, plan.ground_height_m, plan.relief_m, plan.relief_wavelength_m, at)
+    return dataclasses.replace(level, relief=relief)
+
+
+def _frame(
+    plan: SurveyPlan, camera: Camera, pose: Pose, world: World, sight: Sight, ortho: Path, i: int
+) -> NDArray[np.float32]:
+    """One frame as it is stored, values of [0, 255]."""
+    if plan.buildings_stand:
+        west, south, east, north = sight.bounds_m
+        near = Landscape(plan.seed, plan.buildings).buildings_in(
+            (west - 20, south - 20, east + 20, north + 20)
+        )
+        world = dataclasses.replace(world, buildings=tuple(near))
+    texture, west_m, north_m = read_ortho(ortho, sight.bounds_m)
+    light = render(camera, pose, world, sight, texture, west_m, north_m, plan.pixel_m)
+    gain = exposure_gain(plan, i)
+    light = develop(light, gain, plan.vignetting, plan.blur_px, plan.pixel_noise, plan.rng("pixels", i))
+    return light[::-1, ::-1] if i in plan.turned_frames() else light
+
+
+def exposure_gain(plan: SurveyPlan, i: int) -> float:
+    """How much brighter frame i was exposed: exposure_sd is of the gain's logarithm."""
+    return float(np.exp(plan.exposure_sd * plan.rng("exposure", i).standard_normal()))
+
+
+def _write_ground(
+    plan: SurveyPlan,
+    paths: SimulatedSurvey,
+    camera: Camera,
+    flight: Flight,
+    world: World,
+    sights: list[Sight],
+    progress: Progress,
+) -> None:
+    seen: list[Bounds] = [s.bounds_m for s in sights]
+    border = camera.border_px(32)
+    outlines = [
+        np.column_stack([s.easting.ev(border[:, 1], border[:, 0]), s.northing.ev(border[:, 1], border[:, 0])])
+        for s in sights
+    ]
+    landscape = Landscape(plan.seed, plan.buildings)
+    crs = world.projection.crs
+    write_ortho(
+        paths.ortho,
+        crs,
+        Ground(landscape, plan.pixel_m),
+        seen,
+        outlines,
+        lambda n, of: progress(n, of, "ground"),
+    )
+    low, high = np.min(seen, axis=0)[:2] - _DEM_MARGIN_M, np.max(seen, axis=0)[2:] + _DEM_MARGIN_M
+    bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    spacing = min(plan.relief_wavelength_m / 300.0, 2.0) if plan.relief_m else 10.0
+    write_heights(paths.dem, crs, world.relief, bounds, spacing)
+    if paths.dsm:
+        write_heights(paths.dsm, crs, world.relief, bounds, min(spacing, 0.5), landscape.buildings_in(bounds))
+
+
+def _truth(
+    plan: SurveyPlan, flight: Flight, observed: Observed, world: World, names: list[str]
+) -> dict[str, Any]:
+    """truth.json: the plan, the world, the errors drawn for each frame, and what is wrong on purpose."""
+    turned = plan.turned_frames()
+    frames = [
+        {
+            "frame": name,
+            "line": int(flight.line[i]) + 1,
+            "time_s": float(flight.time_s[i]),
+            "true_yaw_pitch_roll_deg": flight.yaw_pitch_roll_deg[i].tolist(),
+            "position_error_m": observed.position_errors_m[i].tolist(),
+            "yaw_pitch_roll_error_deg": observed.attitude_errors_deg[i].tolist(),
+            "exposure_gain": exposure_gain(plan, i),
+            "turned": i in turned,
+            "yaw_wrong": bool(observed.yaw_wrong[i]),
+            "gps_outlier": bool(observed.outlier[i]),
+        }
+        for i, name in enumerate(names)
+    ]
+    kinds = (
+        ("turned", "turned-frame", "pixels turned by 180 degrees after the flight, tags unchanged"),
+        ("yaw_wrong", "wrong-yaw", "the POS has a wrong heading"),
+        ("gps_outlier", "position-outlier", f"the POS is off by {plan.gps_outlier_m:g} m"),
+    )
+    return {
+        "seed": plan.seed,
+        "plan": dataclasses.asdict(plan),
+        "map_crs": world.projection.crs,
+        "work_frame": dataclasses.asdict(world.work_frame),
+        "relief": dataclasses.asdict(world.relief),
+        "camera": dataclasses.asdict(plan.camera()),
+        "frames": frames,
+        "warnings": [
+            {"code": code, "frame": f["frame"], "text": text}
+            for f in frames
+            for key, code, text in kinds
+            if f[key]
+        ],
+    }
+
+
+def _paths(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
+    truth = out / "truth"
+    return SimulatedSurvey(
+        frames=out / "frames",
+        pos=None if plan.pos_in == "exif" else out / "pos.csv",
+        camera=out / "cameras.json",
+        positions=truth / "positions.csv",
+        ortho=truth / "ortho.tif",
+        dem=truth / "dem.tif",
+        dsm=truth / "dsm.tif" if plan.buildings_stand else None,
+        truth=truth / "truth.json",
+    )
+
+
+def _check_folder(out: Path, names: list[str]) -> None:
+    """An older simulation may be written over by one with the same frames, nothing else."""
+    try:
+        (out / "frames").mkdir(parents=True, exist_ok=True)
+        there = {p.name for p in (out / "frames").iterdir() if not p.name.startswith(".")}
+    except OSError as error:
+        raise OutputError(error.strerror or "can't be made", file=out, mend="give another folder") from error
+    strange = sorted(there - set(names))
+    ours = (out / "truth" / "truth.json").exists()
+    if strange or (there and not ours):
+        raise OutputError(
+            f"holds frames of something else ({(strange or sorted(there))[0]})",
+            file=out / "frames",
+            mend="give an empty folder or remove them",
+        )

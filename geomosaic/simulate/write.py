@@ -1,0 +1,207 @@
+"""A survey on disk: frames with their tags, the POS, the camera file, the truth. Whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.errors import OutputError
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.simulate.exif import camera_tags, dji_xmp, gps_tags, tiff_bytes, with_segments
+from geomosaic.simulate.flight import Flight, Observed, rotations_in
+from geomosaic.simulate.plan import SurveyPlan
+
+Floats = NDArray[np.float64]
+MAKE, MODEL = "geomosaic", "simulated"
+SENSOR_WIDTH_MM = 13.2
+
+POS_COLUMNS = (
+    "frame", "lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg",
+    "sd_horizontal_m", "sd_vertical_m", "sd_yaw_deg", "sd_tilt_deg",
+)  # fmt: skip
+POSITIONS_COLUMNS = (
+    "frame", "status", "lon_deg", "lat_deg", "height_ellipsoidal_m", "easting_m", "northing_m",
+    "yaw_deg", "pitch_deg", "roll_deg", "omega_deg", "phi_deg", "kappa_deg",
+    "sd_e_m", "sd_n_m", "sd_u_m", "sd_omega_deg", "sd_phi_deg", "sd_kappa_deg", "moved_m", "turned_deg",
+)  # fmt: skip
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A temporary path that gets its final name when all is written; gone if anything fails."""
+    part = path.with_name(f".{path.name}.part{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        part.replace(path)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise OutputError(
+            error.strerror or str(error), file=path, mend="free some space or give another folder"
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole."""
+    with whole(path) as part:
+        part.write_bytes(data)
+
+
+def write_json(path: Path, tree: Any) -> None:
+    """Write JSON, two blanks deep."""
+    write_bytes(path, (json.dumps(tree, indent=2, allow_nan=False) + "\n").encode())
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a comma-separated table with Unix line ends."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    table.writerows(rows)
+    write_bytes(path, text.getvalue().encode())
+
+
+def frame_name(plan: SurveyPlan, i: int) -> str:
+    """`F0001.jpg` of the first frame."""
+    return f"F{i + 1:04d}.{'jpg' if plan.format == 'jpeg' else 'tif'}"
+
+
+def frame_bytes(
+    plan: SurveyPlan, told: Camera, flight: Flight, observed: Observed, i: int, light: NDArray[np.float32]
+) -> bytes:
+    """One frame encoded: `light` is (rows, cols, 3) RGB in [0, 255]; 16-bit TIFFs use the whole range."""
+    if plan.format == "tiff16":
+        pixels: NDArray[Any] = np.round(light * 257.0).astype(np.uint16)
+    else:
+        pixels = np.round(light).astype(np.uint8)
+    bgr = np.ascontiguousarray(pixels[..., ::-1])
+    if plan.format != "jpeg":
+        return cv2.imencode(".tif", bgr, [cv2.IMWRITE_TIFF_COMPRESSION, 8])[1].tobytes()
+    jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality])[1].tobytes()
+    focal_share = told.focal_length_px / told.width_px
+    main, exif = camera_tags(
+        float(flight.time_s[i]), MAKE, MODEL, (told.width_px, told.height_px),
+        focal_share * SENSOR_WIDTH_MM, max(round(focal_share * 36.0), 1),
+    )  # fmt: skip
+    if plan.pos_in == "csv":
+        return with_segments(jpeg, tiff_bytes(main, exif, []), None)
+    lon, lat, height = (float(v) for v in observed.lon_lat_height[i])
+    gps = gps_tags(float(flight.time_s[i]), lon, lat, height if plan.height_told else None)
+    return with_segments(jpeg, tiff_bytes(main, exif, gps), dji_xmp(_dji(plan, observed, i)))
+
+
+def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
+    """DJI's tags: gimbal pitch -90 at the nadir, signs written out. The aircraft itself flies level."""
+    tags = {}
+    if plan.height_told:
+        height = float(observed.lon_lat_height[i, 2])
+        tags["AbsoluteAltitude"] = f"{height:+.3f}"
+        tags["RelativeAltitude"] = f"{height - plan.ground_height_m:+.3f}"
+    if plan.attitude_told:
+        yaw, pitch, roll = gimbal_deg(observed.yaw_pitch_roll_deg[i])
+        heading = (float(observed.yaw_pitch_roll_deg[i, 0]) + 180.0) % 360.0 - 180.0
+        tags |= {
+            "GimbalRollDegree": f"{roll:+.4f}",
+            "GimbalYawDegree": f"{yaw:+.4f}",
+            "GimbalPitchDegree": f"{pitch:+.4f}",
+            "FlightRollDegree": "+0.00",
+            "FlightYawDegree": f"{heading:+.2f}",
+            "FlightPitchDegree": "+0.00",
+        }
+    return tags
+
+
+def gimbal_deg(yaw_pitch_roll_deg: Floats) -> tuple[float, float, float]:
+    """Gimbal yaw in ±180, pitch (-90 at the nadir) and roll in degrees of body angles in degrees.
+
+    With the axes of `Rotation.from_gimbal`: the view is the gimbal's x, the image's right its y. Past the
+    nadir (looking backward) yaw and roll both turn around, as `Rotation` says.
+    """
+    r = Rotation.from_yaw_pitch_roll(*np.radians(yaw_pitch_roll_deg)).matrix
+    view, right, bottom = -r[:, 2], r[:, 0], -r[:, 1]
+    pitch = np.arcsin(np.clip(view[2], -1.0, 1.0))
+    yaw = np.arctan2(view[0], view[1])
+    roll = np.arctan2(-right[2], -bottom[2])
+    return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(roll))
+
+
+def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list[str]]]:
+    """The POS table with its own standard deviations; columns that aren't told are left out."""
+    hidden = (
+        set() if plan.attitude_told else {"yaw_deg", "pitch_deg", "roll_deg", "sd_yaw_deg", "sd_tilt_deg"}
+    )
+    hidden |= set() if plan.height_told else {"height_ellipsoidal_m", "sd_vertical_m"}
+    rows = []
+    for i in range(plan.frames):
+        lon, lat, height = observed.lon_lat_height[i]
+        yaw, pitch, roll = observed.yaw_pitch_roll_deg[i]
+        sd = (plan.position_sd_m, plan.height_sd_m, plan.yaw_sd_deg, plan.tilt_sd_deg)
+        values = [frame_name(plan, i), f"{lon:.9f}", f"{lat:.9f}", f"{height:.4f}",
+                  *(f"{a:.5f}" for a in (yaw, pitch, roll)), *(f"{s:g}" for s in sd)]  # fmt: skip
+        rows.append([v for c, v in zip(POS_COLUMNS, values, strict=True) if c not in hidden])
+    return [c for c in POS_COLUMNS if c not in hidden], rows
+
+
+def true_positions(
+    plan: SurveyPlan, flight: Flight, observed: Observed, projection: MapProjection
+) -> list[list[str]]:
+    """Rows of positions.csv for the truth: of each picture as it is stored, so turned where it was turned.
+
+    Angles are against each frame's own true north and vertical; yaw is the heading of the stored
+    picture's top edge. `moved_m` and `turned_deg` are what a perfect adjustment moves and turns the POS.
+    """
+    rows = []
+    turned = plan.turned_frames()
+    said = rotations_in(flight.work_frame, observed.lon_lat_height, observed.yaw_pitch_roll_deg)
+    for i, (lon, lat, height) in enumerate(flight.lon_lat_height):
+        local = Rotation.from_yaw_pitch_roll(*np.radians(flight.yaw_pitch_roll_deg[i]))
+        stored = local.turned(2) if i in turned else local
+        yaw, pitch, roll = (float(np.degrees(a)) for a in stored.yaw_pitch_roll())
+        opk = [float(np.degrees(a)) for a in stored.omega_phi_kappa()]
+        east, north = projection.map_from_geodetic(lon, lat)
+        moved = float(np.linalg.norm(observed.position_errors_m[i]))
+        between = flight.poses.rotations[i].T @ said[i]
+        cosine = (np.trace(between) - 1.0) / 2.0
+        angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        rows.append(
+            [frame_name(plan, i), "tied", f"{lon:.10f}", f"{lat:.10f}",
+             *(f"{v:.5f}" for v in (height, east, north)),
+             *(f"{a:.7f}" for a in (yaw % 360.0, pitch - 90.0, roll, *opk)),
+             *["0"] * 6, f"{moved:.5f}", f"{angle:.6f}"]
+        )  # fmt: skip
+    return rows
+
+
+def opensfm_camera(camera: Camera) -> dict[str, dict[str, object]]:
+    """A camera in OpenSfM's cameras.json: Brown, lengths over the longer side, centre from the middle."""
+    side = float(max(camera.width_px, camera.height_px))
+    return {
+        f"{MAKE} {MODEL} {camera.width_px} {camera.height_px} brown": {
+            "projection_type": "brown",
+            "width": camera.width_px,
+            "height": camera.height_px,
+            "focal_x": camera.focal_length_px / side,
+            "focal_y": camera.focal_length_px / side,
+            "c_x": (camera.principal_col_px - camera.width_px / 2.0) / side,
+            "c_y": (camera.principal_row_px - camera.height_px / 2.0) / side,
+            "k1": camera.k1,
+            "k2": camera.k2,
+            "p1": camera.p1,
+            "p2": camera.p2,
+            "k3": camera.k3,
+        }
+    }
