@@ -1,0 +1,62 @@
+"""Vertical datums: what to add to a height above a geoid to have the height above the ellipsoid."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+from pyproj import CRS
+from pyproj.crs import CompoundCRS
+from pyproj.transformer import AreaOfInterest, TransformerGroup
+
+from geomosaic.errors import InputError
+
+
+def vertical_crs(crs: CRS) -> CRS | None:
+    """The vertical part of a CRS; the CRS itself where its heights are ellipsoidal; None without heights."""
+    if crs.is_compound:
+        return next((part for part in crs.sub_crs_list if part.is_vertical), None)
+    if crs.is_vertical or len(crs.axis_info) == 3:
+        return crs
+    if crs.source_crs is not None and crs.is_bound:
+        return crs if crs.source_crs.is_vertical else vertical_crs(crs.source_crs)
+    return None
+
+
+def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float:
+    """Ellipsoidal minus orthometric height at a point: the geoid's undulation, in metres.
+
+    Only transformations with a stated operation count: a ballpark one, which leaves heights as they
+    are, is never used. Among several the most accurate one whose grids are here is taken.
+
+    Args: a vertical CRS (`EPSG:5773`), or one with ellipsoidal heights, whose offset is 0.
+    Raises: `InputError` when its heights aren't metres upwards, or no geoid grid for it is installed.
+    """
+    axis = vertical.axis_info[-1]
+    if axis.direction != "up" or axis.unit_conversion_factor != 1.0:
+        raise InputError(
+            f"heights of '{vertical.name}' are counted {axis.direction} in {axis.unit_name}",
+            mend="convert them to metres upwards first",
+        )
+    if not vertical.is_vertical or "ellips" in vertical.name.lower():
+        return 0.0
+    heights = CompoundCRS(name="heights of a vertical datum", components=["EPSG:4326", vertical])
+    south, north = max(lat_deg - 0.01, -90.0), min(lat_deg + 0.01, 90.0)
+    near = AreaOfInterest(lon_deg - 0.01, south, lon_deg + 0.01, north)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a better grid is missing: judged below
+        group = TransformerGroup(
+            heights, "EPSG:4979", always_xy=True, area_of_interest=near, allow_ballpark=False
+        )
+    for transformer in group.transformers:
+        height = transformer.transform(lon_deg, lat_deg, 0.0)[2]
+        if math.isfinite(height):
+            return float(height)
+    grids = {
+        grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available
+    }
+    lacking = f" (one of {', '.join(sorted(grids)[:4])})" if grids else ""
+    raise InputError(
+        f"the geoid grid for '{vertical.name}' isn't installed{lacking}",
+        mend="give the ellipsoidal minus orthometric height (--dem-offset METRES), or install proj-data",
+    )

@@ -1,0 +1,68 @@
+"""Default standard deviations of observations, one table for all sources, each with its reason.
+
+They stand in where a file states none. A wrong sigma spoils a weighted solution as surely as a wrong
+value, so each default is on the careful side of what the source is known to reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class PositionAccuracy:
+    """Standard deviations of a position per axis, in metres."""
+
+    sd_horizontal_m: float
+    sd_vertical_m: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class AttitudeAccuracy:
+    """Standard deviations of the heading, and of the tilt about each horizontal axis, in degrees."""
+
+    sd_yaw_deg: float
+    sd_tilt_deg: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class FocalAccuracy:
+    """Standard deviation of a focal length as a part of itself."""
+
+    sd_relative: float
+    reason: str
+
+
+POSITION: Final = {
+    "exif": PositionAccuracy(5.0, 15.0, "code GNSS; EXIF's altitude has no stated datum"),
+    "rtk-fixed": PositionAccuracy(0.03, 0.05, "fixed ambiguities; only where the drone states no sigma"),
+    "rtk-float": PositionAccuracy(0.5, 1.0, "float ambiguities; only where the drone states no sigma"),
+    "pos": PositionAccuracy(2.0, 3.0, "a POS file without sigmas may be anything from PPK to a handheld"),
+}
+
+ATTITUDE: Final = {
+    "dji-gimbal": AttitudeAccuracy(3.0, 0.5, "stabilised gimbal; its yaw comes from the compass"),
+    "dji-flight": AttitudeAccuracy(5.0, 5.0, "the aircraft's attitude, not the camera's"),
+    "parrot-camera": AttitudeAccuracy(3.0, 1.0, "camera attitude from the autopilot"),
+    "sensefly": AttitudeAccuracy(5.0, 3.0, "autopilot of a light fixed wing, camera not stabilised"),
+    "xmp-camera": AttitudeAccuracy(5.0, 3.0, "small IMU beside the camera"),
+    "pos-yaw-pitch-roll": AttitudeAccuracy(2.0, 1.0, "a POS file without sigmas"),
+    "pos-omega-phi-kappa": AttitudeAccuracy(0.5, 0.5, "from an adjustment or a survey-grade IMU"),
+    "none": AttitudeAccuracy(180.0, 10.0, "nothing observed: taken to look down, any heading"),
+}
+
+FOCAL_LENGTH: Final = {
+    "camera-file": FocalAccuracy(0.005, "calibrated, but maybe on another day or block"),
+    "dji-dewarp": FocalAccuracy(0.005, "the maker's calibration of this camera, in the XMP"),
+    "focal-plane": FocalAccuracy(0.02, "nominal focal length and sensor size"),
+    "sensor-table": FocalAccuracy(0.02, "nominal focal length and sensor size"),
+    "exif-35mm": FocalAccuracy(0.02, "besides the rounding to whole millimetres, which is added"),
+}
+
+RTK_SD_FLOOR_M: Final = (0.02, 0.03)
+"""Horizontal and vertical: RTK's own sigmas leave out the antenna's lever arm and the shutter's delay."""
+
+CONTROL: Final = PositionAccuracy(0.03, 0.05, "an RTK rover on the ground")

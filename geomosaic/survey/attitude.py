@@ -1,0 +1,102 @@
+"""Attitudes in POS files: which convention a file uses, and body angles out of any of them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.rotation import Rotation, about_z
+from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.survey.model import Warn
+from geomosaic.survey.onboard import body_from_gimbal
+from geomosaic.survey.table import Table
+
+Floats = NDArray[np.float64]
+Angles = list[tuple[float | None, float | None, float | None]]
+"""Yaw, pitch and roll of each row in degrees, None where unknown."""
+
+CONVENTIONS: Final = {
+    "auto": "per file: by the columns' names; gimbal where the middle pitch lies nearer to -90 than to 0",
+    "body": "yaw, pitch, roll of a body; pitch 0 at the nadir, > 0 looking forward; roll > 0 looking left",
+    "gimbal": "yaw, pitch, roll of a gimbal; pitch -90 at the nadir",
+    "positions": "as geomosaic's positions.csv: a body's angles, but pitch less 90",
+    "omega-phi-kappa": "Rx(omega) Ry(phi) Rz(kappa) from east, north, up",
+    "phi-omega-kappa": "phi first, X north and Y west (Yue et al. 2021, equation 1); heading is -kappa",
+}
+"""What an attitude in a POS file can mean; see `camera.rotation.Rotation`."""
+
+
+def read_angles(
+    table: Table, convention: str, projection: MapProjection | None, lonlat: Floats
+) -> tuple[Angles, str, list[Warn]]:
+    """Body angles from true north of a table's rows, where they come from, and what was assumed.
+
+    Yaw is from true north in a file of yaw, pitch and roll, whatever its positions' CRS; omega, phi
+    and kappa refer to the axes of the file's positions, so that a grid's convergence is added.
+
+    Args: projection of the file's x and y, None for geographic positions; lonlat (n, 2) degrees.
+    """
+    if convention not in CONVENTIONS:
+        raise UnknownNameError("attitude convention", convention, CONVENTIONS)
+    has = table.factors.keys()
+    has_opk = {"omega", "phi", "kappa"} <= has
+    has_ypr = bool({"yaw", "pitch", "gimbal_pitch"} & has)
+    if convention.endswith("kappa") if convention != "auto" else has_opk and not has_ypr:
+        if not has_opk:
+            raise _lacks(table, convention, "omega, phi and kappa")
+        return _from_opk(table, convention, projection, lonlat), "pos-omega-phi-kappa", []
+    if convention != "auto" and not has_ypr:
+        raise _lacks(table, convention, "yaw, pitch and roll")
+    prefix = "gimbal_" if "gimbal_pitch" in has else ""
+    yaw, pitch, roll = (
+        [table.number(row, f"{prefix}{c}") for row in table.rows] for c in ("yaw", "pitch", "roll")
+    )
+    notes: list[Warn] = []
+    if convention == "auto":
+        convention, notes = _convention(table, [p for p in pitch if p is not None])
+    angles = list(zip(yaw, pitch, roll, strict=True))
+    if convention == "gimbal":
+        angles = [(y, p, r) if p is None else body_from_gimbal(y, p, r) for y, p, r in angles]
+    elif convention == "positions":
+        angles = [(y, None if p is None else p + 90.0, r) for y, p, r in angles]
+    return [(None if y is None else y % 360.0, p, r) for y, p, r in angles], "pos-yaw-pitch-roll", notes
+
+
+def _lacks(table: Table, convention: str, columns: str) -> InputError:
+    return InputError(
+        f"has no columns {columns} for the attitude convention '{convention}'",
+        file=table.path,
+        mend=f"name them, or choose another of {', '.join(CONVENTIONS)}",
+    )
+
+
+def _convention(table: Table, pitches_deg: list[float]) -> tuple[str, list[Warn]]:
+    if "gimbal_pitch" in table.factors:
+        return "gimbal", []
+    if {"moved", "turned"} <= table.factors.keys():
+        return "positions", []
+    if not pitches_deg:
+        return "body", []
+    middle = float(np.median(pitches_deg))
+    convention, nadir = ("gimbal", -90) if abs(middle + 90.0) < 45.0 else ("body", 0)
+    text = f"{table.path.name}: the middle pitch is {middle:.1f}: {convention} angles assumed (nadir {nadir})"
+    return convention, [Warn("pos-attitude-convention", "", text)]
+
+
+def _from_opk(table: Table, convention: str, projection: MapProjection | None, lonlat: Floats) -> Angles:
+    opk = [[table.number(row, c) for c in ("omega", "phi", "kappa")] for row in table.rows]
+    o, p, k = np.radians(np.array(opk, dtype=np.float64)).T
+    if convention == "phi-omega-kappa":
+        rotation = Rotation.from_phi_omega_kappa(p, o, k)
+    else:
+        rotation = Rotation.from_omega_phi_kappa(o, p, k)
+    if projection is not None:
+        rotation = Rotation(about_z(-projection.grid_convergence_rad(*lonlat.T)) @ rotation.matrix)
+    degrees = np.degrees(np.stack(rotation.yaw_pitch_roll(), axis=-1))
+    return [
+        (None, None, None) if np.isnan(a).any() else (float(a[0] % 360.0), float(a[1]), float(a[2]))
+        for a in degrees
+    ]

@@ -1,0 +1,95 @@
+"""Ground control points and check points: OpenDroneMap's gcp_list.txt, or a table with named columns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from geomosaic.errors import InputError
+from geomosaic.survey.accuracy import CONTROL
+from geomosaic.survey.model import ControlPoint, Warn
+from geomosaic.survey.names import FrameNames, some
+from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
+from geomosaic.survey.pos import ALIASES as POS_ALIASES
+from geomosaic.survey.table import Aliases, Row, Table, crs_of_line, read_lines, read_table
+
+ALIASES: Final[Aliases] = {
+    "name": ("name", "point", "point_name", "gcp", "gcp_name", "label", "id"),
+    **{
+        c: POS_ALIASES[c]
+        for c in ("lon", "lat", "x", "y", "height_ellipsoidal", "height_orthometric", "height")
+    },
+    "sd_horizontal": POS_ALIASES["sd_horizontal"],
+    "sd_vertical": POS_ALIASES["sd_vertical"],
+    "kind": ("kind", "type", "role"),
+    "image": ("image", "frame", "image_name", "file", "filename", "photo"),
+    "col": ("col", "column", "im_x", "pixel_x", "image_x"),
+    "row": ("row", "line", "im_y", "pixel_y", "image_y"),
+}
+"""Columns of a table of control points; a point has one line per picture it was measured in, or one."""
+
+_GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
+
+
+def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ...], list[Warn]]:
+    """Control points with where they were measured in pictures, and what was assumed.
+
+    A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
+    lines of the same coordinates are one point. Pixels are counted from the corner of the first pixel.
+
+    Raises: `InputError` naming the file, the line and the mend.
+    """
+    lines = read_lines(path)
+    if not lines:
+        raise InputError("the file of control points is empty", file=path, mend="give a line per measurement")
+    crs = crs_of_line(lines[0].text)
+    if crs is not None:
+        table = read_table(path, lines[1:], ALIASES, _GCP_LIST)
+    else:
+        crs = given_crs(path, None)
+        table = read_table(path, lines, ALIASES)
+        check_columns(table, ALIASES, "name", "point's name")
+    lonlat, _ = lonlat_of(table, crs)
+    heights, warnings = heights_of(table, crs, lonlat)
+    points: dict[str, ControlPoint] = {}
+    strangers: list[str] = []
+    for row, (lon, lat), height in zip(table.rows, lonlat, heights, strict=True):
+        name = table.text(row, "name") or f"{lon:.8f} {lat:.8f}"
+        if height is None:
+            mend = "give a column height_ellipsoidal_m"
+            raise InputError(f"line {row.line}: point '{name}' has no height", file=path, mend=mend)
+        point = points.get(name) or ControlPoint(
+            name=name,
+            lon_deg=float(lon),
+            lat_deg=float(lat),
+            height_ellipsoidal_m=height,
+            sd_horizontal_m=table.number(row, "sd_horizontal") or CONTROL.sd_horizontal_m,
+            sd_vertical_m=table.number(row, "sd_vertical") or CONTROL.sd_vertical_m,
+            check=_is_check(table, row, name),
+            images=(),
+        )
+        moved = (point.lon_deg, point.lat_deg, point.height_ellipsoidal_m) != (lon, lat, height)
+        if moved:
+            mend = "give each point one position"
+            raise InputError(f"line {row.line}: point '{name}' has moved", file=path, mend=mend)
+        image = table.text(row, "image")
+        frame = None if image is None else frames.find(image)
+        if frame is not None:
+            at = (frame, table.required(row, "col"), table.required(row, "row"))
+            point = replace(point, images=(*point.images, at))
+        elif image is not None:
+            strangers.append(image)
+        points[name] = point
+    if strangers:
+        text = f"{path.name}: {len(strangers)} measurements in pictures that aren't here ({some(strangers)})"
+        warnings.append(Warn("control-image-missing", "", text))
+    return tuple(points.values()), warnings
+
+
+def _is_check(table: Table, row: Row, name: str) -> bool:
+    kind = (table.text(row, "kind") or "").lower()
+    if kind not in ("", "check", "checkpoint", "check point", "control", "gcp"):
+        mend = "write control or check"
+        raise InputError(f"line {row.line}: kind '{kind}' is unknown", file=table.path, mend=mend)
+    return kind.startswith("check") or (not kind and name.upper().startswith("CHK"))

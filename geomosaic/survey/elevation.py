@@ -1,0 +1,111 @@
+"""A DEM as a survey's elevation model: its vertical datum settled, its cover of the frames checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from pyproj import CRS
+from rasterio.errors import RasterioError
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.survey.dem import read_heights
+from geomosaic.survey.model import ElevationModel, Warn
+
+Floats = NDArray[np.float64]
+_METRES: Final = frozenset({"", "m", "metre", "meter", "metres", "meters"})
+
+
+def read_elevation(
+    path: Path, offset_m: float | None, frame_names: Sequence[str], lonlat: Floats
+) -> tuple[ElevationModel, Floats, list[Warn]]:
+    """The elevation model of a DEM, its ellipsoidal heights under the frames, and what was assumed.
+
+    What must be added to the DEM's values is offset_m if given; else the geoid's undulation at the
+    survey's middle, by PROJ, if the DEM's CRS has a vertical part (it changes by centimetres within a
+    few kilometres); else 0, and a warning: the values are taken to share the datum of the POS heights.
+
+    Args: lonlat (n, 2) degrees of the frames' nadir points.
+    Raises: `FileError` for what is no raster, `InputError` without a CRS, in feet, without the geoid's
+    grid, or not covering the frames, saying by how much.
+    """
+    path = path.absolute()
+    with _open(path) as dem:
+        if dem.crs is None:
+            mend = "assign its coordinate reference system (gdal_edit.py -a_srs EPSG:n)"
+            raise InputError("the DEM has no coordinate reference system", file=path, mend=mend)
+        if (dem.units[0] or "").lower() not in _METRES:
+            raise InputError(
+                f"the DEM's heights are in {dem.units[0]}", file=path, mend="convert them to metres"
+            )
+        crs, bounds = CRS.from_wkt(dem.crs.to_wkt()), dem.bounds
+    model, warnings = _with_datum(path, offset_m, crs, np.median(lonlat, axis=0))
+    xy = MapProjection(crs.to_wkt()).map_from_geodetic(*lonlat.T)
+    _check_cover(path, crs, bounds, frame_names, lonlat, xy)
+    heights = read_heights(model, (*xy.min(axis=0), *xy.max(axis=0))).at(*xy.T)
+    gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
+    if len(gaps) == len(frame_names):
+        raise InputError(
+            "the DEM has no heights under the frames", file=path, mend="give one that has (see its nodata)"
+        )
+    if gaps:
+        text = f"{path.name}: no height under {len(gaps)} frames ({', '.join(gaps[:3])})"
+        warnings.append(Warn("dem-gaps", "", text))
+    return model, heights, warnings
+
+
+def _open(path: Path) -> Any:
+    if not path.is_file() and not path.is_dir():
+        raise FileError("there is no such DEM", file=path, mend="check --dem")
+    try:
+        return rasterio.open(path)
+    except (RasterioError, OSError) as error:
+        raise FileError(
+            "is no raster that GDAL reads", file=path, mend="give a DEM such as a GeoTIFF"
+        ) from error
+
+
+def _with_datum(
+    path: Path, offset_m: float | None, crs: CRS, middle: Floats
+) -> tuple[ElevationModel, list[Warn]]:
+    model = ElevationModel(str(path), 0.0, "")
+    if offset_m is not None:
+        return replace(model, offset_m=offset_m, vertical=f"offset {offset_m:+g} m as given"), []
+    vertical = vertical_crs(crs)
+    if vertical is not None:
+        try:
+            offset = ellipsoidal_offset_m(vertical, *middle)
+        except InputError as error:
+            raise InputError(error.problem, file=path, mend=error.mend) from error
+        return replace(model, offset_m=offset, vertical=f"{vertical.name}, offset {offset:+.2f} m"), []
+    text = (
+        f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' heights; "
+        "else give --dem-offset METRES"
+    )
+    vertical_text = "assumed to share the datum of the frames' heights"
+    return replace(model, vertical=vertical_text), [Warn("dem-datum-assumed", "", text)]
+
+
+def _check_cover(path: Path, crs: CRS, bounds: Any, names: Sequence[str], lonlat: Floats, xy: Floats) -> None:
+    nearest = np.clip(xy, [bounds.left, bounds.bottom], [bounds.right, bounds.top])
+    outside = ~np.isfinite(xy).all(axis=1) | (nearest != xy).any(axis=1)
+    if not outside.any():
+        return
+    edge = MapProjection(crs.to_wkt()).geodetic_from_map(*np.nan_to_num(nearest, posinf=0.0).T)
+    away = np.linalg.norm(mid_latitude_offset_m(*edge.T, *lonlat.T), axis=1)
+    away[~outside] = 0.0
+    i = int(np.argmax(away))
+    far = f"{away[i] / 1000.0:,.1f} km" if away[i] >= 2000.0 else f"{away[i]:.0f} m"
+    raise InputError(
+        f"the DEM does not cover {outside.sum()} of {len(names)} frames: {names[i]} lies {far} outside",
+        file=path,
+        mend="give a DEM of the whole survey",
+    )

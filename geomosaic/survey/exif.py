@@ -1,0 +1,160 @@
+"""EXIF: what a camera says of itself, of the place and of the time."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta, timezone
+from typing import Any, Final
+
+import exifread
+
+Tags = dict[str, str | tuple[float, ...]]
+"""EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
+
+_MM_PER_UNIT: Final = {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001}
+
+
+@dataclass(frozen=True)
+class Exif:
+    """EXIF's facts; None where the file doesn't say or what it says can't be.
+
+    width_px and height_px are the picture's as taken, before any later resize. altitude_m has no
+    stated datum. time_s is seconds since 1970; a local time without its offset is taken as UTC.
+    hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken.
+    """
+
+    make: str = ""
+    model: str = ""
+    width_px: int | None = None
+    height_px: int | None = None
+    lon_deg: float | None = None
+    lat_deg: float | None = None
+    altitude_m: float | None = None
+    time_s: float | None = None
+    focal_length_mm: float | None = None
+    focal_length_35mm: float | None = None
+    pixels_per_mm: float | None = None
+    hemisphere_assumed: bool = False
+
+
+def exif_from_block(block: bytes) -> Exif:
+    """From an EXIF segment's bytes or a whole TIFF file's: a TIFF header and its directories."""
+    return _exif(tags_from_block(block))
+
+
+def exif_from_gdal(items: Mapping[str, str]) -> Exif:
+    """From GDAL's metadata items (`EXIF_GPSLatitude: (24) (40) (49.0)`), as gdal_translate keeps them."""
+    tags: Tags = {}
+    for key, text in items.items():
+        name = key.removeprefix("EXIF_")
+        numbers = re.findall(r"\(([-+.\deE]+)\)", text)
+        if numbers and re.fullmatch(r"(\s*\([-+.\deE]+\))+\s*", text):
+            tags[name] = tuple(float(n) for n in numbers)
+        elif re.fullmatch(r"(0x[0-9a-fA-F]{1,2}\s*)+", text):
+            tags[name] = tuple(float(int(n, 16)) for n in text.split())
+        elif re.fullmatch(r"-?\d+", text.strip()):
+            tags[name] = (float(text),)
+        else:
+            tags[name] = text
+    return _exif(tags)
+
+
+def tags_from_block(block: bytes) -> Tags:
+    """All standard tags of an EXIF block; empty where it is damaged beyond reading."""
+    try:
+        raw = exifread.process_file(
+            io.BytesIO(block), details=False, extract_thumbnail=False, truncate_tags=False
+        )
+    except Exception:  # a stranger's bytes: exifread fails in many ways, and a frame can do without EXIF
+        return {}
+    tags: Tags = {}
+    for key, tag in raw.items():
+        group, _, name = key.partition(" ")
+        if group in ("Image", "EXIF", "GPS") and hasattr(tag, "values"):
+            value = _plain(tag.values)
+            if value is not None:
+                tags[name] = value
+    return tags
+
+
+def _plain(values: Any) -> str | tuple[float, ...] | None:
+    if isinstance(values, str):
+        return values
+    if isinstance(values, bytes):
+        return values.decode("latin-1")
+    try:
+        return tuple(float(v) for v in values)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+
+
+def _exif(tags: Tags) -> Exif:
+    def text(name: str) -> str:
+        value = tags.get(name, "")
+        return value.split("\x00")[0].strip() if isinstance(value, str) else ""
+
+    def number(name: str, positive: bool = True) -> float | None:
+        value = tags.get(name)
+        if not isinstance(value, tuple) or len(value) != 1 or not math.isfinite(value[0]):
+            return None
+        return None if positive and value[0] <= 0.0 else value[0]
+
+    def whole(name: str) -> int | None:
+        value = number(name)
+        return None if value is None else round(value)
+
+    lat = _degrees(tags.get("GPSLatitude"), text("GPSLatitudeRef"), "S", 90.0)
+    lon = _degrees(tags.get("GPSLongitude"), text("GPSLongitudeRef"), "W", 180.0)
+    if lat is None or lon is None or (lat == 0.0 and lon == 0.0):  # 0, 0: a receiver without a fix
+        lat = lon = None
+    altitude = number("GPSAltitude", positive=False)
+    below = number("GPSAltitudeRef") in (1.0, 3.0)  # EXIF 3.0: 2 and 3 are above and below the ellipsoid
+    per_unit = number("FocalPlaneXResolution")
+    mm = _MM_PER_UNIT.get(number("FocalPlaneResolutionUnit") or 2.0)
+    return Exif(
+        make=text("Make"),
+        model=text("Model"),
+        width_px=whole("PixelXDimension") or whole("ExifImageWidth"),
+        height_px=whole("PixelYDimension") or whole("ExifImageLength"),
+        lon_deg=lon,
+        lat_deg=lat,
+        altitude_m=-altitude if altitude is not None and below else altitude,
+        time_s=_time_s(text),
+        focal_length_mm=number("FocalLength"),
+        focal_length_35mm=number("FocalLengthIn35mmFilm"),
+        pixels_per_mm=None if per_unit is None or mm is None else per_unit / mm,
+        hemisphere_assumed=lat is not None and not (text("GPSLatitudeRef") and text("GPSLongitudeRef")),
+    )
+
+
+def _degrees(value: object, ref: str, negative_ref: str, limit_deg: float) -> float | None:
+    if not isinstance(value, tuple) or not 1 <= len(value) <= 3:
+        return None
+    degrees = float(sum(part / 60.0**i for i, part in enumerate(value)))
+    if not math.isfinite(degrees) or not 0.0 <= degrees <= limit_deg:
+        return None
+    return -degrees if ref[:1].upper() == negative_ref else degrees
+
+
+def _time_s(text: Any) -> float | None:
+    for name in ("DateTimeOriginal", "DateTimeDigitized", "DateTime"):
+        match = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d):(\d\d):(\d\d)", text(name))
+        if match is None:
+            continue
+        try:
+            moment = datetime(*(int(part) for part in match.groups()), tzinfo=UTC)  # type: ignore[misc,arg-type]
+        except ValueError:
+            continue
+        offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", text(name.replace("DateTime", "OffsetTime")))
+        if offset:
+            minutes = int(offset[2]) * 60 + int(offset[3])
+            if minutes < 24 * 60:
+                east = timedelta(minutes=minutes if offset[1] == "+" else -minutes)
+                moment = moment.replace(tzinfo=timezone(east))
+        fraction = re.fullmatch(r"\d+", text(name.replace("DateTime", "SubSecTime")))
+        return moment.timestamp() + (float(f"0.{fraction[0]}") if fraction else 0.0)
+    return None

@@ -1,0 +1,83 @@
+"""A folder of frames: which files are frames, and which are masks of frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+from pathlib import Path
+from typing import Final
+
+import rasterio
+from rasterio.errors import RasterioError
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader
+from geomosaic.survey.names import natural_key
+
+_MASK_ENDINGS: Final = ("_mask", ".mask")
+_MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
+
+
+def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
+    """The JPEG and TIFF files of a folder, not of those inside it, in the natural order of their names.
+
+    Hidden files, masks (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are
+    no frames. Raises: `FileError` for what is no folder, `InputError` if there are no frames.
+    """
+    folder = folder.absolute()
+    if not folder.is_dir():
+        problem = "is no folder" if folder.exists() else "there is no such folder"
+        raise FileError(problem, file=folder, mend="give the folder that holds the frames")
+    try:
+        files = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: natural_key(p.name))
+    except OSError as error:
+        raise FileError(f"can't be listed ({error.strerror})", file=folder) from error
+    inputs = {p.absolute() for p in other}
+    frames = [
+        p
+        for p in files
+        if p.suffix.lower() in JPEG_SUFFIXES | TIFF_SUFFIXES
+        and not p.name.startswith(".")
+        and not p.stem.casefold().endswith(_MASK_ENDINGS)
+        and p not in inputs
+    ]
+    if not frames:
+        kinds = Counter(p.suffix.lower() or "no suffix" for p in files)
+        held = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common(4))
+        raise InputError(
+            f"holds no JPEG or TIFF frames ({held or 'it is empty'})",
+            file=folder,
+            mend="give the folder that holds the frames themselves",
+        )
+    return frames
+
+
+def masks(headers: list[FrameHeader]) -> dict[str, str]:
+    """Frame name -> path of its mask, for the frames of one folder that have one.
+
+    Raises: `FileError` for a mask that can't be read or isn't of its frame's size.
+    """
+    by_name = {p.name.casefold(): p for p in headers[0].path.parent.iterdir() if p.is_file()}
+    found = {}
+    for header in headers:
+        stem = header.path.stem.casefold()
+        names = (f"{stem}{ending}{suffix}" for ending in _MASK_ENDINGS for suffix in sorted(_MASK_SUFFIXES))
+        mask = next((by_name[n] for n in names if n in by_name), None)
+        if mask is not None:
+            _check_size(mask, header)
+            found[header.path.name] = str(mask)
+    return found
+
+
+def _check_size(mask: Path, header: FrameHeader) -> None:
+    try:
+        with rasterio.open(mask) as raster:
+            size = raster.width, raster.height
+    except (RasterioError, OSError) as error:
+        raise FileError("the mask can't be read", file=mask, mend="write it as 8 bit PNG or TIFF") from error
+    if size != (header.width_px, header.height_px):
+        raise FileError(
+            f"the mask has {size[0]} x {size[1]} pixels, its frame {header.width_px} x {header.height_px}",
+            file=mask,
+            mend="make a mask of the frame's size",
+        )

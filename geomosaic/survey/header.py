@@ -1,0 +1,114 @@
+"""A frame's header: size, bands, type and metadata, read without decoding pixels."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import rasterio
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
+from geomosaic.survey.jpeg import read_structure
+from geomosaic.survey.xmp import Xmp, parse_xmp
+
+JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
+TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
+DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
+_MAX_PIXELS: Final = 1 << 30
+_EXIF_BYTES: Final = 8 << 20
+
+
+@dataclass(frozen=True)
+class FrameHeader:
+    """What a frame's file says before its pixels. bands are without an alpha band; xmp None: unreadable."""
+
+    path: Path
+    width_px: int
+    height_px: int
+    bands: int
+    dtype: str
+    nodata: float | None
+    exif: Exif
+    xmp: Xmp | None
+
+
+def read_header(path: Path) -> FrameHeader:
+    """Header of a JPEG or TIFF frame.
+
+    Raises: `FileError` when the file isn't what its name says or its pixels aren't all there;
+    `InputError` when its pixels are of a kind that isn't handled.
+    """
+    header = _jpeg_header(path) if path.suffix.lower() in JPEG_SUFFIXES else _tiff_header(path)
+    if header.width_px * header.height_px > _MAX_PIXELS:
+        raise InputError(f"{header.width_px} x {header.height_px} pixels are too many for a frame", file=path)
+    if header.dtype not in DTYPES:
+        raise InputError(
+            f"pixels of type {header.dtype} aren't handled",
+            file=path,
+            mend=f"convert the frame to one of {', '.join(sorted(DTYPES))}",
+        )
+    return header
+
+
+def _jpeg_header(path: Path) -> FrameHeader:
+    jpeg = read_structure(path)
+    if jpeg.bits != 8:
+        raise InputError(f"a JPEG of {jpeg.bits} bits isn't handled", file=path, mend="convert it to TIFF")
+    exif = exif_from_block(jpeg.exif) if jpeg.exif else Exif()
+    bands = 1 if jpeg.bands == 1 else 3
+    return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
+
+
+def open_tiff(path: Path) -> Any:
+    """A TIFF frame as a rasterio dataset; frames have no place on the map, whatever their tags say."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            return rasterio.open(path, driver="GTiff")
+    except (RasterioError, OSError) as error:
+        raise FileError(
+            "is no readable TIFF file", file=path, mend="copy it again, or take it out of the folder"
+        ) from error
+
+
+def _tiff_header(path: Path) -> FrameHeader:
+    with open_tiff(path) as tiff:
+        _check_blocks(tiff, path)
+        alpha = [i for i in tiff.colorinterp if i == ColorInterp.alpha]
+        bands = tiff.count - len(alpha)
+        dtypes = {str(d) for d in tiff.dtypes}
+        if len(dtypes) != 1 or bands < 1:
+            raise InputError("has bands of several types", file=path, mend="convert them to one type")
+        items = {**tiff.tags(), **tiff.tags(ns="EXIF")}
+        packet = "".join(tiff.tags(ns="xml:XMP").values()).encode()
+        with path.open("rb") as file:
+            exif = exif_from_block(file.read(_EXIF_BYTES))
+        if not exif.make and exif.lon_deg is None and exif.focal_length_mm is None:
+            exif = exif_from_gdal({k: v for k, v in items.items() if k.startswith("EXIF_")})
+        return FrameHeader(
+            path, tiff.width, tiff.height, bands, dtypes.pop(), tiff.nodata, exif, parse_xmp(packet)
+        )
+
+
+def _check_blocks(tiff: Any, path: Path) -> None:
+    """Every strip or tile lies within the file."""
+    size = path.stat().st_size
+    rows, cols = tiff.block_shapes[0]
+    across, down = -(-tiff.width // cols), -(-tiff.height // rows)
+    bands = tiff.indexes if tiff.interleaving and tiff.interleaving.name == "band" else (1,)
+    for band in bands:
+        for y in range(down):
+            for x in range(across):
+                start = tiff.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band)
+                length = tiff.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band)
+                if start and length and int(start) + int(length) > size:
+                    raise FileError(
+                        "the TIFF is truncated: its image data don't end",
+                        file=path,
+                        mend="copy it again from the camera, or take it out of the folder",
+                    )

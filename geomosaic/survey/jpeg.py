@@ -1,0 +1,87 @@
+"""The structure of a JPEG file, without decoding it: size, EXIF and XMP segments, wholeness."""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from geomosaic.errors import FileError
+
+_EXIF: Final = b"Exif\x00\x00"
+_XMP: Final = b"http://ns.adobe.com/xap/1.0/\x00"
+_EOI: Final = b"\xff\xd9"
+_FRAME_HEADERS: Final = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
+_WITHOUT_LENGTH: Final = frozenset({0x01, *range(0xD0, 0xD8)})
+_TRUNCATED: Final = "copy it again from the camera, or take it out of the folder"
+
+
+@dataclass(frozen=True)
+class JpegStructure:
+    """What the segments before the image data say; exif and xmp are raw bytes, empty where absent."""
+
+    width_px: int
+    height_px: int
+    bands: int
+    bits: int
+    exif: bytes
+    xmp: bytes
+
+
+def read_structure(path: Path) -> JpegStructure:
+    """Walk a JPEG's segments and check that its image data end.
+
+    Raises: `FileError` when the file is no JPEG, or stops before the end of the image.
+    """
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return parse_structure(data, path)
+    except FileError:
+        raise
+    except (OSError, ValueError) as error:  # mmap of an empty file is a ValueError
+        empty = path.is_file() and path.stat().st_size == 0
+        problem = "the file is empty" if empty else f"can't be read ({error})"
+        raise FileError(problem, file=path, mend=_TRUNCATED) from error
+
+
+def parse_structure(data: bytes | mmap.mmap, path: Path) -> JpegStructure:
+    """As `read_structure`, of a file's bytes; path is for the message only.
+
+    Image data hold no end marker (0xFF is followed by a stuffed 0 in them) and stand behind all
+    thumbnails in the header, while previews appended to the file (MPF, as DJI's) stand behind the
+    primary image's own end marker. So an image is whole when an end marker comes after the start of
+    its data; MPF's own lengths are wrong in files whose header was enlarged afterwards.
+    """
+    if bytes(data[:2]) != b"\xff\xd8":
+        raise FileError("is no JPEG file", file=path, mend="take it out of the folder")
+    at, size, exif, xmp = 2, None, b"", b""
+    while True:
+        head = bytes(data[at : at + 4])
+        if len(head) < 4:
+            raise FileError("the JPEG is truncated in its header", file=path, mend=_TRUNCATED)
+        if head[0] != 0xFF:
+            raise FileError("the JPEG's header is damaged", file=path, mend=_TRUNCATED)
+        marker = head[1]
+        if marker == 0xFF:  # fill byte
+            at += 1
+            continue
+        if marker in _WITHOUT_LENGTH:
+            at += 2
+            continue
+        body = bytes(data[at + 4 : at + 2 + int.from_bytes(head[2:4], "big")])
+        if marker == 0xDA:
+            break
+        if marker in _FRAME_HEADERS and len(body) >= 6:
+            size = (body[0], int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big"), body[5])
+        elif marker == 0xE1 and body.startswith(_EXIF):
+            exif = exif or body[len(_EXIF) :]
+        elif marker == 0xE1 and body.startswith(_XMP):
+            xmp = xmp or body[len(_XMP) :]
+        at += 2 + int.from_bytes(head[2:4], "big")
+    if size is None or 0 in size:
+        raise FileError("the JPEG's header states no size", file=path, mend=_TRUNCATED)
+    if data.rfind(_EOI, max(at, len(data) - 65536)) < 0 and data.rfind(_EOI, at) < 0:
+        raise FileError("the JPEG is truncated: its image data don't end", file=path, mend=_TRUNCATED)
+    bits, height, width, bands = size
+    return JpegStructure(width, height, bands, bits, exif, xmp)

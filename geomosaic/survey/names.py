@@ -1,0 +1,56 @@
+"""Finding the frame that a file means by a name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+
+from geomosaic.errors import InputError
+
+_PICTURE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
+
+
+class FrameNames:
+    """A folder's frame names, found also without folders, in other capitals, or with another extension."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._names = tuple(names)
+        self._by_name: dict[str, list[str]] = {}
+        self._by_stem: dict[str, list[str]] = {}
+        for name in self._names:
+            self._by_name.setdefault(name.casefold(), []).append(name)
+            self._by_stem.setdefault(_PICTURE.sub("", name).casefold(), []).append(name)
+
+    def find(self, text: str) -> str | None:
+        """The frame meant; None if there is none. `InputError` if several could be."""
+        name = PurePosixPath(text.replace("\\", "/")).name
+        if name in self._names:
+            return name
+        folded = name.casefold()
+        stem = _PICTURE.sub("", folded)
+        found = self._by_name.get(folded) or self._by_stem.get(folded) or self._by_stem.get(stem) or []
+        if len(found) > 1:
+            raise InputError(
+                f"'{text}' may be any of {', '.join(found)}", mend="write its extension and capitals"
+            )
+        return found[0] if found else None
+
+    def near(self, text: str) -> str:
+        """A hint at the most similar name, or at the folder's first one."""
+        near = difflib.get_close_matches(text, self._names, n=1, cutoff=0.6)
+        return f"did you mean {near[0]}?" if near else f"the frames are named like {self._names[0]}"
+
+
+def some(names: Iterable[str], most: int = 3) -> str:
+    """A few names of many: `a, b, c and 12 more`."""
+    names = [*names]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
+    """Sorts DJI_9 before DJI_10."""
+    parts = re.split(r"(\d+)", Path(name).name.casefold())
+    return tuple((0, int(p)) if p.isdigit() else (1, p) for p in parts if p)

@@ -1,0 +1,234 @@
+"""Position and attitude of every frame: the POS file's where there is one, the frame's own where not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.errors import InputError
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
+from geomosaic.survey.accuracy import ATTITUDE, POSITION
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.model import Attitude, Position, Warn
+from geomosaic.survey.names import FrameNames, some
+from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position
+from geomosaic.survey.pos import PosFile, PosRow
+
+Floats = NDArray[np.float64]
+_FAR_M: Final = 1000.0
+_SWAPPED_M: Final = 50_000.0
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Per frame: position, attitude, and the camera's name as the POS file has it; what was assumed."""
+
+    positions: tuple[Position, ...]
+    attitudes: tuple[Attitude, ...]
+    cameras: tuple[str | None, ...]
+    warnings: tuple[Warn, ...]
+
+
+def observe(headers: Sequence[FrameHeader], pos: PosFile | None) -> Observations:
+    """Put EXIF, XMP and the POS file together.
+
+    With a POS file every frame needs a row and every row a frame. The row's position counts; a height
+    or an attitude it doesn't have is the frame's own. Without one, every frame needs its own position.
+
+    Raises: `InputError` naming the first frame or line that is wrong, and how many are.
+    """
+    own = [onboard_position(h.exif, h.xmp or {}) for h in headers]
+    attitudes = [onboard_attitude(h.exif, h.xmp or {}) for h in headers]
+    if pos is None:
+        lacking = [h.path for h, p in zip(headers, own, strict=True) if p is None]
+        if lacking:
+            raise InputError(
+                f"{len(lacking)} of {len(headers)} frames have no GPS position, this one first",
+                file=lacking[0],
+                mend="give a POS file with --pos, or take these frames out of the folder",
+            )
+        positions = [p for p in own if p is not None]
+        rows: list[PosRow | None] = [None] * len(headers)
+        warnings: list[Warn] = []
+    else:
+        given = _matched(headers, pos)
+        warnings = [*pos.warnings, *_against_exif(headers, own, given, pos)]
+        positions = [_position(row, p) for row, p in zip(given, own, strict=True)]
+        attitudes = [_attitude(row, a) for row, a in zip(given, attitudes, strict=True)]
+        rows = [*given]
+    warnings += _doubts(headers, positions, attitudes)
+    cameras = tuple(None if row is None else row.camera for row in rows)
+    return Observations(tuple(positions), tuple(attitudes), cameras, tuple(warnings))
+
+
+def lonlat_of(positions: Sequence[Position]) -> Floats:
+    """Longitudes and latitudes (n, 2), longitudes without a jump at 180 degrees."""
+    lonlat = np.array([[p.lon_deg, p.lat_deg] for p in positions])
+    lonlat[:, 0] = lonlat[0, 0] + (lonlat[:, 0] - lonlat[0, 0] + 180.0) % 360.0 - 180.0
+    return lonlat
+
+
+def _matched(headers: Sequence[FrameHeader], pos: PosFile) -> list[PosRow]:
+    names = FrameNames(h.path.name for h in headers)
+    rows: dict[str, PosRow] = {}
+    for row in pos.rows:
+        try:
+            frame = names.find(row.name)
+        except InputError as error:
+            raise InputError(f"line {row.line}: {error.problem}", file=pos.path, mend=error.mend) from error
+        if frame is None:
+            raise InputError(
+                f"line {row.line}: '{row.name}' is no frame in {headers[0].path.parent}",
+                file=pos.path,
+                mend=f"remove the line or add the frame; {names.near(row.name)}",
+            )
+        if frame in rows:
+            raise InputError(
+                f"frame {frame} stands in line {rows[frame].line} and again in line {row.line}",
+                file=pos.path,
+                mend="remove one of them",
+            )
+        rows[frame] = row
+    lacking = [h.path.name for h in headers if h.path.name not in rows]
+    if lacking:
+        raise InputError(
+            f"no line for {len(lacking)} of {len(headers)} frames: {some(lacking)}",
+            file=pos.path,
+            mend="add them, or take these frames out of the folder",
+        )
+    return [rows[h.path.name] for h in headers]
+
+
+def _position(row: PosRow, own: Position | None) -> Position:
+    default = POSITION["pos"]
+    position = Position(
+        row.lon_deg,
+        row.lat_deg,
+        row.height_ellipsoidal_m,
+        row.height_above_ground_m,
+        row.sd_horizontal_m or default.sd_horizontal_m,
+        row.sd_vertical_m or default.sd_vertical_m,
+        "pos",
+    )
+    if own is None:
+        return position
+    if position.height_above_ground_m is None:
+        position = replace(position, height_above_ground_m=own.height_above_ground_m)
+    if position.height_ellipsoidal_m is None and own.height_ellipsoidal_m is not None:
+        height, sd = own.height_ellipsoidal_m, own.sd_vertical_m
+        source = f"pos, height from {own.source}"
+        return replace(position, height_ellipsoidal_m=height, sd_vertical_m=sd, source=source)
+    return position
+
+
+def _attitude(row: PosRow, own: Attitude) -> Attitude:
+    """The POS file's, unless it lacks angles that the frame itself knows: the two are never mixed."""
+    angles = (row.yaw_deg, row.pitch_deg, row.roll_deg)
+    own_known = sum(a is not None for a in (own.yaw_deg, own.pitch_deg, own.roll_deg))
+    if sum(a is not None for a in angles) < max(own_known, 1):
+        return own
+    default, unknown = ATTITUDE[row.attitude_source], ATTITUDE["none"]
+    level = row.pitch_deg is not None and row.roll_deg is not None
+    return Attitude(
+        *angles,
+        unknown.sd_yaw_deg if row.yaw_deg is None else row.sd_yaw_deg or default.sd_yaw_deg,
+        row.sd_tilt_deg or default.sd_tilt_deg if level else unknown.sd_tilt_deg,
+        row.attitude_source,
+    )
+
+
+def _against_exif(
+    headers: Sequence[FrameHeader], own: Sequence[Position | None], rows: Sequence[PosRow], pos: PosFile
+) -> list[Warn]:
+    """Swapped columns, and positions far from where the frames say they were."""
+    both = [(r, p, h.path.name) for r, p, h in zip(rows, own, headers, strict=True) if p is not None]
+    if not both:
+        return []
+    given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
+    known = np.array([[p.lon_deg, p.lat_deg] for _, p, _ in both])
+    away = _distances_m(given, known)
+    swapped = _distances_m(given[:, ::-1], known) if (np.abs(given[:, 0]) <= 90.0).all() else away
+    if np.median(away) > _SWAPPED_M and np.median(swapped) < _FAR_M:
+        raise InputError(
+            f"longitude and latitude are swapped: the frames' own GPS says {known[0, 0]:.5f}, "
+            f"{known[0, 1]:.5f} for {both[0][2]}",
+            file=pos.path,
+            mend="exchange the two columns or their names",
+        )
+    i = int(np.argmax(away))
+    if away[i] <= _FAR_M:
+        return []
+    text = f"{pos.path.name}: up to {away[i] / 1000.0:.1f} km from the frames' own GPS positions"
+    return [Warn("pos-far-from-exif", both[i][2], text)]
+
+
+def _distances_m(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(mid_latitude_offset_m(*a.T, *b.T), axis=1))
+
+
+def _doubts(
+    headers: Sequence[FrameHeader], positions: Sequence[Position], attitudes: Sequence[Attitude]
+) -> list[Warn]:
+    """What is assumed or doubtful, once each for all frames it concerns."""
+    names = [h.path.name for h in headers]
+    heights = [onboard_heights(h.exif, h.xmp or {}) for h in headers]
+    from_exif = [
+        p.height_ellipsoidal_m == h.height_m and p.source != "pos"
+        for p, h in zip(positions, heights, strict=True)
+    ]
+    relative = [p.height_above_ground_m == h.above_ground_m for p, h in zip(positions, heights, strict=True)]
+    lonlat = lonlat_of(positions)
+    away = _distances_m(lonlat, np.broadcast_to(np.median(lonlat, axis=0), lonlat.shape))
+    cases = {
+        "height-datum-unknown": (
+            [h.datum_unknown and e for h, e in zip(heights, from_exif, strict=True)],
+            "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide sigma",
+        ),
+        "height-unknown": (
+            [p.height_ellipsoidal_m is None and p.height_above_ground_m is None for p in positions],
+            "no height at all",
+        ),
+        "height-above-take-off": (
+            [h.above_take_off and r for h, r in zip(heights, relative, strict=True)],
+            "height above the take-off point taken as height above ground",
+        ),
+        "hemisphere-assumed": (
+            [
+                h.exif.hemisphere_assumed and p.source != "pos"
+                for h, p in zip(headers, positions, strict=True)
+            ],
+            "EXIF doesn't say north or south, east or west: taken as north and east",
+        ),
+        "xmp-unreadable": ([h.xmp is None for h in headers], "the XMP packet is damaged and was not used"),
+        "attitude-unknown": (
+            [a.yaw_deg is None and a.pitch_deg is None for a in attitudes],
+            "no attitude: taken to look down, heading unknown",
+        ),
+        "attitude-of-aircraft": (
+            [a.source == "dji-flight" for a in attitudes],
+            "only the aircraft's attitude is known, pitch and roll are not the camera's",
+        ),
+        "frame-looks-to-horizon": (
+            [a.pitch_deg is not None and a.pitch_deg > 70.0 for a in attitudes],
+            "the camera looks to the horizon or up",
+        ),
+        "picture-edited": (
+            ["viewer" in (h.xmp or {}).get("xap:CreatorTool", "").lower() for h in headers],
+            "saved by a picture viewer after the flight: may have been turned",
+        ),
+        "position-far-away": (
+            [*(away > np.maximum(5000.0, 20.0 * np.median(away)))],
+            "the position lies far from all others",
+        ),
+    }
+    warnings = []
+    for code, (concerned, text) in cases.items():
+        which = [name for name, c in zip(names, concerned, strict=True) if c]
+        if which:
+            few = f" ({len(which)} of {len(names)} frames: {some(which)})" if len(which) < len(names) else ""
+            warnings.append(Warn(code, which[0] if len(which) == 1 else "", text + few))
+    return warnings

@@ -1,0 +1,135 @@
+"""Position and attitude as the drone wrote them into the picture: EXIF and XMP put together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.camera.rotation import Rotation
+from geomosaic.survey.accuracy import ATTITUDE, POSITION, RTK_SD_FLOOR_M
+from geomosaic.survey.exif import Exif
+from geomosaic.survey.model import Attitude, Position
+from geomosaic.survey.xmp import Xmp, number
+
+_NONE = ATTITUDE["none"]
+UNKNOWN_ATTITUDE = Attitude(None, None, None, _NONE.sd_yaw_deg, _NONE.sd_tilt_deg, "none")
+
+
+@dataclass(frozen=True)
+class Heights:
+    """A position's heights with what is doubtful about them."""
+
+    height_m: float | None
+    above_ground_m: float | None
+    datum_unknown: bool
+    above_take_off: bool
+
+
+def onboard_heights(exif: Exif, xmp: Xmp) -> Heights:
+    """Absolute height (datum as the drone has it) and height above ground or take-off."""
+    by_rtk = xmp.get("drone-dji:AltitudeType", "").lower() == "rtkalt"
+    rtk = by_rtk or number(xmp, "drone-dji:RtkFlag") == 50.0
+    height = number(xmp, "drone-dji:AbsoluteAltitude", "sensefly:AbsoluteAltitude")
+    if height is None:
+        height = exif.altitude_m
+    ground = number(
+        xmp,
+        "sensefly:HeightAboveGround",
+        "sensefly:AboveGroundAltitude",
+        "Camera:AboveGroundAltitude",
+        "Camera:HeightAboveGround",
+        "drone-parrot:GroundDistance",
+    )
+    take_off = number(xmp, "drone-dji:RelativeAltitude", "drone-parrot:RelativeAltitude")
+    above = ground if ground is not None else take_off
+    if above is not None and above <= 1.0:  # written as 0 by receivers that don't know
+        above = None
+    return Heights(height, above, height is not None and not rtk, above is not None and ground is None)
+
+
+def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:
+    """Where the drone was; None without a position.
+
+    The heights go in as they are; `onboard_heights` says what is known of them.
+    """
+    lon, lat = exif.lon_deg, exif.lat_deg
+    if lon is None or lat is None:
+        lon = number(xmp, "drone-dji:GpsLongitude", "drone-dji:GpsLongtitude", "drone-dji:Longitude")
+        lat = number(xmp, "drone-dji:GpsLatitude", "drone-dji:Latitude")
+        if lon is None or lat is None or (lon == 0.0 and lat == 0.0) or abs(lat) > 90.0 or abs(lon) > 180.0:
+            return None
+    heights = onboard_heights(exif, xmp)
+    sd_horizontal, sd_vertical, source = _position_accuracy(xmp)
+    return Position(lon, lat, heights.height_m, heights.above_ground_m, sd_horizontal, sd_vertical, source)
+
+
+def _position_accuracy(xmp: Xmp) -> tuple[float, float, str]:
+    source = {50.0: "rtk-fixed", 34.0: "rtk-float"}.get(number(xmp, "drone-dji:RtkFlag") or 0.0, "exif")
+    if source != "exif":
+        stated = [number(xmp, f"drone-dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
+    else:
+        horizontal = number(xmp, "Camera:GPSXYAccuracy")
+        stated = [horizontal, horizontal, number(xmp, "Camera:GPSZAccuracy")]
+    default = POSITION[source]
+    lon, lat, height = (s if s is not None and s > 0.0 else None for s in stated)
+    return (
+        default.sd_horizontal_m if lon is None or lat is None else max(lon, lat, RTK_SD_FLOOR_M[0]),
+        default.sd_vertical_m if height is None else max(height, RTK_SD_FLOOR_M[1]),
+        source,
+    )
+
+
+def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
+    """How the camera was turned, as body angles (`Attitude`).
+
+    The gimbal's angles are the camera's own and are never mixed with the aircraft's. Where there are
+    only the aircraft's, they are taken with wide sigmas (source `dji-flight`). Makers' conventions:
+    DJI and Parrot write gimbal angles (pitch -90 at the nadir); Pix4D's `Camera:` angles are a body's
+    (pitch 0 at the nadir), but a pitch nearer to -90 than to 0 is a gimbal's there too; senseFly's
+    `Camera:Roll` has the opposite sign (as OpenDroneMap found).
+    """
+    for source, prefix in (("dji-gimbal", "drone-dji:Gimbal"), ("parrot-camera", "drone-parrot:Camera")):
+        yaw, pitch, roll = (number(xmp, f"{prefix}{axis}Degree") for axis in ("Yaw", "Pitch", "Roll"))
+        if pitch is not None:
+            return _from_gimbal(yaw, pitch, roll, source)
+    yaw, pitch, roll = (number(xmp, f"Camera:{axis}") for axis in ("Yaw", "Pitch", "Roll"))
+    if pitch is not None or yaw is not None:
+        if pitch is not None and abs(pitch + 90.0) < 45.0:
+            return _from_gimbal(yaw, pitch, roll, "parrot-camera")
+        maker = "sensefly" if "sensefly" in exif.make.lower() else "xmp-camera"
+        sign = -1.0 if maker == "sensefly" and roll else 1.0
+        return _attitude(yaw, pitch, None if roll is None else sign * roll, maker)
+    yaw = number(xmp, "sensefly:Heading", "sensefly:YawAngle")
+    pitch, roll = number(xmp, "sensefly:PitchAngle"), number(xmp, "sensefly:RollAngle")
+    if pitch is not None or yaw is not None:
+        return _attitude(yaw, pitch, roll, "sensefly")
+    yaw, pitch, roll = (number(xmp, f"drone-dji:Flight{axis}Degree") for axis in ("Yaw", "Pitch", "Roll"))
+    if pitch is not None or yaw is not None:
+        return _attitude(yaw, pitch, roll, "dji-flight")
+    return UNKNOWN_ATTITUDE
+
+
+def body_from_gimbal(
+    yaw_deg: float | None, pitch_deg: float, roll_deg: float | None
+) -> tuple[float | None, float, float]:
+    """Body yaw, pitch, roll (degrees) of gimbal angles; yaw stays unknown where it is."""
+    angles = np.radians([yaw_deg or 0.0, pitch_deg, roll_deg or 0.0])
+    yaw, pitch, roll = (float(np.degrees(a)) for a in Rotation.from_gimbal(*angles).yaw_pitch_roll())
+    return (None if yaw_deg is None else yaw % 360.0), pitch, roll
+
+
+def _from_gimbal(yaw: float | None, pitch: float, roll: float | None, source: str) -> Attitude:
+    return _attitude(*body_from_gimbal(yaw, pitch, roll), source)
+
+
+def _attitude(yaw: float | None, pitch: float | None, roll: float | None, source: str) -> Attitude:
+    known, unknown = ATTITUDE[source], _NONE
+    return Attitude(
+        None if yaw is None else yaw % 360.0,
+        pitch,
+        roll,
+        unknown.sd_yaw_deg if yaw is None else known.sd_yaw_deg,
+        unknown.sd_tilt_deg if pitch is None or roll is None else known.sd_tilt_deg,
+        source,
+    )

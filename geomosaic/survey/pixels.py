@@ -1,0 +1,123 @@
+"""Pixels of a frame, decoded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import RasterioError
+
+from geomosaic.errors import FileError
+from geomosaic.survey.header import JPEG_SUFFIXES, open_tiff
+from geomosaic.survey.jpeg import parse_structure
+from geomosaic.survey.model import Frame
+
+Mask = NDArray[np.uint8]
+
+# OpenCV's names: "reduced grayscale" is the reduction alone; with IMREAD_COLOR_RGB it gives colour.
+_REDUCED: Final = {
+    1: 0,
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
+}
+_MEND: Final = "copy it again from the camera, or take it out of the folder"
+
+
+def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | None]:
+    """A frame's pixels (rows, cols, bands) in the file's own type, and its mask of valid pixels.
+
+    Bands are in the file's order (red, green, blue for colour); an alpha band goes into the mask.
+    EXIF's orientation is ignored: columns and rows are the sensor's. The mask is (rows, cols), 255
+    where a pixel is valid and 0 where not, None where all are.
+
+    A reduced pixel is the mean of reduction x reduction full ones, so that in corner-origin
+    coordinates `reduced = full / reduction`; sizes are rounded up. JPEG is reduced while decoding. A
+    reduced pixel is valid where all full ones are.
+
+    Args: reduction 1, 2, 4 or 8.
+    Raises: `FileError` when the file can't be decoded whole; `ValueError` for another reduction.
+    """
+    if reduction not in _REDUCED:
+        raise ValueError(f"reduction is one of {sorted(_REDUCED)}, not {reduction}")
+    path = Path(frame.path)
+    if path.suffix.lower() in JPEG_SUFFIXES:
+        pixels, valid = _decode_jpeg(path, frame.bands, reduction), None
+    else:
+        pixels, valid = _read_tiff(path)
+        pixels = _mean(pixels, reduction)
+    expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), frame.bands)
+    if pixels.shape != expected:
+        raise FileError(f"has changed: {pixels.shape} pixels instead of {expected}", file=path, mend=_MEND)
+    if frame.valid_mask is not None:
+        sidecar = _read_mask(Path(frame.valid_mask), (frame.height_px, frame.width_px))
+        valid = sidecar if valid is None else np.minimum(valid, sidecar)
+    return pixels, None if valid is None else _least(valid, reduction)
+
+
+def _decode_jpeg(path: Path, bands: int, reduction: int) -> NDArray[Any]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
+    parse_structure(data, path)  # OpenCV fills what is missing with grey
+    colour = cv2.IMREAD_GRAYSCALE if bands == 1 else cv2.IMREAD_COLOR_RGB
+    flags = _REDUCED[reduction] | colour | cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if pixels is None:
+        raise FileError("the JPEG can't be decoded", file=path, mend=_MEND)
+    return np.atleast_3d(pixels)
+
+
+def _read_tiff(path: Path) -> tuple[NDArray[Any], Mask | None]:
+    """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
+    try:
+        with open_tiff(path) as tiff:
+            bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
+            pixels = np.moveaxis(tiff.read([i for i, c in bands if c != ColorInterp.alpha]), 0, -1)
+            masked = any(flag != MaskFlags.all_valid for flags in tiff.mask_flag_enums for flag in flags)
+            valid = tiff.dataset_mask() if masked else None
+    except RasterioError as error:
+        raise FileError("the TIFF can't be decoded whole", file=path, mend=_MEND) from error
+    if valid is not None:
+        valid = np.where(valid > 0, np.uint8(255), np.uint8(0))
+        valid = None if valid.all() else valid
+    return np.ascontiguousarray(pixels), valid
+
+
+def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
+    mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    if mask is None:
+        raise FileError("the mask can't be read", file=path, mend="write it as 8 bit PNG or TIFF")
+    if mask.shape != shape:
+        raise FileError(
+            f"the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its frame {shape[1]} x {shape[0]}",
+            file=path,
+            mend="make a mask of the frame's size",
+        )
+    return np.where(mask > 0, np.uint8(255), np.uint8(0))
+
+
+def _padded(array: NDArray[Any], reduction: int) -> NDArray[Any]:
+    rows, cols = (-n % reduction for n in array.shape[:2])
+    return np.pad(array, [(0, rows), (0, cols), *[(0, 0)] * (array.ndim - 2)], mode="edge")
+
+
+def _mean(pixels: NDArray[Any], reduction: int) -> NDArray[Any]:
+    if reduction == 1:
+        return pixels
+    padded = _padded(pixels, reduction)
+    size = (padded.shape[1] // reduction, padded.shape[0] // reduction)
+    return np.atleast_3d(cv2.resize(padded, size, interpolation=cv2.INTER_AREA)).reshape(size[1], size[0], -1)
+
+
+def _least(valid: Mask, reduction: int) -> Mask:
+    if reduction == 1:
+        return valid
+    padded = _padded(valid, reduction)
+    rows, cols = (n // reduction for n in padded.shape)
+    return np.asarray(padded.reshape(rows, reduction, cols, reduction).min(axis=(1, 3)))

@@ -1,0 +1,197 @@
+"""POS files: position and attitude of frames, in the many ways they are written down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.errors import InputError
+from geomosaic.survey.attitude import read_angles
+from geomosaic.survey.model import Warn
+from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
+from geomosaic.survey.table import Aliases, Row, Table, column_of, crs_of_line, read_lines, read_table, split
+
+ALIASES: Final[Aliases] = {
+    "frame": (
+        "frame", "image", "image_name", "imagename", "img", "file", "filename", "file_name", "name", "label",
+        "photo", "photo_name", "picture", "sourcefile",
+    ),
+    "lon": ("lon", "long", "lng", "longitude", "gps_longitude", "gpslongitude"),
+    "lat": ("lat", "latitude", "gps_latitude", "gpslatitude"),
+    "x": ("x", "e", "east", "easting", "x_east", "x_longitude"),
+    "y": ("y", "n", "north", "northing", "y_north", "y_latitude"),
+    "height_ellipsoidal": (
+        "height_ellipsoidal", "ellipsoidal_height", "height_ellipsoid", "ellipsoid_height", "h_ell", "hae",
+    ),
+    "height_orthometric": (
+        "height_orthometric", "orthometric_height", "altitude_msl", "height_msl", "alt_msl", "amsl",
+    ),
+    "height": (
+        "height", "altitude", "alt", "z", "h", "elevation", "elev", "gps_altitude", "gpsaltitude",
+        "z_altitude", "absolute_altitude", "absolutealtitude",
+    ),
+    "height_above_ground": (
+        "height_above_ground", "agl", "alt_agl", "altitude_agl", "relative_altitude", "relativealtitude",
+    ),
+    "yaw": ("yaw", "heading", "hdg", "camera_yaw"),
+    "pitch": ("pitch", "camera_pitch"),
+    "roll": ("roll", "camera_roll"),
+    "gimbal_yaw": ("gimbal_yaw", "gimbalyaw", "gimbalyawdegree", "gimbal_yaw_degree"),
+    "gimbal_pitch": ("gimbal_pitch", "gimbalpitch", "gimbalpitchdegree", "gimbal_pitch_degree"),
+    "gimbal_roll": ("gimbal_roll", "gimbalroll", "gimbalrolldegree", "gimbal_roll_degree"),
+    "omega": ("omega",),
+    "phi": ("phi",),
+    "kappa": ("kappa",),
+    "sd_horizontal": (
+        "sd_horizontal", "accuracy_horizontal", "horizontal_accuracy", "horz_accuracy", "accuracy_horz",
+        "accuracy_xy", "sigma_xy", "sd_xy",
+    ),
+    "sd_vertical": (
+        "sd_vertical", "accuracy_vertical", "vertical_accuracy", "vert_accuracy", "accuracy_vert",
+        "accuracy_z", "sigma_z", "sd_z", "sd_u",
+    ),
+    "sd_e": ("sd_e", "sigma_x", "sd_x", "sd_easting"),
+    "sd_n": ("sd_n", "sigma_y", "sd_y", "sd_northing"),
+    "sd_yaw": ("sd_yaw", "sigma_yaw", "sd_kappa", "sigma_kappa"),
+    "sd_tilt": ("sd_tilt", "sigma_tilt"),
+    "sd_omega": ("sd_omega", "sigma_omega", "sd_roll", "sigma_roll"),
+    "sd_phi": ("sd_phi", "sigma_phi", "sd_pitch", "sigma_pitch"),
+    "camera": ("camera", "camera_name"),
+    "moved": ("moved",),
+    "turned": ("turned",),
+    "status": ("status",),
+}  # fmt: skip
+"""Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
+
+_GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
+_PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
+
+
+@dataclass(frozen=True)
+class PosRow:
+    """What a POS file says of one frame: geodetic WGS 84, body angles (`Attitude`), None where silent."""
+
+    name: str
+    line: int
+    lon_deg: float
+    lat_deg: float
+    height_ellipsoidal_m: float | None = None
+    height_above_ground_m: float | None = None
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    sd_horizontal_m: float | None = None
+    sd_vertical_m: float | None = None
+    sd_yaw_deg: float | None = None
+    sd_tilt_deg: float | None = None
+    camera: str | None = None
+    attitude_source: str = "pos-yaw-pitch-roll"
+
+
+@dataclass(frozen=True)
+class PosFile:
+    """Rows in the file's order, and what was assumed in reading them."""
+
+    path: Path
+    rows: tuple[PosRow, ...]
+    warnings: tuple[Warn, ...]
+
+
+def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "auto") -> PosFile:
+    """Read a POS file: a table with named columns, ODM's geo.txt, or Pix4D's table without a header.
+
+    Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
+    .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`.
+    Raises: `InputError` naming the file, the line and the mend.
+    """
+    notes: list[Warn] = []
+    table, file_crs = _table(path, crs, notes)
+    if table.unknown_columns:
+        unused = ", ".join(table.unknown_columns)
+        notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
+    lonlat, projection = lonlat_of(table, file_crs)
+    heights, doubts = heights_of(table, file_crs, lonlat)
+    angles, source, assumed = read_angles(table, attitude_convention, projection, lonlat)
+    rows = []
+    for i, row in enumerate(table.rows):
+        name = table.text(row, "frame")
+        if name is None:
+            raise InputError(f"line {row.line}: no frame name", file=path, mend="fill it in or remove it")
+        yaw, pitch, roll = angles[i]
+        rows.append(
+            PosRow(
+                name=name,
+                line=row.line,
+                lon_deg=float(lonlat[i, 0]),
+                lat_deg=float(lonlat[i, 1]),
+                height_ellipsoidal_m=heights[i],
+                height_above_ground_m=table.number(row, "height_above_ground"),
+                yaw_deg=yaw,
+                pitch_deg=pitch,
+                roll_deg=roll,
+                sd_horizontal_m=_sd(table, row, "sd_horizontal", "sd_e", "sd_n"),
+                sd_vertical_m=_sd(table, row, "sd_vertical"),
+                sd_yaw_deg=_sd(table, row, "sd_yaw"),
+                sd_tilt_deg=_sd(table, row, "sd_tilt", "sd_omega", "sd_phi"),
+                camera=table.text(row, "camera"),
+                attitude_source=source,
+            )
+        )
+    return PosFile(path, tuple(rows), (*notes, *doubts, *assumed))
+
+
+def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS | None]:
+    lines = read_lines(path)
+    if not lines:
+        raise InputError("the POS file is empty", file=path, mend="give a header line and a line per frame")
+    first = lines[0]
+    if (odm := crs_of_line(first.text)) is not None:
+        table = read_table(path, lines[1:], ALIASES, _GEO_TXT)
+        return _without_empty_angles(table, notes), odm
+    file_crs = given_crs(path, crs)
+    names = [column_of(name, ALIASES)[0] for name in split(first.text, first.text)]
+    if "frame" in names or len({n for n in names if n}) > 1:
+        table = read_table(path, lines, ALIASES)
+        check_columns(table, ALIASES, "frame", "frame's name")
+        return table, file_crs
+    data = [line for line in lines if not line.comment]
+    count = len(split(data[0].text, data[0].text)) if data else 0
+    if count not in (3, 4, 6):
+        raise InputError(
+            "has no header line that names the columns",
+            file=path,
+            mend="put one first: frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg",
+        )
+    projected = file_crs is not None and not file_crs.is_geographic
+    columns = ("frame", "x", "y", *_PIX4D[3:]) if projected else _PIX4D
+    text = f"{path.name} has no header: read as {', '.join(columns[:count])} (Pix4D's order)"
+    notes.append(Warn("pos-header-assumed", "", text))
+    return read_table(path, data, ALIASES, columns[:count]), file_crs
+
+
+def _without_empty_angles(table: Table, notes: list[Warn]) -> Table:
+    """geo.txt writes unknown angles as zeros."""
+    angles = [table.number(row, column) for row in table.rows for column in ("yaw", "pitch", "roll")]
+    if any(angles) or all(a is None for a in angles):
+        return table
+    notes.append(Warn("pos-attitude-empty", "", f"{table.path.name}: all angles are 0, taken as unknown"))
+    drop = ("yaw", "pitch", "roll")
+    rows = tuple(replace(r, texts={c: t for c, t in r.texts.items() if c not in drop}) for r in table.rows)
+    return replace(table, rows=rows)
+
+
+def _sd(table: Table, row: Row, whole: str, *parts: str) -> float | None:
+    """A standard deviation, or the root mean square of its parts; 0 stands for unknown."""
+    values = [table.number(row, whole)] if whole in table.factors else [table.number(row, p) for p in parts]
+    if not values or any(v is None for v in values):
+        return None
+    known = [v for v in values if v is not None]
+    if min(known) < 0.0:
+        raise InputError(
+            f"line {row.line}: a standard deviation of {min(known):g}", file=table.path, mend="correct it"
+        )
+    return float(np.sqrt(np.mean(np.square(known)))) or None

@@ -1,0 +1,127 @@
+"""The front door: a folder of frames, and the files beside it, become a `Survey`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import map_crs, utm_crs
+from geomosaic.survey.camera_files import read_cameras
+from geomosaic.survey.cameras import cameras_from_file, cameras_from_headers
+from geomosaic.survey.control import read_control
+from geomosaic.survey.elevation import read_elevation
+from geomosaic.survey.folder import frame_files, masks
+from geomosaic.survey.header import FrameHeader, read_header
+from geomosaic.survey.model import Frame, Position, Survey, Warn
+from geomosaic.survey.names import FrameNames, natural_key
+from geomosaic.survey.observations import lonlat_of, observe
+from geomosaic.survey.pos import read_pos
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+
+def read_survey(
+    folder: Path,
+    *,
+    pos: Path | None = None,
+    camera: Path | None = None,
+    dem: Path | None = None,
+    dem_offset_m: float | None = None,
+    gcp: Path | None = None,
+    crs: str = "auto",
+    pos_crs: str | None = None,
+    attitude_convention: str = "auto",
+    progress: Progress | None = None,
+) -> Survey:
+    """Read everything a survey is made of; nothing is written, no pixels are decoded.
+
+    Frames are the folder's JPEG and TIFF files, in order of capture (time, then name; by name alone
+    where a frame has no time). The work frame lies at the median position, at the median height of the
+    ground as far as it is known (DEM, else absolute less relative heights), else at height 0.
+
+    Args: pos, camera, dem, gcp: files as docs/inputs.md describes them; dem_offset_m: what is added to
+    the DEM's values to have ellipsoidal heights; crs: the map's, `auto` for the UTM zone of the
+    middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; progress:
+    called with frames done, frames in all, and what is being done.
+    Raises: `InputError` and `FileError`, one line that names the file and the mend.
+    """
+    wanted_crs = None if crs == "auto" else map_crs(crs).to_string()
+    files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
+    table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
+    cameras = None if camera is None else read_cameras(camera)
+    headers = []
+    for i, file in enumerate(files):
+        headers.append(read_header(file))
+        if progress is not None:
+            progress(i + 1, len(files), "reading headers")
+    headers, by_time = _in_order(headers)
+    observed = observe(headers, table)
+    if cameras is None or camera is None:
+        choice = cameras_from_headers(headers)
+    else:
+        choice = cameras_from_file(headers, cameras, camera, observed.cameras)
+    lonlat = lonlat_of(observed.positions)
+    names = [h.path.name for h in headers]
+    elevation, heights = None, np.array([])
+    dem_warnings: list[Warn] = []
+    if dem is not None:
+        elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, names, lonlat)
+    control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
+    middle = np.median(lonlat, axis=0)
+    lon = float((middle[0] + 180.0) % 360.0 - 180.0)
+    work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, heights))
+    sidecars = masks(headers)
+    frames = tuple(
+        Frame(
+            name=h.path.name,
+            path=str(h.path),
+            width_px=h.width_px,
+            height_px=h.height_px,
+            bands=h.bands,
+            dtype=h.dtype,
+            camera=name,
+            position=position,
+            attitude=attitude,
+            time_s=h.exif.time_s,
+            valid_mask=sidecars.get(h.path.name),
+            nodata=h.nodata,
+        )
+        for h, name, position, attitude in zip(
+            headers, choice.names, observed.positions, observed.attitudes, strict=True
+        )
+    )
+    order = [] if by_time else [Warn("order-by-name", "", "not all frames have a time: ordered by name")]
+    return Survey(
+        frames=frames,
+        cameras=choice.cameras,
+        work_frame=work_frame,
+        map_crs=wanted_crs or utm_crs(work_frame.lon_deg, work_frame.lat_deg),
+        elevation=elevation,
+        control=control,
+        warnings=(*order, *observed.warnings, *choice.warnings, *dem_warnings, *control_warnings),
+    )
+
+
+def _in_order(headers: Sequence[FrameHeader]) -> tuple[list[FrameHeader], bool]:
+    times = {h.path.name: h.exif.time_s for h in headers}
+    if any(t is None for t in times.values()):
+        return sorted(headers, key=lambda h: natural_key(h.path.name)), False
+    return sorted(headers, key=lambda h: (times[h.path.name] or 0.0, natural_key(h.path.name))), True
+
+
+def _ground_height_m(positions: Sequence[Position], dem_heights_m: Floats) -> float:
+    known = dem_heights_m[np.isfinite(dem_heights_m)]
+    if not known.size:
+        known = np.array(
+            [
+                p.height_ellipsoidal_m - p.height_above_ground_m
+                for p in positions
+                if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
+            ]
+        )
+    return float(np.median(known)) if known.size else 0.0
