@@ -87,6 +87,7 @@ class DecodedFrames:
         """The step's frames; to be called once for each step, in order."""
         needed = self._plan[step]
         given = {}
+        self._make_room(0, needed)
         for frame in needed:
             if frame not in self._kept:
                 self._make_room(self._sizes[frame], needed)
