@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import FileError
-from geomosaic.pipeline.runner import RUN_JSON
+from geomosaic.pipeline import files
+from geomosaic.pipeline.artefacts import decode, type_name
+from geomosaic.pipeline.runner import RECORDING, RUN_JSON
+from geomosaic.recording.reader import artefact_data, read_recording
 
 
 def read_summary(run_folder: Path) -> dict[str, Any]:
@@ -17,10 +20,28 @@ def read_summary(run_folder: Path) -> dict[str, Any]:
         summary = json.loads(path.read_text())
     except OSError as error:
         raise FileError(
-            "is no finished run (run.json is missing)", file=run_folder, mend="run it to its end"
+            f"is no finished run ({RUN_JSON} is missing)", file=run_folder, mend="give a run's folder"
         ) from error
     except ValueError as error:
         raise FileError("is no JSON", file=path, mend="run the recipe again") from error
-    if not isinstance(summary, dict):
+    if not isinstance(summary, dict) or not isinstance(summary.get("artefacts"), dict):
         raise FileError("doesn't describe a run", file=path, mend="run the recipe again")
     return summary
+
+
+def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: type) -> Any:
+    """An artefact of a finished run: from RUN/work, or from the recording if work/ was deleted.
+
+    Raises `FileError` if the run made none of that name and type, or if it is in neither place.
+    """
+    entry = summary["artefacts"].get(name)
+    if not isinstance(entry, dict) or entry.get("type") != type_name(kind):
+        raise FileError(f"this run made no '{name}'", file=run_folder, mend="run a recipe that does")
+    try:
+        return decode(files.path_within(run_folder, str(entry.get("file"))).read_bytes(), kind)
+    except (OSError, ValueError):
+        recording = read_recording(run_folder / RECORDING)
+    for kept in reversed(recording.artefacts):
+        if kept.name == name and kept.fingerprint == entry.get("fingerprint"):
+            return decode(artefact_data(recording, kept), kind)
+    raise FileError(f"holds no '{name}' any more", file=run_folder, mend="run the recipe again")

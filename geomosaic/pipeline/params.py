@@ -66,7 +66,8 @@ class ParamDescription:
     @property
     def wanted(self) -> str:
         """The values it takes, in words: `a number in m, at least 0.01, or 'auto'`."""
-        text = f"one of {', '.join(self.choices)}" if self.choices else self.type
+        article = "a " if self.type.startswith(("number", "whole", "path", "list")) else ""
+        text = f"one of {', '.join(self.choices)}" if self.choices else article + self.type
         text += f" in {self.unit}" if self.unit else ""
         if self.ge is not None and self.le is not None:
             return f"{text}, {self.ge:g} to {self.le:g}"

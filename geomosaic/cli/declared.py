@@ -1,0 +1,81 @@
+"""Command-line options made from a stage's declared parameters."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from geomosaic.pipeline.params import ParamDescription, StageParams, describe_params
+from geomosaic.pipeline.stage import Stage
+
+
+def help_line(p: ParamDescription) -> str:
+    """Help, values with unit and bounds, and the default: `Flying height (number in m, at least 1) [80]`."""
+    default = "required" if p.required else "none" if p.default is None else shown(p.default)
+    return f"{p.help} ({p.wanted}) [{default}]"
+
+
+def shown(value: Any) -> str:
+    """A default as one would write it on the command line."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def option_values(stage: type[Stage], options: Mapping[str, Any]) -> dict[str, Any]:
+    """What the user gave of a stage's parameters, as the recipe reader takes it."""
+    import yaml
+
+    values = {}
+    for p in describe_params(stage.Params):
+        value = options.get(p.name)
+        if value is not None:
+            textual = p.is_file or p.type.startswith("text") or p.choices
+            values[p.name] = value if textual or isinstance(value, bool) else yaml.safe_load(value)
+    return values
+
+
+def command_of(
+    stage: type[Stage], place: tuple[str, str], run: Callable[..., int | None], more: Mapping[str, Any]
+) -> Callable[..., int | None]:
+    """A function that Typer turns into a command: `place` (name, help), one option a parameter, and `more`.
+
+    `run` is called with the folder and everything else by name. `more` gives the annotation and the
+    default of further options.
+    """
+    name, help = place
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    parameters = [inspect.Parameter(name, keyword, annotation=Annotated[Path, typer.Argument(help=help)])]
+    for p in describe_params(stage.Params):
+        flag = f"--{p.name.replace('_', '-')}"
+        if p.type == "true or false":
+            kind: Any = bool | None
+            option = typer.Option(f"{flag}/--no-{flag[2:]}", help=help_line(p), show_default=False)
+        else:
+            kind = str | None
+            option = typer.Option(flag, help=help_line(p), show_default=False, metavar=p.unit or "VALUE")
+        parameters.append(
+            inspect.Parameter(p.name, keyword, default=None, annotation=Annotated[kind, option])
+        )
+    for key, (annotation, default) in more.items():
+        parameters.append(inspect.Parameter(key, keyword, default=default, annotation=annotation))
+
+    def command(**options: Any) -> int | None:
+        return run(options.pop(name), **options)
+
+    command.__doc__ = inspect.getdoc(stage) if stage.__doc__ else stage.display_name
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in parameters}
+    return command
+
+
+def params_from(stage: type[Stage], options: Mapping[str, Any]) -> StageParams:
+    """The checked parameters of a stage from command-line options."""
+    from geomosaic.pipeline.recipe import recipe_from
+    from geomosaic.pipeline.registry import installed
+
+    plain = {"stages": [{"stage": stage.id, "params": option_values(stage, options)}]}
+    there = {**stage.inputs, **stage.optional_inputs}
+    return recipe_from(plain, installed(), given=there).steps[0].params

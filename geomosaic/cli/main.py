@@ -1,0 +1,101 @@
+"""The command `geomosaic`. What is heavy is imported inside the commands."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from geomosaic import __version__
+from geomosaic.cli import recordings
+from geomosaic.cli.doctor import doctor
+from geomosaic.cli.mosaic import mosaic, name_methods, run
+from geomosaic.cli.single import add_stage_commands, evaluate
+from geomosaic.cli.stages import stages
+from geomosaic.errors import CancelledError, GeomosaicError
+
+_GENERATED = {
+    "simulate": "Simulate surveys with known truth.",
+    "export": "Export a finished run in another form.",
+}
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"geomosaic {__version__}")
+        raise typer.Exit
+
+
+def build_app(argv: Sequence[str] = ()) -> typer.Typer:
+    """The application. The commands of a group made from stages are made only if `argv` asks for it."""
+    app = typer.Typer(
+        name="geomosaic",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+
+    @app.callback()
+    def geomosaic(
+        version: bool = typer.Option(
+            False, "--version", callback=_version, is_eager=True, help="print the version"
+        ),
+    ) -> None:
+        """Overlapping pictures of the ground in, one map-true picture out."""
+
+    if argv[:1] == ["mosaic"] and "--help" in argv:
+        name_methods()
+    for command in (mosaic, run, stages, evaluate, doctor):
+        app.command()(command)
+    app.registered_commands += recordings.app.registered_commands
+    for group, help in _GENERATED.items():
+        part = typer.Typer(help=help, no_args_is_help=True, rich_markup_mode=None)
+        part.callback()(lambda: None)
+        if argv[:1] == [group]:
+            add_stage_commands(part, group, argv[1] if len(argv) > 1 else None)
+        app.add_typer(part, name=group)
+    return app
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a command and returns the exit code; a failure is one line on stderr."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    try:
+        result = typer.main.get_command(build_app(argv))(argv, prog_name="geomosaic", standalone_mode=False)
+        sys.stdout.flush()
+        return result if isinstance(result, int) else 0
+    except GeomosaicError as error:
+        return _fail(str(error), error.exit_code, error)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("stopped", CancelledError.exit_code)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        usage = getattr(error, "format_message", None)
+        if usage is not None and usage().startswith("Usage:"):
+            print(usage(), file=sys.stderr)
+            return 2
+        if usage is not None:
+            return _fail(usage(), 2)
+        text = (
+            f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
+        )
+        return _fail(text, 1, error)
+
+
+def _fail(text: str, exit_code: int, error: Exception | None = None) -> int:
+    if error is not None and os.environ.get("GEOMOSAIC_TRACEBACK") == "1":
+        import traceback
+
+        traceback.print_exception(error)
+    line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
+    print(f"geomosaic: {line}", file=sys.stderr)
+    return exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,169 @@
+"""`geomosaic mosaic` and `geomosaic run`: from frames, or from a recipe, to a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+import typer
+
+from geomosaic.cli.options import Dask, FixedTime, RunFolder, Seed, Sets, Workers, cores
+from geomosaic.errors import GeomosaicError
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.recipe import Recipe
+
+STAGES = (
+    "survey.read",
+    "projection.ground",
+    "placement.pos",
+    "matching.sift",
+    "adjustment.solve",
+    "mosaic.compose",
+    "export.cog",
+    "export.layers",
+    "quality.compare",
+    "export.report",
+)
+"""What `geomosaic mosaic` does; quality.compare only against a reference."""
+
+RESULTS = {
+    "mosaic": "mosaic.tif",
+    "layers": "layers.gpkg",
+    "positions": "positions.csv",
+    "report": "report.html",
+    "recording": "run.mcap",
+}
+
+Adjust = Annotated[
+    str | None,
+    typer.Option(metavar="METHOD", help="adjustment method; 'geomosaic stages adjustment.solve' lists them"),
+]
+
+
+def name_methods() -> None:
+    """Puts the adjustment methods into the help, as the stage declares them."""
+    from geomosaic.pipeline.params import describe_params
+    from geomosaic.pipeline.registry import installed
+
+    with suppress(GeomosaicError):
+        (method,) = (
+            p for p in describe_params(installed().get("adjustment.solve").Params) if p.name == "method"
+        )
+        get_args(Adjust)[1].help = f"{method.help}: {', '.join(method.choices)} [{method.default}]"
+
+
+def mosaic(
+    frames: Annotated[Path, typer.Argument(help="folder of frames (JPEG or TIFF)", metavar="FRAMES_DIR")],
+    output: RunFolder,
+    pos: Annotated[
+        Path | None, typer.Option(help="positions and attitudes: CSV, geo.txt", metavar="F")
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="interior orientation: cameras.json, YAML", metavar="F")
+    ] = None,
+    dem: Annotated[
+        Path | None, typer.Option(help="elevation model, any raster GDAL reads", metavar="F")
+    ] = None,
+    dem_offset: Annotated[
+        float | None, typer.Option(help="what to add to the DEM to have ellipsoidal heights", metavar="M")
+    ] = None,
+    gcp: Annotated[Path | None, typer.Option(help="control and check points", metavar="F")] = None,
+    crs: Annotated[str, typer.Option(help="map CRS of the mosaic: auto (UTM) or EPSG:n")] = "auto",
+    gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
+    adjust: Adjust = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="true ortho or satellite picture to compare with", metavar="TIF")
+    ] = None,
+    set: Sets = None,
+    workers: Workers = None,
+    dask: Dask = None,
+    fixed_time: FixedTime = False,
+    seed: Seed = None,
+) -> None:
+    """Make one map-true mosaic of a folder of aerial frames."""
+    from geomosaic.pipeline.recipe import recipe_from
+    from geomosaic.pipeline.registry import installed
+
+    given: dict[str, dict[str, Any]] = {
+        "survey.read": {
+            "frames": frames,
+            "pos": pos,
+            "camera": camera,
+            "dem": dem,
+            "dem_offset_m": dem_offset,
+            "gcp": gcp,
+            "crs": crs,
+        },
+        "adjustment.solve": {"method": adjust},
+        "mosaic.compose": {"gsd_m": gsd},
+        "quality.compare": {"reference": reference},
+    }
+    stages = [
+        {"stage": id, "params": {k: v for k, v in given.get(id, {}).items() if v is not None}}
+        for id in STAGES
+        if id != "quality.compare" or reference is not None
+    ]
+    plain = {"name": "mosaic", "description": f"frames of {frames.name}", "seed": seed or 0, "stages": stages}
+    recipe = recipe_from(plain, installed(), set or ())
+    execute(recipe, output, workers, dask, fixed_time)
+
+
+def run(
+    recipe: Annotated[Path, typer.Argument(help="a recipe in YAML", metavar="RECIPE.yaml")],
+    output: RunFolder,
+    frames: Annotated[
+        Path | None,
+        typer.Option(help="folder of frames: short for --set survey.read.frames=DIR", metavar="DIR"),
+    ] = None,
+    set: Sets = None,
+    workers: Workers = None,
+    dask: Dask = None,
+    fixed_time: FixedTime = False,
+    seed: Seed = None,
+) -> None:
+    """Run a recipe."""
+    from dataclasses import replace
+
+    from geomosaic.pipeline.recipe import load_recipe
+    from geomosaic.pipeline.registry import installed
+
+    overrides = [*([f"survey.read.frames={frames}"] if frames is not None else []), *(set or ())]
+    checked = load_recipe(recipe, installed(), overrides)
+    if seed is not None:
+        checked = replace(checked, seed=seed)
+    execute(checked, output, workers, dask, fixed_time)
+
+
+def execute(
+    recipe: Recipe,
+    output: Path,
+    workers: int | None,
+    dask: str | None,
+    fixed_time: bool,
+    given: Mapping[int, Mapping[str, Any]] | None = None,
+) -> None:
+    """Runs a checked recipe with progress on stderr, and says on stdout where the results lie."""
+    from geomosaic.cli.progress import progress
+    from geomosaic.pipeline.runner import run
+
+    with progress() as reporter:
+        summary = run(
+            recipe,
+            output,
+            workers=workers or cores(),
+            dask=dask,
+            fixed_time=fixed_time,
+            given=given,
+            reporter=reporter,
+        )
+    for name, file in RESULTS.items():
+        if (output / file).exists():
+            print(f"{name:<10} {output / file}")
+    frames = summary.get("frames")
+    if isinstance(frames, dict):
+        print("frames     " + ", ".join(f"{count} {name}" for name, count in frames.items()))
+    if summary["warnings"]:
+        print(f"warnings   {len(summary['warnings'])}, see above and run.json")

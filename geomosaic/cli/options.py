@@ -1,0 +1,33 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def cores() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+RunFolder = Annotated[Path, typer.Option("-o", "--output", help="the run folder to write", metavar="RUN")]
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="STAGE.PARAM=VALUE", help="set any stage's parameter; may be repeated"),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(help="worker processes [one a core]", min=1, max=1024, show_default=False),
+]
+Dask = Annotated[
+    str | None, typer.Option(metavar="tcp://HOST:PORT", help="work on this Dask cluster instead")
+]
+FixedTime = Annotated[
+    bool, typer.Option("--fixed-time", help="leave clock times out of the recording: equal runs, equal bytes")
+]
+Seed = Annotated[int | None, typer.Option(help="seed of all randomness", min=0)]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]

@@ -1,0 +1,107 @@
+"""A run's progress on stderr: a bar with the time left on a terminal, plain lines otherwise."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from geomosaic.pipeline.reporter import Reporter
+from geomosaic.recording.reader import printable
+
+_SECONDS_BETWEEN_LINES = 10.0
+
+
+class Lines:
+    """One line when a stage begins, ends or warns, and one every ten seconds in between."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._name = ""
+        self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
+
+    def _line(self, text: str) -> None:
+        print(printable(text), file=self._stream, flush=True)
+        self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
+
+    def stage_started(self, index: int, total: int, name: str) -> None:
+        """Stage `index` (from 0) of `total` begins."""
+        self._name = f"[{index + 1}/{total}] {name}"
+
+    def progress(self, done: int, total: int, text: str) -> None:
+        """So much of the present stage is done."""
+        if time.monotonic() >= self._next_s:
+            self._line(f"{self._name}: {text} {done} of {total}".replace(":  ", ": "))
+
+    def warning(self, text: str) -> None:
+        """A stage's warning."""
+        self._line(f"warning: {text}")
+
+    def stage_finished(self, seconds: float, cached: bool) -> None:
+        """The present stage is done."""
+        self._line(f"{self._name}: {'unchanged, from the cache' if cached else f'{seconds:.1f} s'}")
+
+
+class Bar:
+    """A bar for the present stage, and a line for each finished one."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task: TaskID | None = None
+        self._name = ""
+
+    def _say(self, text: str, style: str = "") -> None:
+        self._progress.console.print(escape(printable(text)), style=style, highlight=False)
+
+    def stage_started(self, index: int, total: int, name: str) -> None:
+        """Stage `index` (from 0) of `total` begins."""
+        self._name = f"[{index + 1}/{total}] {name}"
+        self._begin()
+
+    def _begin(self) -> TaskID:
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._task = self._progress.add_task(escape(self._name or "reading inputs"), total=None, text="")
+        return self._task
+
+    def progress(self, done: int, total: int, text: str) -> None:
+        """So much of the present stage is done."""
+        task = self._begin() if self._task is None else self._task
+        self._progress.update(task, completed=done, total=total, text=escape(printable(text)))
+
+    def warning(self, text: str) -> None:
+        """A stage's warning."""
+        self._say(f"warning: {text}", style="yellow")
+
+    def stage_finished(self, seconds: float, cached: bool) -> None:
+        """The present stage is done."""
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+            self._task = None
+        self._say(f"{self._name}: {'unchanged, from the cache' if cached else f'{seconds:.1f} s'}")
+
+
+@contextmanager
+def progress() -> Iterator[Reporter]:
+    """The reporter that suits stderr."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield Lines(sys.stderr)
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.completed:.0f}/{task.total}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        yield Bar(bar)

@@ -1,0 +1,138 @@
+"""Commands that run one stage by itself: `simulate`, `export`, `evaluate`."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from geomosaic.cli.options import AsJson, Seed, Sets, Workers, cores
+from geomosaic.errors import FileError
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.context import Notes
+    from geomosaic.pipeline.params import StageParams
+    from geomosaic.pipeline.stage import Stage
+
+
+def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
+    """One command for each stage `group.*`, or for that of the name `only`; broken ones raise when run."""
+    from geomosaic.cli.declared import command_of
+    from geomosaic.pipeline.registry import installed
+
+    ids = [id for id in installed().ids() if id.startswith(f"{group}.")]
+    if f"{group}.{only}" in ids:
+        ids = [f"{group}.{only}"]
+    working = {stage.id: stage for stage in installed().all()[0]} if len(ids) > 1 else {}
+    for id in ids:
+        stage = working.get(id) or (installed().get(id) if len(ids) == 1 else None)
+        if stage is None:
+            continue
+        if group == "simulate":
+            place, more = ("out", "folder to write"), {"seed": (Seed, None)}
+        else:
+            place, more = ("run", "folder of a finished run"), {}
+        command = command_of(stage, place, _runner(stage), {**more, "workers": (Workers, None)})
+        app.command(id.partition(".")[2])(command)
+
+
+def _runner(stage: type[Stage]) -> Any:
+    def run(folder: Path, *, seed: int | None = None, workers: int | None = None, **options: Any) -> None:
+        from geomosaic.cli.declared import params_from
+
+        before = _files(folder)
+        summary, inputs = _inputs(stage, folder)
+        _run(stage, params_from(stage, options), folder, inputs, summary, seed or 0, workers)
+        for path in sorted(_files(folder) - before) or [folder]:
+            print(path)
+
+    return run
+
+
+def _files(folder: Path) -> set[Path]:
+    return {p for p in folder.iterdir() if not p.name.startswith(".")} if folder.is_dir() else set()
+
+
+def _inputs(stage: type[Stage], folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The summary of a finished run and the artefacts a stage takes from it."""
+    if not stage.inputs:
+        return {}, {}
+    from geomosaic.pipeline.finished import load_artefact, read_summary
+
+    summary = read_summary(folder)
+    inputs = {name: load_artefact(folder, summary, name, kind) for name, kind in stage.inputs.items()}
+    for name, kind in stage.optional_inputs.items():
+        if name in summary["artefacts"]:
+            inputs[name] = load_artefact(folder, summary, name, kind)
+    return summary, inputs
+
+
+def _run(
+    stage: type[Stage],
+    params: StageParams,
+    folder: Path,
+    inputs: dict[str, Any],
+    summary: dict[str, Any],
+    seed: int = 0,
+    workers: int | None = None,
+) -> Notes:
+    from geomosaic.cli.progress import progress
+    from geomosaic.pipeline.single import run_stage
+
+    with tempfile.TemporaryDirectory(prefix="geomosaic-") as work, progress() as reporter:
+        _, notes = run_stage(
+            stage,
+            params,
+            folder,
+            inputs,
+            work_folder=Path(work),
+            workers=workers or cores(),
+            seed=seed,
+            reporter=reporter,
+            summary=summary,
+        )
+    return notes
+
+
+def evaluate(
+    target: Annotated[Path, typer.Argument(help="a run's folder, or a mosaic", metavar="RUN|TIF")],
+    reference: Annotated[Path, typer.Option(help="the true ortho or a satellite picture", metavar="TIF")],
+    set: Sets = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a mosaic with a reference: displacement, jumps, SSIM."""
+    from geomosaic.pipeline.context import Context
+    from geomosaic.pipeline.recipe import recipe_from
+    from geomosaic.pipeline.registry import installed
+
+    stage = installed().get("quality.compare")
+    plain = {"stages": [{"stage": stage.id, "params": {"reference": reference}}]}
+    params = recipe_from(plain, installed(), set or (), given=stage.inputs).steps[0].params
+    path = target / "mosaic.tif" if target.is_dir() else target
+    if not path.is_file():
+        raise FileError("no such file", file=path, mend="give a finished run's folder or a GeoTIFF")
+    with tempfile.TemporaryDirectory(prefix="geomosaic-") as work:
+        file = Context(path.absolute().parent, work_folder=Path(work)).run_file(path.name)
+    notes = _run(stage, params, path.absolute().parent, {"mosaic_file": file}, {})
+    if as_json:
+        found = {
+            "mosaic": str(path),
+            "reference": str(reference),
+            **notes.metrics,
+            "warnings": notes.warnings,
+        }
+        print(json.dumps(found, indent=2))
+        return
+    for name, value in _leaves(notes.metrics):
+        print(f"{name:<40} {value:.6g}" if isinstance(value, float) else f"{name:<40} {value}")
+
+
+def _leaves(metrics: dict[str, Any], above: str = "") -> list[tuple[str, Any]]:
+    out = []
+    for name, value in metrics.items():
+        at = f"{above}.{name}" if above else name
+        out += _leaves(value, at) if isinstance(value, dict) else [(at, value)]
+    return out
