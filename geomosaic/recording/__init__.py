@@ -2,7 +2,7 @@
 
 from geomosaic.recording.compare import compare
 from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
-from geomosaic.recording.reader import artefact_data, messages, printable, read_recording
+from geomosaic.recording.reader import artefact_data, messages, printable, read_recording, stage_messages
 from geomosaic.recording.summary import summary
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.recording.writer import Recorder
@@ -17,6 +17,7 @@ __all__ = [
     "messages",
     "printable",
     "read_recording",
+    "stage_messages",
     "summary",
     "thumbnail",
 ]

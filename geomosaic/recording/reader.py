@@ -58,6 +58,20 @@ def messages(path: Path, schema: str) -> Iterator[tuple[str, int, bytes]]:
                 yield item.topic, item.record.log_time, item.record.data
 
 
+def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str, str, bytes]]:
+    """Topic, schema and bytes of all that a stage told, for `Recorder.copy`; no events, no artefacts."""
+    now = -1
+    with opened(recording.path) as file:
+        for item in items(recording.path, file):
+            if not isinstance(item.record, Message) or item.schema == "geomosaic.Artefact":
+                continue
+            if item.schema == "geomosaic.StageEvent":
+                event = StageEvent.FromString(item.record.data)
+                now = -1 if event.finished else event.stage_index
+            elif now == stage_index:
+                yield item.topic, item.schema, item.record.data
+
+
 def artefact_data(recording: Recording, entry: ArtefactEntry) -> bytes:
     """The bytes of an artefact. Raises FileError if a part is missing or the size is not as said."""
     data = bytearray()

@@ -6,12 +6,9 @@ that is whole up to the last stage that finished, and `reader.read_recording` re
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import re
-import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,26 +19,26 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from mcap.well_known import MessageEncoding
-from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import ArrayLike
 
 from geomosaic import __version__
 from geomosaic.camera.interior import Camera
-from geomosaic.errors import OutputError
+from geomosaic.recording.messagefile import MessageFile
 from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, TiePoints
 
 PROFILE = "geomosaic"
 FORMAT = "1"
 RECIPE, ENVIRONMENT, MANIFEST = "recipe.yaml", "environment.json", "manifest.json"
-CHUNK_BYTES = 128 * 1024
 ARTEFACT_PART_BYTES = 1024 * 1024
 COLOURS = {
     "observed": (0.45, 0.55, 0.70, 1.0),
     "tied": (0.18, 0.70, 0.35, 1.0),
     "placed": (0.95, 0.65, 0.10, 1.0),
     "rejected": (0.85, 0.20, 0.20, 1.0),
+}
+_CLASSES: dict[str, Any] = {
+    kind.DESCRIPTOR.full_name: kind
+    for kind in (CameraCalibration, CompressedImage, GeoJSON, LocationFix, Log, PairOffsets, TiePoints)
 }
 _OTHER_COLOUR = (0.60, 0.60, 0.60, 1.0)
 
@@ -61,23 +58,8 @@ class Recorder:
     def __init__(self, path: Path, fixed_time: bool = False) -> None:
         self.path = path
         self._fixed_time = fixed_time
-        self._time_ns = 0
-        self._sequence = 0
         self._stage_index = -1
-        self._schema_ids: dict[str, int] = {}
-        self._channel_ids: dict[str, int] = {}
-        self._writer: Any  # mcap's writer is partly untyped
-        self._failed: OutputError | None = None
-        self._closed = False
-        with self._writing():
-            self._file = path.open("wb")
-            self._writer = Writer(
-                self._file,
-                chunk_size=CHUNK_BYTES,
-                compression=CompressionType.ZSTD,
-                enable_data_crcs=True,
-            )
-            self._writer.start(profile=PROFILE, library=f"geomosaic {__version__}")
+        self._file = MessageFile(path, PROFILE, fixed_time)
 
     def begin_run(
         self, recipe_yaml: str, environment: Mapping[str, Any], manifest: Mapping[str, Any]
@@ -87,21 +69,11 @@ class Recorder:
         `environment` holds versions and the machine, `manifest` the inputs with their hashes; both of
         values that JSON knows.
         """
-        attachments = (
-            (RECIPE, "application/yaml", recipe_yaml.encode()),
-            (ENVIRONMENT, "application/json", _json(environment).encode()),
-            (MANIFEST, "application/json", _json(manifest).encode()),
-        )
-        with self._writing():
-            self._writer.add_metadata(
-                PROFILE,
-                {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()},
-            )
-            for name, media_type, data in attachments:
-                now = self._now_ns()
-                self._writer.add_attachment(
-                    create_time=now, log_time=now, name=name, media_type=media_type, data=data
-                )
+        described = {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()}
+        self._file.describe(PROFILE, described)
+        self._file.attach(RECIPE, "application/yaml", recipe_yaml.encode())
+        self._file.attach(ENVIRONMENT, "application/json", _json(environment).encode())
+        self._file.attach(MANIFEST, "application/json", _json(manifest).encode())
         self.flush()
 
     def stage_started(
@@ -113,7 +85,7 @@ class Recorder:
         event.params_json = _json(params)
         for name, fingerprint in input_fingerprints.items():
             event.inputs.add(name=name, fingerprint=fingerprint)
-        self._write("/stages", event)
+        self._file.write("/stages", event)
 
     def stage_finished(
         self, stage_id: str, output_fingerprints: Mapping[str, str], seconds: float | None, cached: bool
@@ -126,7 +98,7 @@ class Recorder:
             event.seconds = seconds
         for name, fingerprint in output_fingerprints.items():
             event.outputs.add(name=name, fingerprint=fingerprint)
-        self._write("/stages", event)
+        self._file.write("/stages", event)
         self.flush()
 
     def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: bytes) -> None:
@@ -145,17 +117,17 @@ class Recorder:
                 total_bytes=len(data),
                 data=data[start : start + ARTEFACT_PART_BYTES],
             )
-            self._write("/artefacts", message)
+            self._file.write("/artefacts", message)
 
     def log(self, level: str, text: str, stage: str = "", frame: str = "") -> None:
         """One line, of level debug, info, warning or error, about a stage and a frame if they are named."""
         message = Log(message=_text(f"{frame}: {text}" if frame else text), name=stage, file=_text(frame))
         message.level = Log.Level.Value(level.upper())
-        self._write("/log", message, stamped=True)
+        self._file.write("/log", message)
 
     def image(self, topic: str, label: str, jpeg: bytes) -> None:
         """A small JPEG (see `thumbnail`), e.g. of topic `/images/before` with the frame's name as label."""
-        self._write(topic, CompressedImage(frame_id=_text(label), data=jpeg, format="jpeg"), stamped=True)
+        self._file.write(topic, CompressedImage(frame_id=_text(label), data=jpeg, format="jpeg"))
 
     def location(
         self,
@@ -183,12 +155,12 @@ class Recorder:
             fix.position_covariance.extend(np.diag(variances).ravel().tolist())
             fix.position_covariance_type = LocationFix.DIAGONAL_KNOWN
         fix.color.r, fix.color.g, fix.color.b, fix.color.a = COLOURS.get(status, _OTHER_COLOUR)
-        self._write(f"/location/{_topic_part(status)}", fix, stamped=True)
+        self._file.write(f"/location/{_topic_part(status)}", fix)
 
     def geojson(self, topic: str, features: Iterable[Mapping[str, Any]]) -> None:
         """GeoJSON features (dicts, lon and lat in degrees), e.g. of topic `/map/footprints`."""
         collection = {"type": "FeatureCollection", "features": list(features)}
-        self._write(topic, GeoJSON(geojson=_json(collection)))
+        self._file.write(topic, GeoJSON(geojson=_json(collection)))
 
     def offsets(
         self,
@@ -221,7 +193,7 @@ class Recorder:
             largest_move_m=np.nanmax(np.hypot(*moved.T), initial=0.0),
             stage_index=max(self._stage_index, 0),
         )
-        self._write(f"/offsets/{_topic_part(stage)}", message)
+        self._file.write(f"/offsets/{_topic_part(stage)}", message)
 
     def tie_points(
         self,
@@ -248,7 +220,7 @@ class Recorder:
             residual_north_m=r[:, 1],
             stage_index=max(self._stage_index, 0),
         )
-        self._write("/tie_points", message)
+        self._file.write("/tie_points", message)
 
     def camera(self, name: str, camera: Camera) -> None:
         """A camera's interior orientation as OpenCV's model: pixel centres on whole numbers."""
@@ -264,24 +236,19 @@ class Recorder:
             R=np.eye(3).ravel(),
             P=[f, 0.0, col, 0.0, 0.0, f, row, 0.0, 0.0, 0.0, 1.0, 0.0],
         )
-        self._write(f"/camera/{_topic_part(name)}", message, stamped=True)
+        self._file.write(f"/camera/{_topic_part(name)}", message)
+
+    def copy(self, topic: str, schema: str, data: bytes) -> None:
+        """A message of another recording as it is, but for its time. See `reader.stage_messages`."""
+        self._file.write(topic, _CLASSES[schema].FromString(data))
 
     def flush(self) -> None:
         """End the chunk and put everything on the disk."""
-        with self._writing():
-            self._writer.flush()
-            os.fsync(self._file.fileno())
+        self._file.flush()
 
     def close(self) -> None:
         """Write the summary and the footer, which make the file whole. Closing twice is harmless."""
-        if self._closed:
-            return
-        self._closed = True
-        with self._writing():
-            self._writer.finish()
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
+        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -289,60 +256,8 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None or self._failed is None:
+        if error is None or not self._file.failed:
             self.close()
-
-    def _now_ns(self) -> int:
-        self._time_ns = (
-            self._time_ns + 1_000_000 if self._fixed_time else max(time.time_ns(), self._time_ns + 1)
-        )
-        return self._time_ns
-
-    def _write(self, topic: str, message: Any, stamped: bool = False) -> None:
-        now = self._now_ns()
-        if stamped:
-            message.timestamp.FromNanoseconds(now)
-        with self._writing():
-            channel = self._channel_ids.get(topic)
-            if channel is None:
-                channel = self._register(topic, type(message))
-            self._writer.add_message(
-                channel_id=channel,
-                log_time=now,
-                publish_time=now,
-                sequence=self._sequence & 0xFFFFFFFF,
-                data=message.SerializeToString(deterministic=True),
-            )
-        self._sequence += 1
-
-    def _register(self, topic: str, message_class: Any) -> int:
-        schema = message_class.DESCRIPTOR.full_name
-        if schema not in self._schema_ids:
-            descriptors = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
-            self._schema_ids[schema] = self._writer.register_schema(schema, "protobuf", descriptors)
-        self._channel_ids[topic] = self._writer.register_channel(
-            topic, MessageEncoding.Protobuf, self._schema_ids[schema]
-        )
-        return self._channel_ids[topic]
-
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Turns an OSError into an OutputError, and keeps it: a file with a hole takes no more."""
-        if self._failed is not None:
-            raise self._failed
-        try:
-            yield
-        except OSError as error:
-            self._failed = OutputError(
-                error.strerror or str(error),
-                file=self.path,
-                mend="free some space or choose another output folder",
-            )
-            self._closed = True
-            if hasattr(self, "_file"):
-                with contextlib.suppress(OSError):
-                    self._file.close()
-            raise self._failed from error
 
 
 def _json(value: Any) -> str:

@@ -1,0 +1,163 @@
+"""Summaries and differences of recordings as tables for people."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from geomosaic.recording.reader import printable
+
+
+def show_summary(short: dict[str, Any], console: Console) -> None:
+    """Prints a `summary`."""
+    state = "whole" if short["whole"] else f"not whole: {short['problem']}"
+    console.print(_text(f"{short['path']}: {state}"))
+    environment = short["environment"]
+    console.print(
+        _text(
+            ", ".join(
+                f"{name} {environment[name]}"
+                for name in ("geomosaic", "python", "platform")
+                if name in environment
+            )
+        )
+    )
+    table = Table(
+        "stage", "version", "", "seconds", "parameters", "outputs", title="stages", title_justify="left"
+    )
+    sizes = {(a["stage"], a["name"]): a["bytes"] for a in short["artefacts"]}
+    for stage in short["stages"]:
+        done = "from the cache" if stage["cached"] else "done" if stage["finished"] else "unfinished"
+        seconds = "" if stage["seconds"] is None else f"{stage['seconds']:.2f}"
+        params = ", ".join(f"{name}={_short(value)}" for name, value in stage["params"].items())
+        outputs = ", ".join(
+            f"{name} {mark[:8]} ({_bytes(sizes.get((stage['id'], name)))})"
+            for name, mark in stage["outputs"].items()
+        )
+        _row(table, stage["id"], stage["version"], done, seconds, params, outputs)
+    console.print(table)
+    if short["rounds"]:
+        table = Table(
+            "stage",
+            "round",
+            "pairs",
+            "largest misalignment, m",
+            "rms, m",
+            "largest move, m",
+            "worst pair",
+            title="rounds",
+            title_justify="left",
+        )
+        for r in short["rounds"]:
+            worst = " - ".join(r["worst_pair"] or ())
+            _row(
+                table,
+                r["stage"],
+                r["round"],
+                r["pairs"],
+                *(
+                    _metres(r[key])
+                    for key in ("largest_misalignment_m", "rms_misalignment_m", "largest_move_m")
+                ),
+                worst,
+            )
+        console.print(table)
+    for warning in short["warnings"]:
+        about = f"{warning['frame']}: " if warning["frame"] else ""
+        console.print(_text(f"{warning['level']}: {about}{warning['text']}"))
+    table = Table("topic", "messages", "schema", title="topics", title_justify="left")
+    for topic in short["topics"]:
+        _row(table, topic["topic"], topic["messages"], topic["schema"])
+    console.print(table)
+
+
+def show_difference(difference: dict[str, Any], console: Console) -> None:
+    """Prints what `compare` found."""
+    if difference["equal"]:
+        console.print("the runs are equal")
+    else:
+        first = difference["first_stage"]
+        console.print(
+            _text(f"the runs differ; first stage that differs: {first}" if first else "the runs differ")
+        )
+    if difference["whole"]:
+        whole, cut = (0, 1) if difference["whole"][0] else (1, 0)
+        console.print(_text(f"only {difference['paths'][whole]} is whole, not {difference['paths'][cut]}"))
+    for line in difference["recipe"]:
+        console.print(_text(line))
+    table = Table("stage", "what", "a", "b", title="differences", title_justify="left")
+    for name, (a, b) in difference["manifest"].items():
+        _row(table, "input files", name, _short(a), _short(b))
+    for stage in difference["stages"]:
+        if "only_in" in stage:
+            there = ("there", "") if stage["only_in"] == "a" else ("", "there")
+            _row(table, stage["stage"], "stage", *there)
+        for what in ("version", "params", "inputs", "outputs", "finished"):
+            for name, (a, b) in stage.get(what, {}).items():
+                _row(table, stage["stage"], f"{what} {name}".strip(), _short(a), _short(b))
+    for offsets in difference["offsets"]:
+        rounds_a, rounds_b = offsets["rounds"]
+        _row(table, offsets["stage"], "rounds", rounds_a, rounds_b)
+        farthest = sorted(
+            offsets["frames"], key=lambda f: -abs(complex(f.get("d_east_m", 0), f.get("d_north_m", 0)))
+        )
+        for frame in farthest[:10]:
+            if "only_in" in frame:
+                there = ("moved", "") if frame["only_in"] == "a" else ("", "moved")
+                _row(table, offsets["stage"], frame["frame"], *there)
+            else:
+                _row(
+                    table,
+                    offsets["stage"],
+                    frame["frame"],
+                    "",
+                    f"{frame['d_east_m']:+.3f} m east, {frame['d_north_m']:+.3f} m north",
+                )
+        if len(farthest) > 10:
+            _row(table, offsets["stage"], f"and {len(farthest) - 10} more frames", "", "")
+    for warning in difference["warnings"]:
+        text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
+        _row(
+            table,
+            warning["stage"],
+            warning["level"],
+            *((text, "") if warning["only_in"] == "a" else ("", text)),
+        )
+    for name, (a, b) in difference["environment"].items():
+        _row(table, "(environment)", name, _short(a), _short(b))
+    if table.row_count:
+        console.print(table)
+
+
+def _row(table: Table, *cells: object) -> None:
+    table.add_row(*(_text(str(cell)) for cell in cells))
+
+
+def _text(text: str) -> str:
+    """A stranger's text as rich prints it unchanged."""
+    return escape(printable(text))
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:40]}...{text[-17:]}"
+
+
+def _metres(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.3f}"
+
+
+def _bytes(count: int | None) -> str:
+    if count is None:
+        return "not recorded"
+    return (
+        f"{count} bytes"
+        if count < 10_000
+        else f"{count / 1e3:.0f} kB"
+        if count < 10_000_000
+        else f"{count / 1e6:.0f} MB"
+    )
