@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,47 +12,12 @@ from geomosaic.adjustment import offsets
 from geomosaic.adjustment.chain import chain
 from geomosaic.adjustment.least_squares import least_squares
 from geomosaic.adjustment.misalignment import OffsetNet, offset_net
-from geomosaic.adjustment.model import Adjusted, Block, Round
-from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
+from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
+from geomosaic.adjustment.outcome import settled
+from geomosaic.adjustment.pose_block import pose_block
 from geomosaic.camera.rotation import about_z
-from geomosaic.projection.footprint import ground_from_image
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the methods share. epsilon_px is in ground pixels (the paper's D)."""
-
-    epsilon_px: float = 10.0
-    max_rounds: int = 12
-
-
-def residuals_m(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, ...]:
-    """Per pair (k, 2): right minus left on the ground, east and north; NaN where a ray misses."""
-    out = []
-    for tie in block.ties.pairs:
-        left = ground_from_image(poses[tie.left], cameras[tie.left], block.ground, tie.left_px)
-        right = ground_from_image(poses[tie.right], cameras[tie.right], block.ground, tie.right_px)
-        out.append(right[:, :2] - left[:, :2])
-    return tuple(out)
-
-
-def tied_status(block: Block) -> tuple[str, ...]:
-    """`tied` for every frame with tie points, `placed` (by POS alone) for the others."""
-    tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)}
-    return tuple("tied" if i in tied else "placed" for i in range(len(block.names)))
-
-
-def _finish(block: Block, poses: Poses, rounds: tuple[Round, ...]) -> Adjusted:
-    return Adjusted(
-        poses=poses,
-        cameras=block.cameras,
-        status=tied_status(block),
-        rounds=rounds,
-        residuals_m=residuals_m(block, poses, block.cameras),
-    )
 
 
 def _slid(block: Block, moves: Floats, rounds: tuple[Round, ...], sd_m: Floats | None = None) -> Adjusted:
@@ -61,7 +26,7 @@ def _slid(block: Block, moves: Floats, rounds: tuple[Round, ...], sd_m: Floats |
     sd = poses.positions_sd_m
     if sd_m is not None:
         sd = np.column_stack([sd_m, sd_m, sd[:, 2]])
-    return _finish(block, replace(poses, positions_m=positions, positions_sd_m=sd), rounds)
+    return settled(block, replace(poses, positions_m=positions, positions_sd_m=sd), rounds)
 
 
 def _none(block: Block, settings: Settings) -> Adjusted:
@@ -97,7 +62,7 @@ def _chain(block: Block, settings: Settings) -> Adjusted:
     )
     still = np.zeros((net.n, 2))
     moves = np.column_stack([(moved - z).real, (moved - z).imag])
-    return _finish(block, laid, (Round(net.misalignments_m(still), moves),))
+    return settled(block, laid, (Round(net.misalignments_m(still), moves),))
 
 
 def _least_squares(block: Block, settings: Settings) -> Adjusted:
@@ -135,4 +100,5 @@ METHODS: dict[str, Callable[[Block, Settings], Adjusted]] = {
     "base_frame": _base_frame,
     "error_sharing": _error_sharing,
     "least_squares": _least_squares,
+    "bundle": pose_block,
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +35,20 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Settings:
+    """What the methods can be told.
+
+    epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
+    rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
+    """
+
+    epsilon_px: float = 10.0
+    max_rounds: int = 12
+    ground: str = "auto"
+    observations_per_frame: int = 2000
+
+
+@dataclass(frozen=True)
 class Round:
     """One round of an adjustment, as recorded.
 
@@ -50,7 +65,8 @@ class Adjusted:
     """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
 
     residuals_m: per pair of `Block.ties.pairs` (k, 2): where the right frame puts each tie point on
-    the ground minus where the left one does, east and north, after the adjustment.
+    the ground minus where the left one does, east and north, after the adjustment. ground: the surface
+    that goes with the poses: the block's own, unless the method estimates it.
     """
 
     poses: Poses
@@ -58,3 +74,6 @@ class Adjusted:
     status: tuple[str, ...]
     rounds: tuple[Round, ...]
     residuals_m: tuple[Floats, ...]
+    ground: GroundSurface
+    warnings: tuple[Warn, ...] = ()
+    figures: dict[str, float] = field(default_factory=dict)

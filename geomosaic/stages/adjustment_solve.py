@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from geomosaic.adjustment.methods import METHODS, Settings
-from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import connected_parts
@@ -28,12 +28,12 @@ class AdjustmentSolve(Stage):
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"adjusted": Adjusted}
+    outputs: ClassVar[dict[str, type]] = {"adjusted": Adjusted, "ground": GroundSurface}
 
     class Params(StageParams):
         """See each parameter's help."""
 
-        method: str = param("least_squares", help="adjustment method", choices=METHODS)
+        method: str = param("bundle", help="adjustment method", choices=METHODS)
         epsilon_px: float = param(
             10.0,
             help="error sharing stops when no misalignment is larger",
@@ -42,6 +42,11 @@ class AdjustmentSolve(Stage):
             le=1000.0,
         )
         max_rounds: int = param(12, help="most rounds of error sharing", unit="rounds", ge=1, le=1000)
+        ground: str = param(
+            "auto",
+            help="without a DEM, what a bundle makes of its points",
+            choices=("auto", "flat", "tie_surface"),
+        )
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Builds the block, adjusts it, tells what happened."""
@@ -58,7 +63,9 @@ class AdjustmentSolve(Stage):
             lines=placement.lines,
             ground_pixel_m=placement.ground_pixel_m,
         )
-        adjusted = METHODS[params.method](block, Settings(params.epsilon_px, params.max_rounds))
+        adjusted = METHODS[params.method](
+            block, Settings(params.epsilon_px, params.max_rounds, params.ground)
+        )
         parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
             context.warn(
@@ -82,5 +89,10 @@ class AdjustmentSolve(Stage):
             "adjustment.ground_residual_rms_m",
             float(np.sqrt((residual**2).mean())) if residual.size else None,
         )
+        for warning in adjusted.warnings:
+            context.warn(warning.code, warning.frame, warning.text)
+        for name, value in adjusted.figures.items():
+            context.metric(f"adjustment.{name}", value)
+        context.metric("ground.kind", adjusted.ground.kind)
         record_adjusted(context, survey, block, adjusted)
-        return {"adjusted": adjusted}
+        return {"adjusted": adjusted, "ground": adjusted.ground}

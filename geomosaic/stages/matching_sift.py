@@ -94,10 +94,10 @@ class MatchingSift(Stage):
             costs.append((a, b, turn_costs_m(ground_m[a][i], ground_m[b][j], nadir[a], nadir[b])))
         cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
         turns = turned_frames(len(frames), costs, cap_m)
-        for i, quarters in turns.items():
+        for frame, quarters in turns.items():
             context.warn(
                 "frame-turned",
-                frames[i].name,
+                frames[frame].name,
                 f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
             )
         context.metric("matching.pairs_tried", len(placement.pairs))

@@ -51,7 +51,7 @@ class ProjectionGround(Stage):
             raise InputError(
                 "how high the frames flew above the ground is unknown",
                 file=survey.frames[0].path,
-                mend="give a DEM with --dem, or the ground's height with --set projection.ground.height_m=METRES",
+                mend="give --dem, or the ground's height with --set projection.ground.height_m=METRES",
             )
         positions = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
         enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]

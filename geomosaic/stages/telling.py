@@ -23,7 +23,8 @@ def record_locations(
     """Where the frames are believed to be now."""
     geodetic = work_frame.geodetic_from_enu(poses.positions_m)
     for name, at, sd, state in zip(names, geodetic, poses.positions_sd_m, status, strict=True):
-        context.recorder.location(name, *(float(v) for v in (*at, *sd)), state)
+        lon, lat, height, sd_e, sd_n, sd_u = (float(v) for v in (*at, *sd))
+        context.recorder.location(name, lon, lat, height, sd_e, sd_n, sd_u, state)
 
 
 def outline_feature(work_frame: LocalFrame, outline_m: Floats, properties: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,275 @@
+"""Bundle adjustment: poses, lenses and ground points at once, with POS as weighted observations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.collinearity import INTERIOR, exp_turn, interior_of, log_turn, project
+from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
+from geomosaic.adjustment.tracks import Tracks
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_CAUCHY = 3.0
+_LEAST_SIGMA_PX = 0.02
+_GROUPS = ("image", "horizontal", "vertical", "tilt", "yaw")
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is believed before the pictures speak, with standard deviations.
+
+    interior_sd (c, 8) in the order of INTERIOR. points_m, points_sd_m (p, 3): for control points
+    their own; for tie points the ground below, weakly.
+    """
+
+    poses: Poses
+    cameras: tuple[Camera, ...]
+    interior_sd: Floats
+    points_m: Floats
+    points_sd_m: Floats
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """The solution. Covariances are scaled with the estimated variance components.
+
+    points_sd_m: (p, 3), as if poses and cameras were known.
+    pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 8).
+    interior_correlation: (8c, 8c). residual_px: (m, 2) observed minus computed. weight: (m,) robust
+    weights, 1 for a good observation. sigma: estimated deviation over stated deviation per group.
+    """
+
+    poses: Poses
+    cameras: tuple[Camera, ...]
+    points_m: Floats
+    points_sd_m: Floats
+    pose_covariance: Floats
+    interior_sd: Floats
+    interior_correlation: Floats
+    residual_px: Floats
+    weight: Floats
+    sigma_px: float
+    sigma: dict[str, float]
+    iterations: int
+
+
+@dataclass
+class _State:
+    positions: Floats
+    rotations: Floats
+    interior: Floats
+    points: Floats
+
+
+def solve_bundle(
+    tracks: Tracks, camera_of: Ints, priors: Priors, start: Poses, *, sigma_px: float = 0.5, most: int = 30
+) -> Bundle:
+    """Levenberg-Marquardt on the reduced normal equations, Cauchy weights, variance components.
+
+    Minimises sum rho(|residual| / sigma_px) + the priors' squares (positions, attitudes, interior
+    orientation, points). After every convergence the groups' variance factors (image, horizontal and
+    vertical position, tilt, yaw) are estimated anew from residuals and redundancy (Förstner 1979), so a
+    wrongly stated deviation does no harm; two or three rounds settle them.
+
+    Args: start: poses to begin from (the priors' own may be far off).
+    Raises: NotSolvableError if the system is singular.
+    """
+    state = _State(
+        start.positions_m.copy(),
+        start.rotations.copy(),
+        np.stack([interior_of(c) for c in priors.cameras]),
+        priors.points_m.copy(),
+    )
+    image, *_ = _projected(tracks, camera_of, state)
+    apart = float(np.nanmedian(np.linalg.norm(tracks.image_px - image, axis=1)))
+    sigma = dict.fromkeys(_GROUPS, 1.0) | {"image": max(sigma_px, apart)}
+    iterations = 0
+    for _ in range(8):
+        state, used = _converge(tracks, camera_of, priors, state, sigma, most)
+        iterations += used
+        changed = _variance_components(tracks, camera_of, priors, state, sigma)
+        if changed < 0.03:
+            break
+    return _finish(tracks, camera_of, priors, state, sigma, iterations)
+
+
+def _pose_sd(priors: Priors, sigma: dict[str, float]) -> Floats:
+    """Deviations of the pose priors with their present factors, (f, 6); inf where nothing is known."""
+    position, turn = priors.poses.positions_sd_m, priors.poses.rotations_sd_rad
+    factor = np.array([sigma[g] for g in ("horizontal", "horizontal", "vertical", "tilt", "tilt", "yaw")])
+    sd = np.column_stack([position, turn]) * factor
+    return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
+
+
+def _pose_miss(priors: Priors, state: _State) -> Floats:
+    """Prior minus present pose, (f, 6)."""
+    turn = log_turn(priors.poses.rotations @ np.swapaxes(state.rotations, 1, 2))
+    return np.column_stack([priors.poses.positions_m - state.positions, turn])
+
+
+def _robust(standardised: Floats) -> Floats:
+    """Cauchy weights of standardised residual lengths."""
+    return np.asarray(1.0 / (1.0 + (standardised / _CAUCHY) ** 2))
+
+
+def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]) -> float:
+    image, *_ = _projected(tracks, camera_of, state)
+    length = np.linalg.norm(tracks.image_px - image, axis=1) / sigma["image"]
+    length = np.where(np.isfinite(length), length, 1e6)
+    total = float((_CAUCHY**2 * np.log1p((length / _CAUCHY) ** 2)).sum())
+    total += float(_prior_cost(_pose_miss(priors, state) / _pose_sd(priors, sigma)))
+    total += float(
+        (
+            ((np.stack([interior_of(c) for c in priors.cameras]) - state.interior) / priors.interior_sd) ** 2
+        ).sum()
+    )
+    return total + float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
+
+
+def _prior_cost(miss: Floats) -> Floats:
+    length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
+    return np.asarray((_CAUCHY**2 * np.log1p((length / _CAUCHY) ** 2)).sum())
+
+
+def _prior_weight(miss: Floats) -> Floats:
+    """Cauchy weights of position and attitude of each frame, (f, 6): a wild tag loses its say."""
+    length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
+    return np.repeat(_robust(length), 3, axis=1)
+
+
+def _projected(tracks: Tracks, camera_of: Ints, state: _State) -> tuple[Floats, Floats, Floats, Floats]:
+    return project(
+        state.positions[tracks.frame],
+        state.rotations[tracks.frame],
+        state.interior[camera_of[tracks.frame]],
+        state.points[tracks.point],
+    )
+
+
+def _normals(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]
+) -> Normals:
+    image, by_pose, by_interior, by_point = _projected(tracks, camera_of, state)
+    residual = tracks.image_px - image
+    seen = np.asarray(np.isfinite(residual).all(axis=1))
+    residual = np.where(seen[:, None], residual, 0.0)
+    weight = _robust(np.linalg.norm(residual, axis=1) / sigma["image"]) / sigma["image"] ** 2
+    weight = np.where(seen, weight, 0.0)
+    clean = [np.where(seen[:, None, None], a, 0.0) for a in (by_pose, by_interior, by_point)]
+    counts = (len(state.positions), len(state.interior), len(state.points))
+    n = build_normals(tracks.frame, tracks.point, camera_of, counts, residual, weight, *clean)
+    miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
+    pose_weight = _prior_weight(miss / sd) / sd**2
+    interior_miss = np.stack([interior_of(c) for c in priors.cameras]) - state.interior
+    for block, side, w, m in (
+        (n.pose, n.pose_side, pose_weight, miss),
+        (n.interior, n.interior_side, 1.0 / priors.interior_sd**2, interior_miss),
+        (n.points, n.point_side, 1.0 / priors.points_sd_m**2, priors.points_m - state.points),
+    ):
+        i = np.arange(block.shape[-1])
+        block[:, i, i] += w
+        side += w * m
+    return n
+
+
+def _converge(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float], most: int
+) -> tuple[_State, int]:
+    damping, cost = 1e-4, _cost(tracks, camera_of, priors, state, sigma)
+    for iteration in range(1, most + 1):
+        normals = _normals(tracks, camera_of, priors, state, sigma)
+        while True:
+            pose, interior, point = reduce_normals(normals, damping).solve()
+            trial = _State(
+                state.positions + pose[:, :3],
+                exp_turn(pose[:, 3:]) @ state.rotations,
+                state.interior + interior,
+                state.points + point,
+            )
+            trial_cost = _cost(tracks, camera_of, priors, trial, sigma)
+            if trial_cost <= cost or damping > 1e6:
+                break
+            damping *= 10.0
+        gain = cost - trial_cost
+        if gain > 0.0:
+            state, cost = trial, trial_cost
+        damping = max(damping / 10.0, 1e-12)
+        if gain <= 1e-7 * max(cost, 1.0):
+            return state, iteration
+    return state, most
+
+
+def _variance_components(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]
+) -> float:
+    """Updates the groups' factors in place; returns the largest relative change."""
+    n = _normals(tracks, camera_of, priors, state, sigma)
+    covariance, interior_covariance, _ = reduce_normals(n).covariance()
+    miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
+    weight = _prior_weight(miss / sd)
+    share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
+    image, *_ = _projected(tracks, camera_of, state)
+    length_sq = ((tracks.image_px - image) ** 2).sum(axis=1) / sigma["image"] ** 2
+    length_sq = np.where(np.isfinite(length_sq), length_sq, np.inf)
+    robust = _robust(np.sqrt(length_sq))
+    used = np.where(np.isfinite(length_sq), robust * length_sq, 0.0)
+    prior_share = float(share.sum()) + float(
+        (np.diagonal(interior_covariance, axis1=1, axis2=2) / priors.interior_sd**2).sum()
+    )
+    unknowns = 6 * len(state.positions) + state.interior.size - prior_share + 3 * len(state.points)
+    redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
+    changes = []
+    before = sigma["image"]
+    sigma["image"] = max(before * float(np.sqrt(used.sum() / redundancy)), _LEAST_SIGMA_PX)
+    changes.append(abs(np.log(sigma["image"] / before)))
+    for group, columns in (("horizontal", [0, 1]), ("vertical", [2]), ("tilt", [3, 4]), ("yaw", [5])):
+        known = np.asarray(np.isfinite(sd[:, columns]))
+        r = float((weight[:, columns] - share[:, columns])[known].sum())
+        if r < 3.0:
+            continue
+        total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[known].sum())
+        factor = float(np.clip(np.sqrt(total / r), 0.3, 3.0))
+        before = sigma[group]
+        sigma[group] = float(np.clip(before * factor, 0.1, 30.0))
+        changes.append(abs(np.log(sigma[group] / before)))
+    return float(max(changes))
+
+
+def _finish(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float], iterations: int
+) -> Bundle:
+    n = _normals(tracks, camera_of, priors, state, sigma)
+    reduced = reduce_normals(n)
+    covariance, interior_covariance, full = reduced.covariance()
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    image, *_ = _projected(tracks, camera_of, state)
+    residual = tracks.image_px - image
+    spread = np.sqrt(np.diag(full))
+    return Bundle(
+        poses=Poses(state.positions, state.rotations, sd[:, :3], sd[:, 3:]),
+        cameras=tuple(with_interior(c, row) for c, row in zip(priors.cameras, state.interior, strict=True)),
+        points_m=state.points,
+        points_sd_m=np.sqrt(np.diagonal(reduced.points_inverse, axis1=1, axis2=2)),
+        pose_covariance=covariance,
+        interior_sd=np.sqrt(np.diagonal(interior_covariance, axis1=1, axis2=2)),
+        interior_correlation=full / spread[:, None] / spread,
+        residual_px=residual,
+        weight=np.nan_to_num(_robust(np.linalg.norm(residual, axis=1) / sigma["image"])),
+        sigma_px=sigma["image"],
+        sigma={g: s for g, s in sigma.items() if g != "image"},
+        iterations=iterations,
+    )
+
+
+def with_interior(camera: Camera, interior: Sequence[float] | Floats) -> Camera:
+    """The camera with other numbers, in the order of INTERIOR."""
+    values: dict[str, Any] = {name: float(v) for name, v in zip(INTERIOR, interior, strict=True)}
+    return replace(camera, **values)

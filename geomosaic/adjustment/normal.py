@@ -1,0 +1,213 @@
+"""Normal equations of a bundle, reduced to poses and cameras by the Schur complement on the points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import bsr_matrix, csc_matrix
+from scipy.sparse.linalg import splu
+
+from geomosaic.errors import NotSolvableError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_DENSE_UNKNOWNS = 2400
+
+
+@dataclass(frozen=True)
+class Normals:
+    """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of 8, p points of 3.
+
+    The observations' own blocks (frame by point) are kept as they are, for the reduction.
+    """
+
+    frame: Ints
+    point: Ints
+    camera_of: Ints
+    pose: Floats
+    """(f, 6, 6)"""
+    interior: Floats
+    """(c, 8, 8)"""
+    points: Floats
+    """(p, 3, 3)"""
+    pose_interior: Floats
+    """(f, 6, 8), each frame with its own camera"""
+    pose_point: Floats
+    """(m, 6, 3), an observation each"""
+    interior_point: Floats
+    """(c, p, 8, 3)"""
+    pose_side: Floats
+    interior_side: Floats
+    point_side: Floats
+
+
+def build_normals(
+    frame: Ints,
+    point: Ints,
+    camera_of: Ints,
+    counts: tuple[int, int, int],
+    residual: Floats,
+    weight: Floats,
+    by_pose: Floats,
+    by_interior: Floats,
+    by_point: Floats,
+) -> Normals:
+    """Sums the image observations; priors are added to the diagonal blocks afterwards.
+
+    Args: residual (m, 2) observed minus computed, weight (m,), derivatives as `collinearity.project`
+        gives them; counts: frames, cameras, points.
+    """
+    f, c, p = counts
+    camera = camera_of[frame]
+    wp = by_pose * weight[:, None, None]
+    wk = by_interior * weight[:, None, None]
+    wx = by_point * weight[:, None, None]
+
+    def gather(index: Ints, size: int, values: Floats) -> Floats:
+        flat = values.reshape(len(values), -1)
+        out = np.stack([np.bincount(index, flat[:, k], minlength=size) for k in range(flat.shape[1])], axis=1)
+        return out.reshape((size, *values.shape[1:]))
+
+    t = np.swapaxes
+    both = camera * p + point
+    return Normals(
+        frame=frame,
+        point=point,
+        camera_of=camera_of,
+        pose=gather(frame, f, t(by_pose, 1, 2) @ wp),
+        interior=gather(camera, c, t(by_interior, 1, 2) @ wk),
+        points=gather(point, p, t(by_point, 1, 2) @ wx),
+        pose_interior=gather(frame, f, t(by_pose, 1, 2) @ wk),
+        pose_point=t(by_pose, 1, 2) @ wx,
+        interior_point=gather(both, c * p, t(by_interior, 1, 2) @ wx).reshape(c, p, 8, 3),
+        pose_side=gather(frame, f, (t(wp, 1, 2) @ residual[:, :, None])[:, :, 0]),
+        interior_side=gather(camera, c, (t(wk, 1, 2) @ residual[:, :, None])[:, :, 0]),
+        point_side=gather(point, p, (t(wx, 1, 2) @ residual[:, :, None])[:, :, 0]),
+    )
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The reduced system: poses (sparse) bordered by cameras (dense)."""
+
+    poses: csc_matrix
+    border: Floats
+    interior: Floats
+    pose_side: Floats
+    interior_side: Floats
+    points_inverse: Floats
+    normals: Normals
+
+    def solve(self) -> tuple[Floats, Floats, Floats]:
+        """Corrections of poses (f, 6), interiors (c, 8) and points (p, 3)."""
+        solver = _Solver(self.poses)
+        y = solver(np.column_stack([self.border, self.pose_side]))
+        corner = self.interior - self.border.T @ y[:, :-1]
+        interior = _spd_solve(corner, self.interior_side - self.border.T @ y[:, -1])
+        pose = y[:, -1] - y[:, :-1] @ interior
+        n = self.normals
+        dp = pose.reshape(-1, 6)
+        dk = interior.reshape(-1, 8)
+        moved = np.einsum("mij,mi->mj", n.pose_point, dp[n.frame])
+        side = n.point_side - np.stack(
+            [np.bincount(n.point, moved[:, k], minlength=len(n.points)) for k in range(3)], axis=1
+        )
+        side -= np.einsum("cpij,ci->pj", n.interior_point, dk)
+        return dp, dk, np.einsum("pij,pj->pi", self.points_inverse, side)
+
+    def covariance(self) -> tuple[Floats, Floats, Floats]:
+        """Covariances for unit weight: poses (f, 6, 6), cameras (c, 8, 8), and the correlations between
+        poses and cameras are in them; the third is the full matrix of camera unknowns (8c, 8c)."""
+        f, size = self.poses.shape[0] // 6, self.poses.shape[0]
+        solver = _Solver(self.poses)
+        y = solver(self.border)
+        corner: Floats = np.asarray(np.linalg.inv(self.interior - self.border.T @ y), dtype=np.float64)
+        blocks = np.empty((f, 6, 6))
+        for start in range(0, size, 600):
+            stop = min(start + 600, size)
+            unit = np.zeros((size, stop - start))
+            unit[np.arange(start, stop), np.arange(stop - start)] = 1.0
+            columns = solver(unit) + y @ (corner @ (y.T @ unit))
+            for k in range(start // 6, stop // 6):
+                blocks[k] = columns[6 * k : 6 * k + 6, 6 * k - start : 6 * k - start + 6]
+        c = len(corner) // 8
+        cameras = np.stack([corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] for k in range(c)])
+        return blocks, cameras, corner
+
+
+def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
+    """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
+    to the diagonal."""
+    f, c = len(n.pose), len(n.interior)
+    pose, interior, points = (_damped(a, damping) for a in (n.pose, n.interior, n.points))
+    inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
+    scaled = n.pose_point @ inverse[n.point]
+    order = np.lexsort((n.point, n.frame))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(n.frame, minlength=f))])
+    shape = (6 * f, 3 * len(points))
+    w = bsr_matrix((n.pose_point[order], n.point[order], starts), shape=shape, blocksize=(6, 3))
+    wv = bsr_matrix((scaled[order], n.point[order], starts), shape=shape, blocksize=(6, 3))
+    own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f), blocksize=(6, 6))
+    reduced = own - wv @ w.T.tobsr(blocksize=(3, 6))
+    wk = np.swapaxes(n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), 8 * c, 3), 1, 2)
+    wk_flat = wk.reshape(3 * len(points), 8 * c)
+    border = -(wv @ wk_flat)
+    for k in range(c):
+        rows = np.flatnonzero(n.camera_of == k)
+        index = (6 * rows[:, None] + np.arange(6)).ravel()
+        border[index, 8 * k : 8 * k + 8] += n.pose_interior[rows].reshape(-1, 8)
+    corner = np.zeros((8 * c, 8 * c))
+    for k in range(c):
+        corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] = interior[k]
+    corner -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), 8 * c)
+    eliminated = np.einsum("pij,pj->pi", inverse, n.point_side)
+    return Reduced(
+        poses=reduced.tocsc(),
+        border=np.asarray(border),
+        interior=corner,
+        pose_side=n.pose_side.ravel() - w @ eliminated.ravel(),
+        interior_side=n.interior_side.ravel() - wk_flat.T @ eliminated.ravel(),
+        points_inverse=inverse,
+        normals=n,
+    )
+
+
+def _damped(blocks: Floats, damping: float) -> Floats:
+    out = blocks.copy()
+    i = np.arange(blocks.shape[-1])
+    out[..., i, i] *= 1.0 + damping
+    return out
+
+
+class _Solver:
+    """Symmetric positive definite solves, scaled to a unit diagonal: dense where small, else sparse."""
+
+    def __init__(self, matrix: csc_matrix) -> None:
+        diagonal = matrix.diagonal()
+        if not np.all(diagonal > 0.0):
+            raise NotSolvableError("the block does not determine the poses of its frames")
+        self._scale = 1.0 / np.sqrt(diagonal)
+        size = matrix.shape[0]
+        if size <= _DENSE_UNKNOWNS:
+            self._dense = cho_factor(
+                matrix.toarray() * self._scale[:, None] * self._scale, overwrite_a=True, check_finite=False
+            )
+            self._sparse = None
+        else:
+            scaled = matrix.multiply(self._scale[:, None]).multiply(self._scale).tocsc()
+            self._sparse = splu(
+                scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+
+    def __call__(self, side: Floats) -> Floats:
+        scaled = self._scale[:, None] * side
+        solved = cho_solve(self._dense, scaled) if self._sparse is None else self._sparse.solve(scaled)
+        return np.asarray(self._scale[:, None] * solved)
+
+
+def _spd_solve(matrix: Floats, side: Floats) -> Floats:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(scale * np.linalg.solve(matrix * scale[:, None] * scale, scale * side))

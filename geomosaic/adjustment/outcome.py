@@ -1,0 +1,53 @@
+"""What any method's poses mean for the block: status and residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted, Block, Round
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Warn
+
+Floats = NDArray[np.float64]
+
+
+def residuals_m(
+    block: Block, poses: Poses, cameras: tuple[Camera, ...], ground: GroundSurface
+) -> tuple[Floats, ...]:
+    """Per pair (k, 2): right minus left on the ground, east and north; NaN where a ray misses."""
+    out = []
+    for tie in block.ties.pairs:
+        left = ground_from_image(poses[tie.left], cameras[tie.left], ground, tie.left_px)
+        right = ground_from_image(poses[tie.right], cameras[tie.right], ground, tie.right_px)
+        out.append(right[:, :2] - left[:, :2])
+    return tuple(out)
+
+
+def settled(
+    block: Block,
+    poses: Poses,
+    rounds: tuple[Round, ...],
+    *,
+    cameras: tuple[Camera, ...] | None = None,
+    ground: GroundSurface | None = None,
+    warnings: tuple[Warn, ...] = (),
+    figures: dict[str, float] | None = None,
+) -> Adjusted:
+    """The outcome for poses found by any method: `tied` are frames with tie points, the others are
+    `placed` by POS alone."""
+    cameras, ground = cameras or block.cameras, ground or block.ground
+    tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)}
+    return Adjusted(
+        poses=poses,
+        cameras=cameras,
+        status=tuple("tied" if i in tied else "placed" for i in range(len(block.names))),
+        rounds=rounds,
+        residuals_m=residuals_m(block, poses, cameras, ground),
+        ground=ground,
+        warnings=warnings,
+        figures=figures or {},
+    )

@@ -1,0 +1,192 @@
+"""The global method: a block of similarities to start from, a bundle, the ground from its points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
+from geomosaic.adjustment.collinearity import INTERIOR, log_turn
+from geomosaic.adjustment.misalignment import offset_net
+from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
+from geomosaic.adjustment.outcome import settled
+from geomosaic.adjustment.similarity_block import similarity_block
+from geomosaic.adjustment.surface import level_m, tie_surface
+from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import about_z
+from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Warn
+
+Floats = NDArray[np.float64]
+
+# Prior deviations of what a lens is not known to do, and of a focal length without a stated one.
+_LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
+_FOCAL_SD = 0.005
+_PRINCIPAL_SD = 0.003
+_DEM_SD_M = 2.0
+_POSITION_LIES = 6.0
+_YAW_LIES_DEG = 8.0
+
+
+def pose_block(block: Block, settings: Settings) -> Adjusted:
+    """Every frame's six pose parameters, the lenses and the tie points' ground at once.
+
+    POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
+    deviations are estimated again from the residuals. Frames without tie points keep their POS.
+    """
+    tracks = thin_tracks(
+        join_tracks(block.ties),
+        np.array([[c.width_px, c.height_px] for c in block.cameras]),
+        settings.observations_per_frame,
+    )
+    if not tracks.points:
+        still = np.zeros((len(block.names), 2))
+        return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
+    start = start_poses(block)
+    cameras = tuple({c.name: c for c in block.cameras}.values())
+    number = {c.name: k for k, c in enumerate(cameras)}
+    camera_of = np.array([number[c.name] for c in block.cameras])
+    points, kept = _points_on_ground(block, start, tracks)
+    priors = Priors(
+        poses=block.poses,
+        cameras=cameras,
+        interior_sd=np.stack([interior_deviations(c) for c in cameras]),
+        points_m=points,
+        points_sd_m=_point_deviations(block, points),
+    )
+    bundle = solve_bundle(kept, camera_of, priors, start)
+    ground = _ground(block, settings, bundle)
+    net = offset_net(block)
+    moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
+    first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
+    return settled(
+        block,
+        bundle.poses,
+        (first,),
+        cameras=tuple(bundle.cameras[k] for k in camera_of),
+        ground=ground,
+        warnings=tuple(_lies(block, bundle.poses)),
+        figures=_figures(bundle, kept),
+    )
+
+
+def start_poses(block: Block) -> Poses:
+    """POS turned, shifted and scaled over the ground so that the frames agree, see `similarity_block`."""
+    poses = block.poses
+    height = heights_above_ground_m(poses, block.ground)
+    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
+    turn, nadir = similarity_block(
+        offset_net(block),
+        poses.positions_m[:, :2],
+        np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt),
+        np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
+        np.clip(poses.positions_sd_m[:, 2] / height, 0.01, 0.5),
+    )
+    scale = np.clip(np.abs(turn), 0.5, 2.0)
+    up = poses.positions_m[:, 2] + (scale - 1.0) * height
+    return replace(
+        poses,
+        positions_m=np.column_stack([nadir.real, nadir.imag, up]),
+        rotations=about_z(np.angle(turn)) @ poses.rotations,
+    )
+
+
+def interior_deviations(camera: Camera) -> Floats:
+    """Prior deviations of a camera's numbers in the order of INTERIOR."""
+    focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
+    principal = _PRINCIPAL_SD * max(camera.width_px, camera.height_px)
+    return np.array([focal, principal, principal, *(_LENS_SD[name] for name in INTERIOR[3:])])
+
+
+def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:
+    """Each track's mean place on the ground from the start poses; tracks that miss it are dropped."""
+    at = np.full((len(tracks.frame), 3), np.nan)
+    for i in np.unique(tracks.frame):
+        mine = tracks.frame == i
+        at[mine] = ground_from_image(poses[i], block.cameras[i], block.ground, tracks.image_px[mine])
+    hit = np.isfinite(at).all(axis=1)
+    lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
+    keep = ~lost[tracks.point]
+    names, point = np.unique(tracks.point[keep], return_inverse=True)
+    kept = Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
+    count = np.bincount(point, minlength=len(names))
+    mean = np.stack(
+        [np.bincount(point, at[keep][:, k], minlength=len(names)) / count for k in range(3)], axis=1
+    )
+    return mean, kept
+
+
+def _point_deviations(block: Block, points: Floats) -> Floats:
+    """Tie points are free over the map; a DEM holds their height, flat ground only keeps it sane."""
+    height = float(np.median(heights_above_ground_m(block.poses, block.ground)))
+    up = _DEM_SD_M if block.ground.kind == "dem" else 0.5 * height
+    return np.tile([10.0 * height, 10.0 * height, up], (len(points), 1))
+
+
+def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
+    """A DEM stays; else flat at the points' own level, or their surface where relief shows.
+
+    Relief shows where it moves the middle of a frame's outer half by more than half a ground pixel.
+    """
+    if block.ground.kind == "dem":
+        return block.ground
+    well = bundle.points_sd_m[:, 2] < 3.0 * np.median(bundle.points_sd_m[:, 2])
+    points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
+    above = points[:, 2] - block.ground.up_at(points[:, 0], points[:, 1])
+    flat = replace(block.ground, up_m=block.ground.up_m + level_m(above, sd))
+    if settings.ground == "flat" or len(points) < 50:
+        return flat
+    height = float(np.median(heights_above_ground_m(bundle.poses, flat)))
+    surface = tie_surface(
+        points, sd, points[:, :2].min(axis=0), points[:, :2].max(axis=0), stiffness_m=0.002 * height
+    )
+    if settings.ground == "tie_surface":
+        return surface
+    view = max(np.hypot(c.width_px, c.height_px) / 4.0 / c.focal_length_px for c in bundle.cameras)
+    relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
+    shown = float(np.sqrt(np.mean(np.square(relief)))) * view
+    return surface if shown > 0.5 * block.ground_pixel_m else flat
+
+
+def _lies(block: Block, poses: Poses) -> list[Warn]:
+    """Frames whose POS the block contradicts far beyond its deviation, with before and after."""
+    moved = poses.positions_m - block.poses.positions_m
+    far = np.linalg.norm(moved[:, :2], axis=1)
+    limit = _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
+    turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
+    yaw_limit = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(block.poses.rotations_sd_rad[:, 2]))
+    out = [
+        Warn(
+            "position-wrong",
+            block.names[i],
+            f"its position was off by {far[i]:.0f} m; placed by its neighbours",
+        )
+        for i in np.flatnonzero(far > limit)
+    ]
+    return out + [
+        Warn(
+            "yaw-wrong",
+            block.names[i],
+            f"its heading was off by {-turned[i]:.0f} degrees; set by its neighbours",
+        )
+        for i in np.flatnonzero(np.abs(turned) > yaw_limit)
+    ]
+
+
+def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
+    length = np.linalg.norm(bundle.residual_px, axis=1)
+    figures = {
+        "sigma_px": bundle.sigma_px,
+        "reprojection_mean_px": float(np.nanmean(length[bundle.weight > 0.1])),
+        "tracks": float(tracks.points),
+        "observations": float(len(tracks.frame)),
+        "track_length_mean": float(tracks.lengths.mean()),
+        "iterations": float(bundle.iterations),
+    }
+    return figures | {f"sigma_{group}": value for group, value in bundle.sigma.items()}

@@ -1,0 +1,83 @@
+"""Tie points joined over many frames: one ground point, seen from two or more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from geomosaic.matching.model import TiePoints
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """m image observations of p ground points, sorted by point.
+
+    frame, point: (m,) indices. image_px: (m, 2). Every point is seen in at least two frames, and no
+    frame sees a point twice.
+    """
+
+    frame: Ints
+    point: Ints
+    image_px: Floats
+
+    @property
+    def points(self) -> int:
+        """How many ground points there are."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    @property
+    def lengths(self) -> Ints:
+        """In how many frames each point is seen, (p,)."""
+        return np.bincount(self.point, minlength=self.points)
+
+
+def join_tracks(ties: TiePoints) -> Tracks:
+    """Connected keypoints become tracks; a track that meets a frame twice is dropped as contradictory."""
+    pairs = [t for t in ties.pairs if len(t)]
+    if not pairs:
+        return Tracks(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)))
+    frames = np.concatenate([np.repeat([[t.left], [t.right]], len(t), axis=1) for t in pairs], axis=1)
+    features = np.concatenate([np.stack([t.left_feature, t.right_feature]) for t in pairs], axis=1)
+    px = np.concatenate([np.stack([t.left_px, t.right_px]) for t in pairs], axis=1)
+    keys = frames.astype(np.int64) * (int(features.max()) + 1) + features
+    names, first, number = np.unique(keys.ravel(), return_index=True, return_inverse=True)
+    number = number.reshape(keys.shape)
+    n = len(names)
+    graph = coo_matrix((np.ones(number.shape[1], np.int8), (number[0], number[1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    frame, image_px = frames.ravel()[first], px.reshape(-1, 2)[first]
+    order = np.lexsort((frame, label))
+    label, frame, image_px = label[order], frame[order], image_px[order]
+    twice = (np.diff(label) == 0) & (np.diff(frame) == 0)
+    good = ~np.isin(label, label[1:][twice])
+    _, point = np.unique(label[good], return_inverse=True)
+    return Tracks(frame[good].astype(np.intp), point.astype(np.intp), image_px[good])
+
+
+def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Tracks:
+    """At most about per_frame observations a frame, spread evenly, long tracks first.
+
+    Each frame asks, cell by cell of a grid of cells x cells, for its longest tracks; a track stays if
+    any frame asks for it.
+
+    Args: sizes_px (frames, 2): width and height of each frame.
+    """
+    counts = np.bincount(tracks.frame, minlength=len(sizes_px))
+    if not len(tracks.frame) or counts.max() <= per_frame:
+        return tracks
+    length = tracks.lengths[tracks.point]
+    at = np.clip((tracks.image_px / sizes_px[tracks.frame] * cells).astype(np.int64), 0, cells - 1)
+    cell = (tracks.frame * cells + at[:, 1]) * cells + at[:, 0]
+    order = np.lexsort((tracks.point, -length, cell))
+    rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
+    asked = order[rank < max(1, per_frame // cells**2)]
+    keep = np.isin(tracks.point, tracks.point[asked])
+    _, point = np.unique(tracks.point[keep], return_inverse=True)
+    return Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
