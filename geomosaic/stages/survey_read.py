@@ -1,0 +1,65 @@
+"""The front door: a folder of frames and the files beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.survey.attitude import CONVENTIONS
+from geomosaic.survey.model import Survey
+from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.read import read_survey
+
+_THUMBNAILS = 200
+
+
+class SurveyRead(Stage):
+    """Reads headers, positions, attitudes, cameras, DEM and control; decodes no frame in full."""
+
+    id = "survey.read"
+    display_name = "Read the survey"
+    group = "Survey"
+    version = 1
+    outputs: ClassVar[dict[str, type]] = {"survey": Survey}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        frames: Path = param(help="folder of frames, JPEG or TIFF")
+        pos: Path | None = param(None, help="positions and attitudes: CSV, geo.txt, Pix4D")
+        camera: Path | None = param(None, help="interior orientation: cameras.json or YAML")
+        dem: Path | None = param(None, help="elevation model, any raster GDAL reads")
+        dem_offset_m: float | None = param(
+            None, help="what to add to the DEM to have ellipsoidal heights", unit="m", ge=-12000, le=12000
+        )
+        gcp: Path | None = param(None, help="control and check points: gcp_list.txt or CSV")
+        crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
+        pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
+        attitude_convention: str = param("auto", help="what the angles of the POS file mean", choices=CONVENTIONS)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Reads all of it and records what the frames look like."""
+        survey = read_survey(
+            params.frames,
+            pos=params.pos,
+            camera=params.camera,
+            dem=params.dem,
+            dem_offset_m=params.dem_offset_m,
+            gcp=params.gcp,
+            crs=params.crs,
+            pos_crs=params.pos_crs,
+            attitude_convention=params.attitude_convention,
+            progress=context.progress,
+        )
+        for warning in survey.warnings:
+            context.warn(warning.code, warning.frame, warning.text)
+        for camera in survey.cameras:
+            context.recorder.camera(camera.name, camera)
+        for frame in survey.frames[:: max(1, -(-len(survey.frames) // _THUMBNAILS))]:
+            context.check_cancelled()
+            pixels, _ = read_pixels(frame, 8)
+            context.recorder.image("/frames", frame.name, thumbnail(pixels))
+        return {"survey": survey}
