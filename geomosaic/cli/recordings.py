@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from geomosaic.cli.options import AsJson, Dask, FixedTime, RunFolder, Sets, Workers
 from geomosaic.errors import FileError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -17,15 +20,13 @@ if TYPE_CHECKING:
     from geomosaic.recording import Recording
 
 app = typer.Typer()
-_PANEL = "Recordings"
 
 RecordingFile = Annotated[
     Path, typer.Argument(metavar="RUN.mcap", help="the recording of a run, or its folder")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of tables")]
 
 
-@app.command(rich_help_panel=_PANEL)
+@app.command()
 def inspect(recording: RecordingFile, as_json: AsJson = False) -> None:
     """Say what a recording holds: stages, rounds of adjustment, warnings, topics, and whether it is whole."""
     from geomosaic.recording import read_recording, summary
@@ -35,7 +36,7 @@ def inspect(recording: RecordingFile, as_json: AsJson = False) -> None:
     print(json.dumps(short, indent=2)) if as_json else show_summary(short, _console())
 
 
-@app.command(rich_help_panel=_PANEL)
+@app.command()
 def diff(
     a: Annotated[Path, typer.Argument(metavar="A.mcap", help="a recording, or a run's folder")],
     b: Annotated[Path, typer.Argument(metavar="B.mcap", help="another one")],
@@ -53,56 +54,52 @@ def diff(
     raise typer.Exit(0 if difference["equal"] else 1)
 
 
-@app.command(rich_help_panel=_PANEL)
+@app.command()
 def replay(
     recording: RecordingFile,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="RUN", help="folder of the new run")],
+    output: RunFolder,
     start: Annotated[
         str,
         typer.Option(
-            "--from", metavar="STAGE", help="first stage to run again; default: the first one changed"
+            "--from", metavar="STAGE", help="first stage to run again; default: the first that --set changes"
         ),
     ] = "",
-    sets: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="STAGE.PARAM=VALUE", help="change a parameter; repeatable"),
-    ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="processes")] = 1,
-    fixed_time: Annotated[bool, typer.Option(help="equal runs give equal recordings, byte by byte")] = False,
+    set: Sets = None,
+    workers: Workers = None,
+    dask: Dask = None,
+    fixed_time: FixedTime = False,
 ) -> None:
-    """Run a recorded recipe again from any stage on, with the recording's artefacts for what comes before.
+    """Run a recorded recipe again from any stage on, taking what comes before from the recording.
 
-    Stages that read pixels need the frames where they were. A recording is as trustworthy as a recipe:
-    it names the files to read.
+    Stages that read pixels need the frames where they were. Trust a recording as you would a recipe: it
+    names the files to read.
     """
-    from geomosaic.cli.progress import progress
+    from geomosaic.cli.mosaic import execute
     from geomosaic.pipeline.recipe import parse_recipe
     from geomosaic.pipeline.registry import installed
-    from geomosaic.pipeline.runner import run
-    from geomosaic.recording import printable, read_recording
+    from geomosaic.recording import read_recording
 
     path = _file(recording)
     recorded = read_recording(path)
-    if path.absolute().parent == out.absolute():
-        raise InputError("this is the run to be replayed", file=out, mend="give another folder with -o")
+    if path.absolute().parent == output.absolute():
+        raise InputError("this is the run to be replayed", file=output, mend="give another folder with -o")
     if not recorded.recipe_yaml:
         raise FileError("it holds no recipe", file=path, mend="run the recipe itself")
-    recipe = parse_recipe(recorded.recipe_yaml, installed(), sets or (), file=str(path))
-    first = _first_stage(recipe, start, sets or [], path)
+    recipe = parse_recipe(recorded.recipe_yaml, installed(), set or (), file=str(path))
+    first = _first_stage(recipe, start, set or [], path)
     given = {i: _given(recorded, recipe, i) for i in range(first)}
+    _bring_files(recipe, given, path.absolute().parent, output.absolute())
     try:
-        with progress() as reporter:
-            run(recipe, out, workers=workers, fixed_time=fixed_time, given=given, reporter=reporter)
+        execute(recipe, output, workers, dask, fixed_time, given)
     except FileError as error:
         for folder in _frame_folders(given):
             if not folder.is_dir():
                 mend = "put the frames back there, or replay from a stage that reads no pixels"
                 raise FileError("the frames' folder is gone", file=folder, mend=mend) from error
         raise
-    print(printable(f"{len(recipe.steps) - first} of {len(recipe.steps)} stages run again: {out}"))
 
 
-@app.command(rich_help_panel=_PANEL)
+@app.command()
 def view(
     recording: RecordingFile,
     save: Annotated[
@@ -169,6 +166,42 @@ def _given(recorded: Recording, recipe: Recipe, index: int) -> dict[str, Any]:
             mend = f"replay with --from {stage.id} or an earlier stage"
             raise FileError(error.problem, file=recorded.path, mend=mend) from error
     return given
+
+
+def _bring_files(
+    recipe: Recipe, given: dict[int, dict[str, Any]], recorded_folder: Path, output: Path
+) -> None:
+    """Copies into the new run folder the files that given artefacts name and later stages take."""
+    from geomosaic.pipeline.files import path_within, writing
+
+    later = recipe.steps[len(given) :]
+    wanted = {name for step in later for name in (*step.stage.inputs, *step.stage.optional_inputs)}
+    for index, outputs in given.items():
+        for name in wanted & outputs.keys():
+            for file in _named_files(outputs[name]):
+                try:
+                    source, target = path_within(recorded_folder, file), path_within(output, file)
+                except ValueError as error:
+                    raise FileError(str(error), file=recorded_folder) from error
+                if not source.is_file():
+                    id = recipe.steps[index].stage.id
+                    mend = f"replay with --from {id} or an earlier stage"
+                    raise FileError(f"the file of '{name}' is gone", file=source, mend=mend)
+                with writing(target) as temporary:
+                    shutil.copyfile(source, temporary)
+
+
+def _named_files(artefact: Any) -> list[str]:
+    """Names of files in the run folder that an artefact stands for: of `RunFile`s, and below work/."""
+    from geomosaic.pipeline.context import RunFile
+
+    if isinstance(artefact, RunFile):
+        return [artefact.name]
+    if isinstance(artefact, str):
+        return [artefact] if artefact.startswith("work/") else []
+    if dataclasses.is_dataclass(artefact):
+        return [n for f in dataclasses.fields(artefact) for n in _named_files(getattr(artefact, f.name))]
+    return [n for item in artefact for n in _named_files(item)] if isinstance(artefact, tuple) else []
 
 
 def _frame_folders(given: dict[int, dict[str, Any]]) -> list[Path]:

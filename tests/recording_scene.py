@@ -1,0 +1,62 @@
+"""A small recording with one of everything, for the tests of the recording room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from geomosaic.camera.interior import Camera
+from geomosaic.recording import Recorder, thumbnail
+
+FRAMES = ("DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG")
+CAMERA = Camera(
+    "FC 220", 4000, 3000, 2300.0, 2001.5, 1499.25, k1=-0.011, k2=0.003, p1=1e-4, p2=-2e-4, k3=5e-4
+)
+ARTEFACT = np.random.default_rng(5).bytes(2_300_001)
+RECIPE = "name: scene\nseed: 7\nstages: [survey.read, adjustment.solve]\n"
+
+
+def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3, warn: bool = True) -> None:
+    """Two stages; the second may be varied."""
+    recorder.begin_run(
+        RECIPE, {"geomosaic": "0.1.0", "numpy": "2.4.6"}, {"survey.read.frames": {"a.jpg": "00ff"}}
+    )
+    recorder.stage_started("survey.read", 1, {"frames": "images", "crs": "auto"}, {})
+    recorder.camera(CAMERA.name, CAMERA)
+    for i, frame in enumerate(FRAMES):
+        picture = np.full((60, 90, 3), (200 - 40 * i, 30, 60), dtype=np.uint8)
+        recorder.image("/images/before", frame, thumbnail(picture))
+        recorder.location(frame, -91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5, 1.5, 2.0, 3.0, "observed")
+    recorder.artefact("survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, ARTEFACT)
+    recorder.log("info", "3 frames", stage="survey.read")
+    recorder.stage_finished("survey.read", {"survey": "ab" * 20}, 1.25, False)
+    recorder.stage_started(
+        "adjustment.solve", 2, {"method": method, "epsilon_px": 10.0}, {"survey": "ab" * 20}
+    )
+    for k in range(rounds):
+        left, right = 3.0 * 0.5**k, -4.0 * 0.5**k
+        pairs = [(FRAMES[0], FRAMES[1], left, right), (FRAMES[1], FRAMES[2], np.nan, np.nan)]
+        moves = [(FRAMES[0], 0.5, -0.25), (FRAMES[1], -1.0 * 0.5**k, 0.125), (FRAMES[2], 0.0, 0.0)]
+        recorder.offsets("adjustment.solve", k, pairs, moves)
+    points = np.array([[100.5, 200.25], [300.0, 400.75]])
+    recorder.tie_points(
+        FRAMES[0], FRAMES[1], points, points - [0.0, 180.0], np.array([[0.02, -0.03], [0.01, 0.04]])
+    )
+    ring = [[-91.25, 46.5], [-91.249, 46.5], [-91.249, 46.501], [-91.25, 46.5]]
+    polygon = {"type": "Polygon", "coordinates": [ring]}
+    recorder.geojson(
+        "/map/footprints", [{"type": "Feature", "properties": {"frame": FRAMES[0]}, "geometry": polygon}]
+    )
+    for frame, status in zip(FRAMES, ("tied", "placed", "rejected"), strict=True):
+        recorder.location(frame, -91.25, 46.5, 252.0, 0.05, 0.06, np.nan, status)
+    if warn:
+        recorder.log("warning", "turned: righted by 180 degrees", stage="adjustment.solve", frame=FRAMES[2])
+    recorder.stage_finished("adjustment.solve", {"adjusted": f"{len(method):040x}"}, 0.5, False)
+
+
+def written(path: Path, **changes: object) -> Path:
+    """A whole recording with fixed times."""
+    with Recorder(path, fixed_time=True) as recorder:
+        record(recorder, **changes)  # type: ignore[arg-type]
+    return path

@@ -1,0 +1,215 @@
+"""What is written, as other readers see it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.reader import NonSeekingReader, make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from recording_scene import ARTEFACT, CAMERA, FRAMES, RECIPE, record, written
+
+from geomosaic.errors import OutputError
+from geomosaic.recording import Recorder, artefact_data, read_recording, thumbnail
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("scene") / "run.mcap")
+
+
+def decoded(path: Path, topic: str) -> list:
+    """Messages of a topic, decoded by mcap's own reader from the file's own schemas, CRCs checked."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        return [m.decoded_message for m in reader.iter_decoded_messages(topics=[topic])]
+
+
+def test_every_message_is_read_by_mcaps_own_reader_with_all_crcs(scene: Path) -> None:
+    with scene.open("rb") as file:
+        reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        found = list(reader.iter_decoded_messages(log_time_order=False))
+    assert len(found) == 4 + 1 + 3 + 6 + 3 + 2 + 3 + 1 + 1
+    assert {channel.message_encoding for _, channel, _, _ in found} == {"protobuf"}
+    with scene.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        names = [a.name for a in reader.iter_attachments()]
+        recipe = next(a.data for a in reader.iter_attachments())
+        metadata = [(m.name, m.metadata["format"]) for m in reader.iter_metadata()]
+        chunks = reader.get_summary().chunk_indexes  # type: ignore[union-attr]
+    assert names == ["recipe.yaml", "environment.json", "manifest.json"] and recipe.decode() == RECIPE
+    assert metadata == [("geomosaic", "1")]
+    assert {c.compression for c in chunks} == {"zstd"}
+
+
+def test_recipe_environment_and_manifest_stand_before_the_first_chunk(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.begin_run(RECIPE, {"numpy": "2"}, {"frames": {}})
+    recording = read_recording(tmp_path / "run.mcap")
+    assert recording.recipe_yaml == RECIPE
+    assert recording.environment == {"numpy": "2"} and recording.manifest == {"frames": {}}
+    recorder.close()
+
+
+def test_values_of_foxgloves_messages(scene: Path) -> None:
+    fix = decoded(scene, "/location/observed")[1]
+    assert (fix.frame_id, fix.longitude, fix.latitude, fix.altitude) == (FRAMES[1], -91.249, 46.5005, 251.5)
+    assert list(fix.position_covariance) == [2.25, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
+    assert fix.HasField("color") and fix.color.a == 1.0
+    unsure = decoded(scene, "/location/tied")[0]
+    assert unsure.position_covariance_type == 0 and not unsure.position_covariance
+    camera = decoded(scene, "/camera/FC_220")[0]
+    assert (camera.K[2], camera.K[5]) == (2001.0, 1498.75), "OpenCV's origin is half a pixel off the corner's"
+    assert list(camera.D) == [-0.011, 0.003, 1e-4, -2e-4, 5e-4]
+    assert camera.frame_id == CAMERA.name
+    picture = cv2.imdecode(
+        np.frombuffer(decoded(scene, "/images/before")[0].data, np.uint8), cv2.IMREAD_COLOR
+    )
+    assert np.abs(picture.mean(axis=(0, 1)) - [60, 30, 200]).max() < 3, "blue, green, red"
+    footprints = json.loads(decoded(scene, "/map/footprints")[0].geojson)
+    assert footprints["features"][0]["geometry"]["coordinates"][0][2] == [-91.249, 46.501]
+
+
+def test_values_of_our_own_messages_from_the_schema_in_the_file(scene: Path) -> None:
+    first = decoded(scene, "/offsets/adjustment.solve")[1]
+    assert (first.stage, first.round, list(first.left), list(first.right)) == (
+        "adjustment.solve",
+        1,
+        list(FRAMES[:2]),
+        list(FRAMES[1:]),
+    )
+    assert (first.east_m[0], first.north_m[0]) == (1.5, -2.0) and np.isnan(first.east_m[1])
+    assert first.largest_misalignment_m == 2.5 and first.rms_misalignment_m == 2.5
+    assert list(first.move_east_m) == [0.5, -0.5, 0.0]
+    ties = decoded(scene, "/tie_points")[0]
+    assert list(ties.left_col_px) == [100.5, 300.0] and list(ties.right_row_px) == [20.25, 220.75]
+    assert np.allclose(ties.residual_north_m, [-0.03, 0.04])
+    begun, ended = decoded(scene, "/stages")[2:]
+    assert json.loads(begun.params_json) == {"method": "error_sharing", "epsilon_px": 10.0}
+    assert (begun.version, begun.stage_index, begun.inputs[0].name) == (2, 1, "survey")
+    assert ended.finished and not ended.HasField("seconds"), "no durations with fixed times"
+
+
+def test_schemas_stand_alone_in_a_fresh_pool(scene: Path) -> None:
+    with scene.open("rb") as file:
+        schemas = make_reader(file).get_summary().schemas.values()  # type: ignore[union-attr]
+    assert {s.name for s in schemas} >= {
+        "geomosaic.StageEvent",
+        "geomosaic.TiePoints",
+        "foxglove.LocationFix",
+    }
+    for schema in schemas:
+        pool = descriptor_pool.DescriptorPool()
+        for file_proto in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(file_proto)
+        message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))()
+
+
+def test_equal_runs_with_fixed_times_are_equal_bytes(tmp_path: Path) -> None:
+    a, b = written(tmp_path / "a.mcap"), written(tmp_path / "b.mcap")
+    assert a.read_bytes() == b.read_bytes()
+    assert a.read_bytes() != written(tmp_path / "c.mcap", rounds=4).read_bytes()
+
+
+def test_clock_times_rise_strictly_and_every_stream_shares_the_counter(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap") as recorder:
+        record(recorder)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        found = [m for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
+    assert all(a.log_time < b.log_time for a, b in itertools.pairwise(found))
+    assert [m.sequence for m in found] == list(range(len(found)))
+    assert all(m.log_time == m.publish_time for m in found)
+    recording = read_recording(tmp_path / "run.mcap")
+    assert [s.seconds for s in recording.stages] == [1.25, 0.5]
+
+
+def test_a_name_that_is_no_unicode_is_recorded_with_a_question_mark(tmp_path: Path) -> None:
+    name = os.fsdecode(b"bild\xe4.jpg")
+    with Recorder(tmp_path / "run.mcap") as recorder:
+        recorder.begin_run("", {}, {"file": name})
+        recorder.log("error", f"{name}: no picture", frame=name)
+    assert read_recording(tmp_path / "run.mcap").log[0].frame == "bild?.jpg"
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from recording_scene import record
+from geomosaic.recording import Recorder
+recorder = Recorder(Path({path!r}))
+record(recorder)
+recorder.stage_started("mosaic.compose", 1, {{}}, {{}})
+for i in range(20):
+    recorder.log("info", f"window {{i}}")
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_process_loses_nothing_of_a_finished_stage(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    script = _KILLED.format(tests=str(Path(__file__).parent), path=str(path))
+    done = subprocess.run([sys.executable, "-c", script], timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    recording = read_recording(path)
+    assert recording.problem == "it was cut off" and not recording.whole
+    assert [s.finished for s in recording.stages] == [True, True]
+    assert recording.recipe_yaml == RECIPE and len(recording.rounds) == 3
+    assert artefact_data(recording, recording.artefacts[0]) == ARTEFACT
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_one_clear_error_then_and_later() -> None:
+    recorder = Recorder(Path("/dev/full"))
+    for _ in range(2):
+        with pytest.raises(OutputError, match="/dev/full: No space left on device; free some space"):
+            recorder.begin_run(RECIPE, {}, {})
+    recorder.close()
+
+
+def test_a_folder_that_is_not_there_is_an_output_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="No such file or directory"):
+        Recorder(tmp_path / "nowhere" / "run.mcap")
+
+
+def test_an_error_within_the_block_still_closes_the_file(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), Recorder(tmp_path / "run.mcap") as recorder:
+        recorder.begin_run(RECIPE, {}, {})
+        raise KeyError
+    assert read_recording(tmp_path / "run.mcap").whole
+
+
+@pytest.mark.parametrize(
+    ("picture", "size"),
+    [
+        (np.zeros((3000, 4000, 3), np.uint8), (384, 512)),
+        (np.zeros((40, 30), np.uint8), (40, 30)),
+        (np.zeros((2000, 10, 5), np.uint16), (512, 3)),
+        (np.full((10, 10, 2), np.nan), (10, 10)),
+        (np.zeros((5, 2000, 1), np.int32), (1, 512)),
+    ],
+)
+def test_thumbnails_keep_their_shape_and_never_grow(picture: np.ndarray, size: tuple[int, int]) -> None:
+    jpeg = cv2.imdecode(np.frombuffer(thumbnail(picture), np.uint8), cv2.IMREAD_COLOR)
+    assert jpeg.shape[:2] == size
+
+
+def test_thumbnails_of_sixteen_bits_are_stretched() -> None:
+    ramp = np.broadcast_to(np.linspace(1000, 3000, 200).astype(np.uint16)[None, :, None], (100, 200, 3))
+    grey = cv2.imdecode(np.frombuffer(thumbnail(ramp), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert grey[:, :4].mean() < 6 and grey[:, -4:].mean() > 249
+    assert abs(grey[:, 99:101].mean() - 127.5) < 3
+
+
+def test_no_pixels_no_thumbnail() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        thumbnail(np.zeros((0, 5, 3), np.uint8))
