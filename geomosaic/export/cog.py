@@ -1,0 +1,74 @@
+"""The mosaic as a cloud-optimised GeoTIFF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from osgeo import gdal
+
+from geomosaic import __version__
+from geomosaic.errors import InputError
+from geomosaic.export.gdal_failures import GdalProgress, Progress, gdal_failures
+
+COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
+    "deflate": ("PREDICTOR=YES",),
+    "zstd": ("PREDICTOR=YES",),
+    "webp": (),
+    "jpeg": (),
+}
+"""Creation options that go with each compression; the last two lose a little and take 8 bits only."""
+LOSSY: Final = ("webp", "jpeg")
+OVERVIEWS: Final = ("average", "cubic", "bilinear", "lanczos", "nearest")
+_BLOCK_PX = 512
+
+
+def write_cog(
+    raster: Path,
+    out: Path,
+    *,
+    compression: str = "deflate",
+    quality: int = 90,
+    overviews: str = "average",
+    threads: int = 2,
+    progress: Progress | None = None,
+) -> None:
+    """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
+
+    The software and the ground pixel (`GSD_M`) stand in its metadata.
+    Raises: `InputError` if the compression can't hold these pixels; `OSError` if `out` can't be written.
+    """
+    callback = GdalProgress(progress)
+    with callback.reraise(), gdal_failures(out):
+        source = gdal.Open(str(raster))
+        band = source.GetRasterBand(1)
+        eight_bits = band.DataType == gdal.GDT_Byte
+        if compression in LOSSY and not (eight_bits and source.RasterCount in (1, 3)):
+            kind = f"{source.RasterCount} bands of {gdal.GetDataTypeName(band.DataType)}"
+            raise InputError(
+                f"{compression} can't hold {kind}", mend="choose deflate or zstd for export.cog.compression"
+            )
+        if compression == "webp" and source.RasterCount == 1:
+            raise InputError("webp can't hold one band", mend="choose jpeg, deflate or zstd")
+        options = [
+            f"COMPRESS={compression.upper()}",
+            f"BLOCKSIZE={_BLOCK_PX}",
+            "BIGTIFF=IF_SAFER",
+            f"OVERVIEW_RESAMPLING={overviews.upper()}",
+            f"NUM_THREADS={threads}",
+            *COMPRESSIONS[compression],
+        ]
+        if compression in LOSSY:
+            options.append(f"QUALITY={quality}")
+        done = gdal.Translate(
+            str(out),
+            source,
+            format="COG",
+            creationOptions=options,
+            metadataOptions=[
+                f"TIFFTAG_SOFTWARE=geomosaic {__version__}",
+                f"GSD_M={source.GetGeoTransform()[1]:.10g}",
+            ],
+            callback=callback,
+        )
+        del done, band, source

@@ -1,0 +1,75 @@
+"""GDAL's failures as exceptions, those it only logs while it closes a file included."""
+
+from __future__ import annotations
+
+import errno
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from osgeo import gdal, ogr, osr
+
+gdal.UseExceptions()
+ogr.UseExceptions()
+osr.UseExceptions()
+
+Progress = Callable[[int, int], None]
+_LITTLE_BYTES = 1 << 20
+
+
+@contextmanager
+def gdal_failures(path: Path) -> Iterator[None]:
+    """Raises `OSError` (with `ENOSPC` where the disk is full) if GDAL failed to write `path` in the block.
+
+    Datasets must be closed within the block: that is when GDAL notices a full disk.
+    """
+    failures: list[str] = []
+
+    def note(level: int, _number: int, text: str) -> None:
+        if level >= gdal.CE_Failure:
+            failures.append(" ".join(text.split()))
+
+    gdal.PushErrorHandler(note)
+    try:
+        yield
+    except RuntimeError as error:
+        failures.append(" ".join(str(error).split()))
+    finally:
+        gdal.PopErrorHandler()
+    if failures:
+        full = "No space left" in failures[0] or shutil.disk_usage(path.parent).free < _LITTLE_BYTES
+        raise OSError(errno.ENOSPC if full else errno.EIO, failures[0])
+
+
+class GdalProgress:
+    """A callback for GDAL that reports percent and may stop it by raising.
+
+    GDAL can't carry an exception through; `reraise` does so once it has returned.
+    """
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._raised: BaseException | None = None
+
+    def __call__(self, fraction: float, _text: str, _data: object) -> int:
+        """GDAL's contract: 1 to go on, 0 to stop."""
+        try:
+            if self._progress is not None:
+                self._progress(round(100.0 * fraction), 100)
+        except BaseException as error:
+            self._raised = error
+            return 0
+        return 1
+
+    @contextmanager
+    def reraise(self) -> Iterator[None]:
+        """Puts the exception that stopped GDAL in the place of GDAL's own."""
+        try:
+            yield
+        except OSError:
+            if self._raised is not None:
+                raise self._raised from None
+            raise
+        if self._raised is not None:
+            raise self._raised

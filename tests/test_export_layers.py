@@ -1,0 +1,219 @@
+"""positions.csv and layers.gpkg, read back by others' readers."""
+
+from __future__ import annotations
+
+import csv
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic_scenes import CAMERA, CRS, GSD_M, HOME, make_survey
+from osgeo import ogr
+from osgeo_utils.samples import validate_gpkg
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.export.layers import write_layers
+from geomosaic.export.orientation import orientations
+from geomosaic.export.positions import COLUMNS, write_positions
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.mosaic.compose import compose
+from geomosaic.mosaic.grid import output_grid
+from geomosaic.mosaic.views import frame_views
+from geomosaic.placement.model import Placement
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.ground import flat_ground
+from geomosaic.survey.model import Attitude, Frame, Position, Survey
+
+CONTRACT = (
+    "frame status lon_deg lat_deg height_ellipsoidal_m easting_m northing_m yaw_deg pitch_deg roll_deg "
+    "omega_deg phi_deg kappa_deg sd_e_m sd_n_m sd_u_m sd_omega_deg sd_phi_deg sd_kappa_deg moved_m turned_deg"
+)
+
+
+def one_frame(lon: float, lat: float, yaw_deg: float, pitch_deg: float, roll_deg: float):
+    """A frame 6 km east of the work frame's origin with known angles in its own axes."""
+    home = LocalFrame(9.7, 47.2, 0.0)
+    local = Rotation.from_yaw_pitch_roll(*np.radians([yaw_deg, pitch_deg, roll_deg])).matrix
+    position = home.enu_from_geodetic(lon, lat, 812.5)[None]
+    work = (home.enu_from_local_rotation(lon, lat) @ local)[None]
+    poses = Poses(position, work, np.array([[0.3, 0.4, 0.9]]), np.radians([[0.02, 0.03, 0.05]]))
+    frame = Frame(
+        'a,"b.jpg', "/x", 240, 180, 3, "uint8", "cam",
+        Position(lon, lat, 800.0, None, 1.0, 1.0, "t"), Attitude(None, None, None, 1.0, 1.0, "t"),
+    )  # fmt: skip
+    survey = Survey((frame,), (CAMERA,), home, "EPSG:32632")
+    turned = Rotation.from_yaw_pitch_roll(*np.radians([yaw_deg - 2.5, 0.0, 0.0])).matrix
+    prior = Poses(
+        position - [[3.0, 4.0, 12.0]],
+        (home.enu_from_local_rotation(lon, lat) @ turned)[None],
+        np.ones((1, 3)),
+        np.ones((1, 3)),
+    )
+    adjusted = Adjusted(poses, (CAMERA,), ("tied",), (), (), flat_ground(home, 400.0, 9000.0))
+    return survey, prior, adjusted
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_positions_csv_holds_the_contract(tmp_path):
+    survey, prior, adjusted = one_frame(9.78, 47.23, 37.0, 0.0, 0.0)
+    write_positions(tmp_path / "p.csv", orientations(survey, prior, adjusted))
+    assert (tmp_path / "p.csv").read_text().splitlines()[0] == CONTRACT.replace(" ", ",")
+    assert tuple(CONTRACT.split()) == COLUMNS
+    row = rows(tmp_path / "p.csv")[0]
+    number = {k: float(v) for k, v in row.items() if k not in ("frame", "status")}
+    assert (row["frame"], row["status"]) == ('a,"b.jpg', "tied")
+    assert (number["lon_deg"], number["lat_deg"]) == pytest.approx((9.78, 47.23), abs=1e-9)
+    assert number["height_ellipsoidal_m"] == pytest.approx(812.5, abs=1e-4)
+    easting, northing = MapProjection("EPSG:32632").map_from_geodetic(9.78, 47.23)
+    assert (number["easting_m"], number["northing_m"]) == pytest.approx((easting, northing), abs=1e-4)
+    assert (number["yaw_deg"], number["pitch_deg"]) == pytest.approx((37.0, -90.0), abs=1e-5)
+    assert number["roll_deg"] == pytest.approx(0.0, abs=1e-5)
+    # Convergence 0.78 deg * sin(47.23 deg) = 0.5726 deg, to its first order; grid azimuth = 37 - 0.5726.
+    assert number["kappa_deg"] == pytest.approx(-(37.0 - 0.5727), abs=2e-4)
+    assert (number["omega_deg"], number["phi_deg"]) == pytest.approx((0.0, 0.0), abs=1e-5)
+    assert number["moved_m"] == pytest.approx(13.0, abs=1e-4)
+    assert number["turned_deg"] == pytest.approx(2.5, abs=1e-4)
+    assert number["sd_u_m"] == pytest.approx(0.9, abs=1e-4)
+    assert number["sd_e_m"] == pytest.approx(0.3, abs=1e-3)
+    assert number["sd_kappa_deg"] == pytest.approx(0.05, abs=1e-4)
+
+
+def test_pitch_and_roll_are_those_of_the_frames_own_vertical(tmp_path):
+    survey, prior, adjusted = one_frame(9.95, 47.1, 200.0, 4.0, -3.0)
+    o = orientations(survey, prior, adjusted)
+    assert o.yaw_pitch_roll_deg[0] == pytest.approx([200.0, -86.0, -3.0], abs=1e-9)
+    raw = Rotation(adjusted.poses.rotations).yaw_pitch_roll()[1]
+    assert abs(np.degrees(raw[0]) - 4.0) > 0.03, "19 km away the work frame's vertical is another"
+
+
+def test_omega_phi_kappa_sd_follow_the_angles():
+    """At kappa = 90 deg and no tilt omega is still about east, phi about north."""
+    survey, prior, adjusted = one_frame(9.7, 47.2, -90.0, 0.0, 0.0)
+    o = orientations(survey, prior, adjusted)
+    assert o.sd_omega_phi_kappa_deg[0] == pytest.approx([0.02, 0.03, 0.05], rel=1e-3)
+    assert o.omega_phi_kappa_deg[0, 2] == pytest.approx(90.0 + 0.5136, abs=1e-3)
+
+
+def test_unknown_deviations_are_empty_cells(tmp_path):
+    survey, prior, adjusted = one_frame(9.7, 47.2, 10.0, 1.0, 2.0)
+    poses = adjusted.poses
+    unsure = Poses(
+        poses.positions_m, poses.rotations, np.array([[0.3, 0.4, np.inf]]), np.full((1, 3), np.nan)
+    )
+    unsure = Adjusted(unsure, (CAMERA,), ("placed",), (), (), adjusted.ground)
+    write_positions(tmp_path / "p.csv", orientations(survey, prior, unsure))
+    row = rows(tmp_path / "p.csv")[0]
+    assert (row["sd_u_m"], row["sd_omega_deg"], row["sd_phi_deg"], row["sd_kappa_deg"]) == ("", "", "", "")
+    assert float(row["sd_e_m"]) == pytest.approx(0.3, abs=1e-3)
+    assert "nan" not in (tmp_path / "p.csv").read_text()
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    """A GeoPackage of six frames, two tied pairs whose residual is 0.3 m east, 0.4 m south."""
+    folder = tmp_path_factory.mktemp("layers")
+    survey, poses, ground = make_survey(folder / "frames")
+    views = frame_views(HOME, CRS, poses, [CAMERA] * 6, [True] * 6, ground)
+    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
+    mosaic = compose(survey, poses, [CAMERA] * 6, [True] * 6, ground, grid, folder / "raw.tif")
+    pixels = np.array([[50.5, 60.5], [120.25, 90.75], [200.0, 20.0]])
+    number = np.arange(3, dtype=np.int32)
+    pairs = tuple(TiePair(a, b, pixels, pixels + 7.0, number, number) for a, b in ((0, 1), (2, 5)))
+    residuals = (np.tile([0.3, -0.4], (3, 1)),) * 2
+    adjusted = Adjusted(
+        poses, (CAMERA,) * 6, ("tied", "tied", "tied", "placed", "placed", "tied"), (), residuals, ground
+    )
+    placement = Placement(poses, (5, 4, 3, 2, 1, 0), (0, 0, 0, 1, 1, 1), ((0, 1), (2, 5)), 0.25, "rigorous")
+    arguments = (survey, placement, TiePoints(pairs), adjusted, mosaic)
+    write_layers(folder / "layers.gpkg", *arguments)
+    return folder / "layers.gpkg", arguments
+
+
+def test_six_layers_with_crs_and_spatial_index(package):
+    path, _ = package
+    validate_gpkg.check(str(path), abort_at_first_error=True)
+    dataset = ogr.Open(str(path))
+    names = {dataset.GetLayer(i).GetName(): dataset.GetLayer(i) for i in range(dataset.GetLayerCount())}
+    assert set(names) == {"frames", "footprints", "nadir_points", "tie_points", "residuals", "seamlines"}
+    counts = {name: layer.GetFeatureCount() for name, layer in names.items()}
+    assert counts == {
+        "frames": 6, "footprints": 6, "nadir_points": 6, "tie_points": 6, "residuals": 6, "seamlines": 6,
+    }  # fmt: skip
+    for name, layer in names.items():
+        assert layer.GetSpatialRef().GetAuthorityCode(None) == "32632", name
+    with sqlite3.connect(path) as db:
+        indexed = {
+            t
+            for (t,) in db.execute(
+                "SELECT table_name FROM gpkg_extensions WHERE extension_name='gpkg_rtree_index'"
+            )
+        }
+    assert indexed == set(names)
+
+
+def test_frames_say_where_and_how(package):
+    path, (_survey, _, _, adjusted, _) = package
+    dataset = ogr.Open(str(path))
+    feature = dataset.GetLayer("frames").GetFeature(4)
+    assert feature["frame"] == "frame 03.tif"
+    assert (feature["status"], feature["flight_line"], feature["sequence"]) == ("placed", 1, 2)
+    assert feature["source_index"] == 4
+    assert feature["time_utc"] == "2023-11-14T22:13:26.000+00:00"
+    lon, lat, height = HOME.geodetic_from_enu(adjusted.poses.positions_m[3])
+    assert (feature["lon_deg"], feature["lat_deg"]) == pytest.approx((lon, lat), abs=1e-10)
+    geometry = feature.GetGeometryRef()
+    assert (geometry.GetX(), geometry.GetY()) == pytest.approx(
+        tuple(MapProjection(CRS).map_from_geodetic(lon, lat)), abs=1e-6
+    )
+    assert geometry.GetZ() == pytest.approx(height, abs=1e-6)
+    assert feature["sd_e_m"] == pytest.approx(0.7, abs=0.01)
+
+
+def test_residuals_run_from_left_to_right_true_to_scale(package):
+    path, (_survey, _, ties, adjusted, _) = package
+    dataset = ogr.Open(str(path))
+    feature = dataset.GetLayer("residuals").GetFeature(5)
+    assert (feature["left_frame"], feature["right_frame"]) == ("frame 02.tif", "frame 05.tif")
+    assert feature["residual_m"] == pytest.approx(0.5, abs=1e-3)
+    line = feature.GetGeometryRef()
+    ground = ground_from_image(adjusted.poses[2], CAMERA, adjusted.ground, ties.pairs[1].left_px[1])
+    geodetic = HOME.geodetic_from_enu(ground)
+    start = MapProjection(CRS).map_from_geodetic(geodetic[0], geodetic[1])
+    assert line.GetPoint_2D(0) == pytest.approx(tuple(start), abs=1e-3)
+    # The work frame's north is turned by the convergence (0.52 deg) against the grid's.
+    d_east, d_north = np.subtract(line.GetPoint_2D(1), line.GetPoint_2D(0))
+    assert (d_east, d_north) == pytest.approx((0.3 + 0.4 * 0.0091, -0.4 + 0.3 * 0.0091), abs=2e-4)
+
+
+def test_equal_data_give_equal_bytes(package, tmp_path):
+    path, arguments = package
+    write_layers(tmp_path / "again.gpkg", *arguments)
+    assert (tmp_path / "again.gpkg").read_bytes() == path.read_bytes()
+
+
+def test_names_are_data(package, tmp_path):
+    _, (survey, placement, ties, adjusted, mosaic) = package
+    evil = "x'); DROP TABLE frames;--\u00e9\".jpg"
+    frames = (replace(survey.frames[0], name=evil), *survey.frames[1:])
+    write_layers(tmp_path / "l.gpkg", replace(survey, frames=frames), placement, ties, adjusted, mosaic)
+    dataset = ogr.Open(str(tmp_path / "l.gpkg"))
+    assert dataset.GetLayer("frames").GetFeature(1)["frame"] == evil
+
+
+def test_no_ties_at_all_still_gives_six_layers(package, tmp_path):
+    _, (survey, placement, _, adjusted, mosaic) = package
+    alone = replace(adjusted, residuals_m=())
+    write_layers(tmp_path / "l.gpkg", survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=()))
+    dataset = ogr.Open(str(tmp_path / "l.gpkg"))
+    assert dataset.GetLayerCount() == 6
+    assert dataset.GetLayer("tie_points").GetFeatureCount() == 0
