@@ -25,6 +25,9 @@ from geomosaic.errors import GeomosaicError, InputError
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
+DASK_TIMEOUT_S = 10.0
+
+
 @dataclass(frozen=True)
 class _Failure:
     """An exception on its way home: many can't be pickled whole."""
@@ -144,7 +147,7 @@ class Workers:
         except ImportError as error:
             raise InputError("Dask is not installed", mend="pip install 'geomosaic[dask]'") from error
         try:
-            self._client = distributed.Client(address, timeout="10s", set_as_default=False)
+            self._client = distributed.Client(address, timeout=DASK_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"no Dask scheduler answers at {address}", mend="start one or leave --dask away"
@@ -180,7 +183,7 @@ class Workers:
             if error is not None:
                 for process in self._processes.started:
                     process.kill()
-            self._pool.shutdown(wait=error is None, cancel_futures=error is not None)
+            self._pool.shutdown(wait=error is None)
         if self._client is not None:
             self._client.close()
 

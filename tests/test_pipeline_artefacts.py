@@ -1,0 +1,157 @@
+"""The codec of artefacts: exact, deterministic, and deaf to strangers."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import pickle
+import zipfile
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from geomosaic.camera.interior import Camera
+from geomosaic.errors import FileError
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.pipeline.artefacts import decode, encode, fingerprint, type_name
+from geomosaic.survey.model import Attitude, Frame, Position, Survey
+
+
+@dataclass(frozen=True)
+class Inner:
+    xs: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str
+    inner: tuple[Inner, ...]
+    more: dict[str, Any]
+
+
+def arrays() -> st.SearchStrategy[Any]:
+    dtypes = st.sampled_from(["u1", "i4", "f4", "f8", "?", ">f8", "c16", "U5", "S3"])
+    return dtypes.flatmap(lambda d: hnp.arrays(d, hnp.array_shapes(min_dims=0, min_side=0, max_side=4)))
+
+
+def values() -> st.SearchStrategy[Any]:
+    plain = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary()
+    return st.recursive(
+        plain, lambda s: st.lists(s) | st.tuples(s, s) | st.dictionaries(st.text() | st.integers(), s)
+    )
+
+
+@given(values())
+def test_plain_values_come_back_as_they_were(value: Any) -> None:
+    data = encode(value)
+    back = decode(data, object)
+    assert repr(back) == repr(value)
+    assert encode(back) == data
+
+
+@given(arrays())
+def test_arrays_come_back_with_type_shape_and_bytes(array: NDArray[Any]) -> None:
+    back: NDArray[Any] = decode(encode(array), np.ndarray)
+    assert (back.dtype, back.shape, back.tobytes()) == (array.dtype, array.shape, array.tobytes())
+    assert back.flags.writeable
+
+
+def test_a_survey_comes_back_equal() -> None:
+    frame = Frame(
+        "a b.jpg", "/x/a b.jpg", 4000, 3000, 3, "uint8", "cam",
+        Position(7.125, 51.5, None, 80.25, 1.5, 3.0, "exif"),
+        Attitude(12.5, None, -0.25, 3.0, 0.5, "xmp"), time_s=1700000000.125,
+    )  # fmt: skip
+    camera = Camera("cam", 4000, 3000, 3666.5, 2000.25, 1499.75, k1=-0.1, focal_length_sd_px=math.inf)
+    survey = Survey((frame,), (camera,), LocalFrame(7.0, 51.0, 60.0), "EPSG:32632")
+    back = decode(encode(survey), Survey)
+    assert back == survey
+    assert isinstance(back.frames[0].position, Position)
+    assert fingerprint(back) == fingerprint(survey)
+
+
+def test_equal_content_has_one_fingerprint_forever() -> None:
+    assert fingerprint((1, 2.5, "ö", None, np.array([[1, 2], [3, 4]], np.int16))) == PINNED
+    column = np.asfortranarray(np.array([[1, 2], [3, 4]], np.int16))
+    assert fingerprint((1, 2.5, "ö", None, column)) == PINNED
+    assert fingerprint((1, 2.5, "ö", None, np.array([[1, 2], [3, 5]], np.int16))) != PINNED
+    assert fingerprint((1, 2.5)) != fingerprint([1, 2.5])
+
+
+PINNED = "5fc400168a302b64dbe59dc0bf6b78696e88f6d6"
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, np.array([object()]), np.array(["2020"], "M8[D]"), math])
+def test_what_has_no_plain_form_is_refused_by_its_place(value: Any) -> None:
+    with pytest.raises(TypeError, match=r"^Outer\.more\['x'\]"):
+        encode(Outer("a", (), {"x": value}))
+
+
+def zipped(tree: Any, members: dict[str, bytes] | None = None, how: int = zipfile.ZIP_STORED) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", how) as file:
+        file.writestr("tree.json", json.dumps(tree))
+        for name, data in (members or {}).items():
+            file.writestr(name, data)
+    return out.getvalue()
+
+
+def npy(shape: str, descr: str = "<f8", body: bytes = bytes(16)) -> bytes:
+    header = f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + body
+
+
+def pickled() -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"PK\x03\x04 no zip",
+        pickle.dumps((1, 2)),
+        zipped({"is": "os:system", "fields": {}}),
+        zipped({"is": type_name(Camera), "fields": {}}),
+        zipped({"is": type_name(Inner), "fields": {"xs": 1, "ys": 2}}),
+        zipped({"tuple": [1] * 100_000}, how=zipfile.ZIP_DEFLATED),
+        zipped({"array": 0}),
+        zipped({"array": 0}, {"0": npy("(1000000000, 1000000000)")}),
+        zipped({"array": 0}, {"0": npy("(3,)")}),
+        zipped({"array": 0}, {"0": npy("(2,)", "|O")}),
+        zipped({"array": 0}, {"0": pickled()}),
+        zipped({"array": "../0"}),
+        zipped({"what": 1}),
+        zipped({"tuple": 1, "list": 2}),
+        zipped([1, 2]),
+        zipped(7),
+        encode(Inner(np.zeros(3)))[:-30],
+    ],
+)
+def test_foreign_bytes_are_refused(data: bytes) -> None:
+    with pytest.raises(FileError):
+        decode(data, Inner)
+
+
+def test_a_tree_that_is_too_deep_is_refused() -> None:
+    tree = '{"tuple":[' * 5000 + "1" + "]}" * 5000
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        file.writestr("tree.json", tree)
+    with pytest.raises(FileError):
+        decode(out.getvalue(), tuple)
+
+
+def test_the_right_handmade_file_is_taken() -> None:
+    body = np.array([1.5, -2.0]).tobytes()
+    data = zipped({"is": type_name(Inner), "fields": {"xs": {"array": 0}}}, {"0": npy("(2,)", body=body)})
+    assert decode(data, Inner).xs.tolist() == [1.5, -2.0]
