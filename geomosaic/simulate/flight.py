@@ -91,7 +91,12 @@ def paper_table() -> list[dict[str, float]]:
 
 
 def _paper(plan: SurveyPlan) -> Flight:
-    """The nine frames of table 2: pitch is phi, roll omega, and kappa minus the heading (`Rotation`)."""
+    """The nine frames of table 2: pitch is phi, roll omega, and kappa minus the heading (`Rotation`).
+
+    As in the paper's equation 1 the tilts are about west and north and not about the platform's axes: 3
+    degrees of phi look 77 m to the north. The POS that is written holds the same attitude as a body's
+    yaw, pitch and roll.
+    """
     table = paper_table()
     col = {key: np.array([row[key] for row in table]) for key in table[0]}
     rotation = Rotation.from_phi_omega_kappa(

@@ -99,7 +99,7 @@ def read_ortho(path: Path, bounds_m: Bounds) -> tuple[NDArray[np.uint8], float, 
         end_row = min(int((ortho.transform.f - south) / pixel) + MARGIN_PX, ortho.height)
         assert MaskFlags.per_dataset in ortho.mask_flag_enums[0]
         pixels = ortho.read(window=Window(col, row, end_col - col, end_row - row))
-        corner = ortho.transform * (col, row)
+        corner = ortho.transform.c + col * pixel, ortho.transform.f - row * pixel
     return np.ascontiguousarray(np.moveaxis(pixels, 0, -1)), float(corner[0]), float(corner[1])
 
 

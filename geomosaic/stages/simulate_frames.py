@@ -1,0 +1,124 @@
+"""A survey with known truth, written to a folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.simulate.plan import FORMATS, KINDS, POS_IN, SurveyPlan
+from geomosaic.simulate.survey import simulate_frames
+
+_PLAN = SurveyPlan()
+
+
+class SimulateFrames(Stage):
+    """Simulates a survey of aerial frames: frames, pos.csv, cameras.json, and the truth beside them."""
+
+    id = "simulate.frames"
+    display_name = "Simulate a survey of frames"
+    group = "Simulation"
+    version = 1
+    outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
+
+    class Params(StageParams):
+        """The numbers of `SurveyPlan`, which holds their defaults. Standard deviations are per axis."""
+
+        kind: str = param(_PLAN.kind, help="block of lines, one line, or the paper's table", choices=KINDS)
+        scale: float = param(_PLAN.scale, help="size of the paper's frames, 1 for full", ge=0.05, le=1)
+        lon_deg: float = param(_PLAN.lon_deg, help="longitude of the middle", unit="deg", ge=-180, le=180)
+        lat_deg: float = param(_PLAN.lat_deg, help="latitude of the middle", unit="deg", ge=-80, le=80)
+        ground_height_m: float = param(
+            _PLAN.ground_height_m, help="ellipsoidal height of the ground", unit="m", ge=-500, le=9000
+        )
+        lines: int = param(_PLAN.lines, help="flight lines of a block", ge=1, le=200)
+        frames_per_line: int = param(_PLAN.frames_per_line, help="frames in each line", ge=1, le=5000)
+        forward_overlap: float = param(_PLAN.forward_overlap, help="overlap along a line", ge=0, le=0.95)
+        side_overlap: float = param(_PLAN.side_overlap, help="overlap of neighbouring lines", ge=0, le=0.95)
+        heading_deg: float = param(
+            _PLAN.heading_deg, help="true heading of the first line", unit="deg", ge=-360, le=360
+        )
+        serpentine: bool = param(_PLAN.serpentine, help="fly every second line backward")
+        height_above_ground_m: float = param(
+            _PLAN.height_above_ground_m, help="flying height above the ground", unit="m", ge=5, le=20000
+        )
+        ground_pixel_m: float = param(
+            _PLAN.ground_pixel_m, help="ground pixel, which sets the focal length", unit="m", ge=0.005, le=10
+        )
+        speed_m_per_s: float = param(_PLAN.speed_m_per_s, help="ground speed", unit="m/s", ge=0.5, le=300)
+        wander_m: float = param(
+            _PLAN.wander_m, help="how far the flight strays from its plan (sd)", unit="m", ge=0, le=100
+        )
+        wander_tilt_deg: float = param(
+            _PLAN.wander_tilt_deg, help="true pitch and roll (sd)", unit="deg", ge=0, le=20
+        )
+        wander_yaw_deg: float = param(
+            _PLAN.wander_yaw_deg, help="true heading off the line's (sd)", unit="deg", ge=0, le=45
+        )
+        width_px: int = param(_PLAN.width_px, help="width of a frame", unit="px", ge=64, le=20000)
+        height_px: int = param(_PLAN.height_px, help="height of a frame", unit="px", ge=64, le=20000)
+        k1: float = param(_PLAN.k1, help="radial distortion (Brown)", ge=-0.5, le=0.5)
+        k2: float = param(_PLAN.k2, help="radial distortion, second", ge=-0.5, le=0.5)
+        k3: float = param(_PLAN.k3, help="radial distortion, third", ge=-0.5, le=0.5)
+        p1: float = param(_PLAN.p1, help="decentring distortion", ge=-0.05, le=0.05)
+        p2: float = param(_PLAN.p2, help="decentring distortion, second", ge=-0.05, le=0.05)
+        principal_col_offset_px: float = param(
+            _PLAN.principal_col_offset_px, help="principal point right of the middle", unit="px"
+        )
+        principal_row_offset_px: float = param(
+            _PLAN.principal_row_offset_px, help="principal point below the middle", unit="px"
+        )
+        lens_told: bool = param(_PLAN.lens_told, help="cameras.json holds the distortion and the centre")
+        focal_error: float = param(
+            _PLAN.focal_error, help="share by which the told focal length is too long", ge=-0.5, le=0.5
+        )
+        relief_m: float = param(
+            _PLAN.relief_m, help="hills: highest minus lowest ground, 0 for flat", unit="m", ge=0, le=3000
+        )
+        relief_wavelength_m: float = param(
+            _PLAN.relief_wavelength_m, help="from hill to hill", unit="m", ge=20, le=20000
+        )
+        buildings: float = param(_PLAN.buildings, help="how many villages, 1 is usual", ge=0, le=3)
+        buildings_stand: bool = param(_PLAN.buildings_stand, help="buildings rise above the ground")
+        position_sd_m: float = param(
+            _PLAN.position_sd_m, help="noise of the position, east and north each", unit="m", ge=0, le=500
+        )
+        height_sd_m: float = param(_PLAN.height_sd_m, help="noise of the height", unit="m", ge=0, le=500)
+        tilt_sd_deg: float = param(
+            _PLAN.tilt_sd_deg, help="noise of pitch and of roll", unit="deg", ge=0, le=20
+        )
+        yaw_sd_deg: float = param(_PLAN.yaw_sd_deg, help="noise of the heading", unit="deg", ge=0, le=90)
+        gps_lag_s: float = param(_PLAN.gps_lag_s, help="the position is this late", unit="s", ge=-5, le=5)
+        gps_outliers: int = param(_PLAN.gps_outliers, help="frames with a position far off", ge=0)
+        gps_outlier_m: float = param(_PLAN.gps_outlier_m, help="how far off those are", unit="m", ge=0)
+        yaw_wrong_share: float = param(
+            _PLAN.yaw_wrong_share, help="share of the frames with any heading", ge=0, le=1
+        )
+        turned: str = param(
+            _PLAN.turned, help="frames whose pixels are turned by 180 degrees, tags unchanged, like 4-6,9"
+        )
+        attitude_told: bool = param(_PLAN.attitude_told, help="the POS holds yaw, pitch and roll")
+        height_told: bool = param(_PLAN.height_told, help="the POS holds heights")
+        exposure_sd: float = param(
+            _PLAN.exposure_sd, help="noise of each frame's exposure (logarithm of the gain)", ge=0, le=1
+        )
+        vignetting: float = param(_PLAN.vignetting, help="light lost in the corners", ge=0, le=0.9)
+        blur_px: float = param(_PLAN.blur_px, help="blur (sd)", unit="px", ge=0, le=10)
+        pixel_noise: float = param(_PLAN.pixel_noise, help="noise of a pixel, of 255 (sd)", ge=0, le=50)
+        format: str = param(_PLAN.format, help="file format of the frames", choices=FORMATS)
+        jpeg_quality: int = param(_PLAN.jpeg_quality, help="quality of JPEG frames", ge=10, le=100)
+        pos_in: str = param(_PLAN.pos_in, help="where the POS is written: EXIF and XMP, CSV", choices=POS_IN)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Write the survey; what is wrong with it on purpose is in truth.json, not in warnings."""
+        seed = int(context.rng("survey").integers(2**31))
+        plan = SurveyPlan(seed=seed, **params.model_dump())
+        paths = simulate_frames(context.run_folder, plan, context.progress)
+        for path in dataclasses.astuple(paths):
+            if path is not None and path.is_file():
+                context.keep(path)
+        for path in sorted(paths.frames.glob("F*")):
+            context.keep(path)
+        context.metric("simulate.frames", plan.frames)
+        return {"truth_file": context.run_file("truth/truth.json")}
