@@ -1,0 +1,210 @@
+"""The report: one self-contained HTML page for people, without a network or (but for the form) a script."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from pyproj import CRS
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.export import report_parts as parts
+from geomosaic.export.overview import glance, overview
+from geomosaic.export.plots import Axis, bar_plot
+from geomosaic.export.svg import short
+from geomosaic.matching.model import TiePoints
+from geomosaic.mosaic.model import Mosaic
+from geomosaic.placement.model import Placement
+from geomosaic.quality.compare import Comparison
+from geomosaic.quality.misalignment import pair_misalignments
+from geomosaic.quality.scores import CCIR_500_1, CRITERIA
+from geomosaic.survey.model import Survey
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_MOST_ROWS = 3000
+_MOST_WARNINGS = 500
+
+_GROUND = {"flat": "on flat ground", "dem": "on the DEM", "tie_surface": "on the tie points' surface"}
+_STATUS = {
+    "tied": "joined to its neighbours by tie points",
+    "placed": "placed by its position and attitude alone",
+    "rejected": "left out of the mosaic",
+}
+
+
+def render_report(
+    *,
+    survey: Survey,
+    placement: Placement,
+    ties: TiePoints,
+    adjusted: Adjusted,
+    mosaic: Mosaic,
+    mosaic_file: Path,
+    summary: Mapping[str, Any],
+    comparison: Comparison | None = None,
+) -> str:
+    """The page's HTML.
+
+    Names of files and texts of warnings are strangers' data: the template escapes all it isn't told is
+    markup, and the page forbids itself any network by its content security policy.
+
+    Args:
+        mosaic_file: mosaic.tif, read at reduced size.
+        summary: what run.json holds (`frames`, `warnings`, `timings_s`, `peak_memory_mb`, `metrics`,
+            `recipe`, `versions`); missing keys are left out of the page.
+    """
+    names = tuple(f.name for f in survey.frames)
+    picture = glance(mosaic_file)
+    footprints_m = parts.map_footprints_m(survey, adjusted)
+    nadir_m = parts.map_positions_m(survey, adjusted.poses.positions_m)
+    drawn = overview(
+        picture, footprints_m, nadir_m, placement.lines, placement.sequence, adjusted.status, names
+    )
+    pairs = pair_misalignments(ties, adjusted.residuals_m)
+    rows = parts.frame_rows(survey, placement, ties, adjusted)
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["short"] = short
+    svg = _markup
+    return environment.get_template(
+        "report.html"
+    ).render(
+        css=Markup((_TEMPLATES / "report.css").read_text("utf-8")),  # noqa: S704
+        form_script=Markup((_TEMPLATES / "score_form.js").read_text("utf-8")),  # noqa: S704
+        title="Mosaic of " + _plural(len(names), "frame"),
+        facts=_facts(survey, placement, ties, adjusted, mosaic, summary, picture.covered_m2),
+        verdict=_verdict(adjusted, pairs.rms_m, placement.ground_pixel_m),
+        warnings=_grouped_warnings(summary),
+        overview=svg(drawn),
+        crowded=len(names) > 60,
+        comparison=comparison,
+        comparison_rows=parts.comparison_rows(comparison) if comparison else [],
+        comparison_maps=_comparison_maps(comparison) if comparison else [],
+        ssim_uri=parts.ssim_picture(comparison) if comparison else "",
+        ssim_width_px=_heat_width_px(comparison) if comparison else 0,
+        rounds=svg(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
+        moves=svg(parts.moves_map(survey, placement, adjusted, footprints_m)),
+        graph=svg(parts.ties_map(survey, ties, adjusted)),
+        residuals=svg(parts.residuals_plot(adjusted, placement.ground_pixel_m)),
+        worst_pairs=parts.worst_pairs(survey, pairs),
+        frames=rows[:_MOST_ROWS],
+        frames_left_out=max(0, len(rows) - _MOST_ROWS),
+        status_words=_STATUS,
+        cameras=parts.camera_rows(survey, adjusted),
+        timings=svg(_timings(summary)),
+        recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
+        versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
+        levels=CCIR_500_1,
+        criteria=CRITERIA,
+    )
+
+
+def _markup(svg: str | None) -> Markup:
+    """Text made by `export.svg`, which escapes what it is given."""
+    return Markup(svg or "")  # noqa: S704
+
+
+def _comparison_maps(comparison: Comparison) -> list[tuple[str, Markup]]:
+    if not len(comparison.vectors_m):
+        return []
+    titles = (("As measured", False), ("After the best shift, turn and scale", True))
+    return [(title, _markup(parts.comparison_map(comparison, after))) for title, after in titles]
+
+
+def _heat_width_px(comparison: Comparison) -> int:
+    rows, cols = comparison.ssim_cells.shape
+    return int(min(720.0, 420.0 * cols / rows))
+
+
+def _facts(
+    survey: Survey,
+    placement: Placement,
+    ties: TiePoints,
+    adjusted: Adjusted,
+    mosaic: Mosaic,
+    summary: Mapping[str, Any],
+    covered_m2: float,
+) -> list[tuple[str, str, str]]:
+    """What the head of the page says: name, value, a note."""
+    crs = CRS.from_user_input(mosaic.grid.crs)
+    code = crs.to_authority()
+    count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
+    seconds = sum(float(v) for v in summary.get("timings_s", {}).values())
+    memory = summary.get("peak_memory_mb")
+    area = (covered_m2 / 1e4, "ha") if covered_m2 < 1e7 else (covered_m2 / 1e6, "km²")
+    method = str(summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
+    rejected = f"{count['placed']} placed by POS alone, {count['rejected']} rejected"
+    return [
+        ("frames tied", f"{count['tied']} of {len(survey.frames)}", rejected),
+        ("taken", *_taken(survey)),
+        ("ground pixel", _length(mosaic.grid.gsd_m), f"{mosaic.grid.width_px} × {mosaic.grid.height_px} px"),
+        ("area covered", short(*area), _plural(len(set(placement.lines)), "flight line")),
+        ("map", ":".join(code) if code else crs.name, crs.name if code else ""),
+        ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + _plural(len(ties.pairs), "pair")),
+        ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
+        ("time taken", _duration(seconds), f"peak memory {memory:.0f} MB" if memory else ""),
+    ]
+
+
+def _adjustment_note(adjusted: Adjusted) -> str:
+    rounds = _plural(len(adjusted.rounds), "round") + ", " if adjusted.rounds else ""
+    return f"{rounds}{_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)}"
+
+
+def _plural(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def _taken(survey: Survey) -> tuple[str, str]:
+    times = [f.time_s for f in survey.frames if f.time_s is not None]
+    if not times:
+        return "–", "the frames have no time"
+    first, last = (datetime.fromtimestamp(t, tz=UTC) for t in (min(times), max(times)))
+    return f"{first:%Y-%m-%d}", f"{first:%H:%M:%S} to {last:%H:%M:%S} UTC"
+
+
+def _length(metres: float) -> str:
+    return short(metres * 100.0, "cm") if metres < 1.0 else short(metres, "m")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.1f}\u00a0s"
+    return f"{int(seconds // 60)}\u00a0min {int(seconds % 60)}\u00a0s"
+
+
+def _verdict(adjusted: Adjusted, rms_m: parts.Floats, ground_pixel_m: float) -> str:
+    """One sentence on how well the frames agree."""
+    known = rms_m[np.isfinite(rms_m)]
+    if not known.size:
+        return "No pair of frames is tied: the frames lie where their positions and attitudes put them."
+    typical = float(np.median(known)) / ground_pixel_m
+    words = "well within a pixel" if typical < 0.5 else "to about a pixel" if typical < 1.5 else "roughly"
+    odd = len(adjusted.status) - adjusted.status.count("tied")
+    more = f" {_plural(odd, 'frame')} not tied: see the table of frames." if odd else ""
+    return (
+        f"Tied frames agree {words}: the typical pair is left with {short(typical, 'ground px')} RMS.{more}"
+    )
+
+
+def _grouped_warnings(summary: Mapping[str, Any]) -> list[tuple[str, int, list[Mapping[str, Any]]]]:
+    """Code, number and first warnings of each code; the most frequent last, so that none hides another."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for warning in summary.get("warnings", []):
+        groups.setdefault(str(warning.get("code", "")), []).append(warning)
+    counted = ((code, len(group), group[:_MOST_WARNINGS]) for code, group in groups.items())
+    return sorted(counted, key=lambda g: g[1])
+
+
+def _timings(summary: Mapping[str, Any]) -> str | None:
+    timings = summary.get("timings_s", {})
+    if not timings:
+        return None
+    return bar_plot(list(timings), list(timings.values()), Axis("time", "s"), label="time of each stage")

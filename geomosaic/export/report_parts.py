@@ -1,0 +1,253 @@
+"""What the report shows, worked out of the artefacts: rows of tables and pictures as SVG."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.camera.interior import Camera
+from geomosaic.export.map_plots import network_map, vector_map
+from geomosaic.export.plots import Axis, Series, histogram, line_plot
+from geomosaic.export.svg import short
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.matching.model import TiePoints
+from geomosaic.placement.model import Placement
+from geomosaic.projection.footprint import footprint
+from geomosaic.quality.compare import Comparison
+from geomosaic.quality.misalignment import PairMisalignments
+from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
+
+_WORST_PAIRS = 15
+_OUTLINES = 400
+
+
+@dataclass(frozen=True)
+class FrameRow:
+    """One line of the table of frames; lengths in m, the turn in degrees."""
+
+    name: str
+    line: int
+    status: str
+    ties: int
+    moved_m: float
+    turned_deg: float
+    sd_horizontal_m: float
+
+
+def frame_rows(survey: Survey, placement: Placement, ties: TiePoints, adjusted: Adjusted) -> list[FrameRow]:
+    """Rows in order of the survey: how far each frame was moved (3D) and turned from its POS."""
+    moved = np.linalg.norm(adjusted.poses.positions_m - placement.poses.positions_m, axis=1)
+    count = np.zeros(len(survey.frames), dtype=np.int64)
+    for pair in ties.pairs:
+        count[[pair.left, pair.right]] += len(pair)
+    turn = np.swapaxes(placement.poses.rotations, 1, 2) @ adjusted.poses.rotations
+    turned = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)))
+    sd = np.linalg.norm(adjusted.poses.positions_sd_m[:, :2], axis=1)
+    return [
+        FrameRow(
+            f.name,
+            placement.lines[i],
+            adjusted.status[i],
+            int(count[i]),
+            float(moved[i]),
+            float(turned[i]),
+            float(sd[i]),
+        )
+        for i, f in enumerate(survey.frames)
+    ]
+
+
+def map_positions_m(survey: Survey, positions_m: Floats) -> Floats:
+    """Easting and northing (..., 2) of points in the work frame."""
+    geodetic = survey.work_frame.geodetic_from_enu(positions_m)
+    return MapProjection(survey.map_crs).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
+
+
+def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
+    """The frames' outlines on the map, (k, 2) each, without points whose ray misses the ground."""
+    per_side = 4 if len(survey.frames) <= _OUTLINES else 1
+    out = []
+    for i, camera in enumerate(adjusted.cameras):
+        outline = footprint(adjusted.poses[i], camera, adjusted.ground, per_side)
+        seen = outline[np.isfinite(outline).all(axis=1)]
+        out.append(map_positions_m(survey, seen) if len(seen) else np.empty((0, 2)))
+    return out
+
+
+def rounds_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
+    """Misalignment of the tied pairs before each round, in ground pixels; None without rounds."""
+    lengths = [np.linalg.norm(r.misalignments_m, axis=1) / ground_pixel_m for r in adjusted.rounds]
+    lengths = [x[np.isfinite(x)] for x in lengths]
+    if not lengths or not any(len(x) for x in lengths):
+        return None
+    number = np.arange(1, len(lengths) + 1)
+    mean = [float(np.sqrt((x**2).mean())) if len(x) else np.nan for x in lengths]
+    most = [float(x.max()) if len(x) else np.nan for x in lengths]
+    label = "misalignment of tied pairs before each round of the adjustment"
+    series = [Series("largest", number, most), Series("root mean square", number, mean)]
+    ends = Axis("round", low=1.0, high=float(max(2, len(lengths))), whole=True)
+    return line_plot(series, ends, Axis("misalignment", "ground px"), label=label)
+
+
+def moves_map(survey: Survey, placement: Placement, adjusted: Adjusted, footprints_m: list[Floats]) -> str:
+    """Arrows from where POS put the projection centres to where the adjustment puts them."""
+    before = map_positions_m(survey, placement.poses.positions_m)
+    after = map_positions_m(survey, adjusted.poses.positions_m)
+    odd = np.array([s != "tied" for s in adjusted.status])
+    outlines = [o for o in footprints_m if len(o) > 2] if len(footprints_m) <= _OUTLINES else []
+    return vector_map(
+        before, after - before, label="how far each frame was moved", outlines_m=outlines, weak=odd
+    )
+
+
+def ties_map(survey: Survey, ties: TiePoints, adjusted: Adjusted) -> str:
+    """The graph of tied frames."""
+    edges = np.array([(p.left, p.right) for p in ties.pairs], dtype=np.int64).reshape(-1, 2)
+    return network_map(
+        map_positions_m(survey, adjusted.poses.positions_m),
+        edges,
+        np.array([len(p) for p in ties.pairs], dtype=np.float64),
+        label="which frames are tied, and by how many tie points",
+        what="tie points",
+        dashed=np.array(ties.untied, dtype=np.int64).reshape(-1, 2),
+        names=[f.name for f in survey.frames],
+        marked=np.array([s != "tied" for s in adjusted.status]),
+    )
+
+
+def residuals_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
+    """Histogram of the tie points' residual lengths; None without residuals."""
+    left = [r for r in adjusted.residuals_m if len(r)]
+    if not left:
+        return None
+    length = np.linalg.norm(np.concatenate(left), axis=1) / ground_pixel_m
+    return histogram(length, Axis("residual", "ground px"), label="residuals of the tie points on the ground")
+
+
+def worst_pairs(survey: Survey, pairs: PairMisalignments) -> list[dict[str, object]]:
+    """The pairs with the largest residuals."""
+    order = np.argsort(-np.nan_to_num(pairs.rms_m, nan=-1.0))[:_WORST_PAIRS]
+    return [
+        {
+            "left": survey.frames[pairs.left[i]].name,
+            "right": survey.frames[pairs.right[i]].name,
+            "points": int(pairs.points[i]),
+            "mean_m": float(pairs.length_m[i]),
+            "rms_m": float(pairs.rms_m[i]),
+            "max_m": float(pairs.max_m[i]),
+        }
+        for i in order
+        if np.isfinite(pairs.rms_m[i])
+    ]
+
+
+def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tuple[str, str, str]]]]:
+    """For each camera its parameters: name, as given, as adjusted."""
+    used: dict[str, Camera] = {c.name: c for c in adjusted.cameras}
+    parameters = (
+        ("focal length", "focal_length_px", "px"),
+        ("principal point, col", "principal_col_px", "px"),
+        ("principal point, row", "principal_row_px", "px"),
+        ("k1", "k1", ""),
+        ("k2", "k2", ""),
+        ("k3", "k3", ""),
+        ("p1", "p1", ""),
+        ("p2", "p2", ""),
+    )
+    out = []
+    for camera in survey.cameras:
+        if camera.name in used:
+            title = f"{camera.name}, {camera.width_px} × {camera.height_px} px"
+            rows = [
+                (
+                    name,
+                    _parameter(getattr(camera, key), unit),
+                    _parameter(getattr(used[camera.name], key), unit),
+                )
+                for name, key, unit in parameters
+            ]
+            out.append((title, rows))
+    return out
+
+
+def _parameter(value: float, unit: str) -> str:
+    return f"{value:.2f}\u00a0{unit}" if unit else f"{value:.6f}"
+
+
+def comparison_map(comparison: Comparison, after_similarity: bool) -> str:
+    """The displacement vectors, as measured or as the best similarity leaves them, in pixels."""
+    at, vector = comparison.vectors_m[:, :2], comparison.vectors_m[:, 2:]
+    label = "displacement of the mosaic against the reference"
+    if after_similarity:
+        s = comparison.figures.similarity
+        if not np.isfinite(s.scale):
+            return ""
+        about = (at - [s.centre_east_m, s.centre_north_m]) @ [1.0, 1.0j]
+        turned = (s.scale * np.exp(1j * s.rotation_rad) - 1.0) * about
+        vector = vector - np.stack([turned.real, turned.imag], axis=-1) - [s.shift_east_m, s.shift_north_m]
+        label += ", after the best similarity"
+    return vector_map(at, vector, unit="px", unit_per_m=1.0 / comparison.gsd_m, label=label)
+
+
+def ssim_picture(comparison: Comparison) -> str:
+    """A data URI of the SSIM cells: dark blue 0 or less, yellow 1, transparent where nothing is valid."""
+    cells = comparison.ssim_cells
+    known = np.isfinite(cells)
+    level = np.where(known, np.clip(cells, 0.0, 1.0) * 255.0, 0.0).astype(np.uint8)
+    coloured = np.dstack(
+        [cv2.applyColorMap(level, cv2.COLORMAP_CIVIDIS), np.where(known, 255, 0).astype(np.uint8)]
+    )
+    if max(coloured.shape) > 1200:
+        reduce = 1200 / max(coloured.shape)
+        coloured = cv2.resize(coloured, None, fx=reduce, fy=reduce, interpolation=cv2.INTER_AREA)
+    data = cv2.imencode(".png", coloured)[1]
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
+    """The figures: name, value, what it means."""
+    f, s = c.figures, c.figures.similarity
+    turn = f"{np.degrees(s.rotation_rad) * 3600:+.0f}″" if np.isfinite(s.rotation_rad) else "–"
+    return [
+        (
+            "absolute RMSE",
+            f"{short(f.absolute_rmse_m, 'm')} ({short(f.absolute_rmse_m / c.gsd_m, 'px')})",
+            "root mean square length of the displacements: how far things lie from their true place",
+        ),
+        ("CE90", short(f.ce90_m, "m"), "90 % of the displacements are shorter"),
+        (
+            "mean displacement",
+            f"{f.mean_east_m:+.3f} m east, {f.mean_north_m:+.3f} m north",
+            "mosaic minus reference; what a single shift would mend",
+        ),
+        (
+            "RMSE after similarity",
+            f"{short(f.after_similarity_px, 'px')} ({short(f.after_similarity_m, 'm')})",
+            f"what is left after the best shift, turn and scale: the mosaic in itself. "
+            f"Scale {s.scale:.6f}, turn {turn}",
+        ),
+        (
+            "jump, 99 %",
+            short(f.jump_99_px, "px"),
+            "99 % of the differences between touching patches are smaller: what an eye sees at seams",
+        ),
+        (
+            "patches measured",
+            f"{f.measured:,} of {f.asked:,} ({100 * f.share_measured:.1f} %)",
+            f"patches of {c.patch_px} px every {c.step_px} px, searched within {c.search_px} px",
+        ),
+        (
+            "SSIM",
+            short(c.ssim.ssim),
+            f"luminance {short(c.ssim.luminance)}, contrast {short(c.ssim.contrast)}, "
+            f"structure {short(c.ssim.structure)}",
+        ),
+        ("overlap", f"{100 * c.overlap_share:.1f} %", "share of the mosaic that the reference covers"),
+    ]

@@ -1,0 +1,26 @@
+"use strict";
+(() => {
+  const form = document.getElementById("scores");
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    const data = new FormData(form);
+    const scores = {};
+    for (const key of form.dataset.criteria.split(" ")) {
+      scores[key] = Number(data.get("score-" + key));
+    }
+    const told = {
+      scale: "CCIR 500-1, five levels, 5 is best",
+      mosaic: form.dataset.mosaic,
+      viewer: String(data.get("viewer")),
+      date: new Date().toISOString(),
+      scores: scores,
+      remark: String(data.get("remark")),
+    };
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([JSON.stringify(told, null, 2)], { type: "application/json" }));
+    link.download = "scores-" + (told.viewer.replace(/[^A-Za-z0-9]+/g, "-") || "viewer") + ".json";
+    link.click();
+    URL.revokeObjectURL(link.href);
+    document.getElementById("saved").textContent = "Saved as " + link.download + ".";
+  });
+})();

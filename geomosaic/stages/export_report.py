@@ -1,0 +1,47 @@
+"""RUN/report.html: the run for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.export.report import render_report
+from geomosaic.matching.model import TiePoints
+from geomosaic.mosaic.model import Mosaic
+from geomosaic.pipeline.stage import Context, RunFile, Stage
+from geomosaic.placement.model import Placement
+from geomosaic.quality.compare import Comparison
+from geomosaic.survey.model import Survey
+
+
+class ExportReport(Stage):
+    """Runs every time, since it also tells what run.json holds so far."""
+
+    id = "export.report"
+    display_name = "Write the report"
+    group = "Export"
+    version = 1
+    cached = False
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
+        "mosaic": Mosaic, "mosaic_file": RunFile,
+    }  # fmt: skip
+    optional_inputs: ClassVar[dict[str, type]] = {"comparison": Comparison}
+    outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
+
+    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+        """Renders the page and writes it."""
+        page = render_report(
+            survey=inputs["survey"],
+            placement=inputs["placement"],
+            ties=inputs["ties"],
+            adjusted=inputs["adjusted"],
+            mosaic=inputs["mosaic"],
+            mosaic_file=context.path_of(inputs["mosaic_file"]),
+            comparison=inputs.get("comparison"),
+            summary=context.summary(),
+        )
+        with context.writing("report.html") as path:
+            path.write_text(page, encoding="utf-8")
+        return {"report_file": context.run_file("report.html")}

@@ -1,0 +1,86 @@
+"""The mosaic against a reference, and the frames against the truth where it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.placement.model import Placement
+from geomosaic.quality.compare import Comparison, compare
+from geomosaic.quality.misalignment import frame_ground_errors, trend
+from geomosaic.quality.positions import read_poses
+from geomosaic.survey.model import Survey
+
+_LITTLE = 0.5
+
+
+class QualityCompare(Stage):
+    """Measures the mosaic; it judges and changes nothing."""
+
+    id = "quality.compare"
+    display_name = "Compare with a reference"
+    group = "Quality"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
+    optional_inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey, "placement": Placement, "adjusted": Adjusted,
+    }  # fmt: skip
+    outputs: ClassVar[dict[str, type]] = {"comparison": Comparison}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        reference: Path = param(help="true ortho or satellite picture of the same place")
+        truth: Path | None = param(None, help="positions.csv with the frames' true positions and attitudes")
+        patch_px: int = param(64, help="side of the patches that are matched", unit="px", ge=16, le=512)
+        step_px: int = param(64, help="distance between patches", unit="px", ge=1, le=4096)
+        search_px: int = param(128, help="longest displacement looked for", unit="px", ge=1, le=4096)
+        min_correlation: float = param(0.5, help="weakest match that counts", ge=0.0, le=1.0)
+        match_tone: bool = param(False, help="bring the mosaic's brightness to the reference's before SSIM")
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Compares, tells the figures, and warns where too little could be measured."""
+        comparison = compare(
+            context.path_of(inputs["mosaic_file"]),
+            params.reference,
+            patch_px=params.patch_px,
+            step_px=params.step_px,
+            search_px=params.search_px,
+            min_correlation=params.min_correlation,
+            match_tone=params.match_tone,
+            progress=context.progress,
+        )
+        figures = asdict(comparison.figures)
+        for name, value in {**figures, "overlap_share": comparison.overlap_share}.items():
+            context.metric(f"quality.{name}", value)
+        context.metric("quality.ssim", asdict(comparison.ssim))
+        if comparison.figures.share_measured < _LITTLE:
+            context.warn(
+                "little-measured",
+                "",
+                f"only {100 * comparison.figures.share_measured:.0f} % of the patches could be matched with "
+                f"{comparison.reference}; the figures speak for those alone",
+            )
+        if params.truth is not None and "adjusted" in inputs:
+            _tell_frame_errors(inputs, params.truth, context)
+        return {"comparison": comparison}
+
+
+def _tell_frame_errors(inputs: Mapping[str, Any], truth: Path, context: Context) -> None:
+    """How far each frame's middle lands from its true place, in order of flight, and whether that grows."""
+    survey, adjusted, placement = inputs["survey"], inputs["adjusted"], inputs["placement"]
+    true_poses = read_poses(truth, [f.name for f in survey.frames], survey.work_frame)
+    given = [survey.camera_of(i) for i in range(len(survey.frames))]
+    errors = frame_ground_errors(adjusted.poses, adjusted.cameras, true_poses, given, adjusted.ground)
+    length = np.linalg.norm(errors, axis=1)[list(placement.sequence)]
+    line = trend(np.arange(len(length)), length)
+    context.metric("quality.frames.error_m", length)
+    context.metric("quality.frames.rmse_m", float(np.sqrt(np.nanmean(length**2))))
+    context.metric("quality.frames.slope_m_per_frame", line.slope)
+    context.metric("quality.frames.slope_sd_m_per_frame", line.slope_sd)

@@ -1,0 +1,183 @@
+"""The report: self-contained, escaped, complete, small enough, and written by its stage."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from quality_pictures import eight_bits, texture, write_tif
+from report_survey import HOSTILE, made_up_run
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.errors import FileError
+from geomosaic.export.overview import glance
+from geomosaic.export.report import render_report
+from geomosaic.export.report_parts import frame_rows
+from geomosaic.pipeline.stage import Context
+from geomosaic.stages.export_report import ExportReport
+from geomosaic.stages.quality_compare import QualityCompare
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, ids, and the text that is shown."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words = ""
+        self.open: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "input", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.words += data
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return made_up_run(tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture(scope="module")
+def html(run):
+    return render_report(**run)
+
+
+def test_the_page_is_whole_and_says_what_a_surveyor_asks(html):
+    page = Page(html)
+    assert page.open == []
+    words = " ".join(page.words.split())
+    for wanted in (
+        "Mosaic of 12 frames", "11 of 12", "2024-06-10", "EPSG:32632", "error sharing", "8 rounds",
+        "no tie points", "tied to no other frame", "absolute RMSE", "jump, 99 %", "SSIM", "DJI_0012.JPG",
+        "focal length", "1000.00", "CCIR", "geomosaic replay run.mcap", "nadir point", "11.0 s",
+    ):  # fmt: skip
+        assert wanted in words, wanted
+    assert words.index("no tie points") < words.index("The mosaic")
+    targets = {a.get("id") for _, a in page.tags}
+    links = [a["href"] for t, a in page.tags if t == "a"]
+    assert links and all(link.startswith("#") and link[1:] in targets for link in links)
+
+
+def test_nothing_is_fetched_and_nothing_foreign_is_run(html):
+    page = Page(html)
+    assert "default-src 'none'" in html
+    sources = [a[k] for _, a in page.tags for k in ("src", "href") if a.get(k)]
+    assert all(s.startswith(("data:image/", "#")) for s in sources)
+    assert "@import" not in html and "url(" not in html
+    assert [t for t, _ in page.tags].count("script") == 1
+    assert not any(k.startswith("on") for _, a in page.tags for k in a)
+
+
+def test_strangers_names_are_shown_as_they_are(html):
+    assert HOSTILE not in html
+    assert HOSTILE in Page(html).words
+    assert "ortho <true>.tif" in Page(html).words
+    assert "turned by 180 degrees <b>" in Page(html).words
+
+
+def test_the_score_form_asks_each_criterion_at_five_levels(html):
+    page = Page(html)
+    radios = [a for t, a in page.tags if t == "input" and a.get("type") == "radio"]
+    (form,) = [a for t, a in page.tags if t == "form"]
+    names = form["data-criteria"].split()
+    assert {a["name"] for a in radios} == {f"score-{n}" for n in names}
+    for name in names:
+        assert [a["value"] for a in radios if a["name"] == f"score-{name}"] == list("54321")
+
+
+def test_moved_and_turned_are_measured_from_the_prior(run):
+    rows = frame_rows(run["survey"], run["placement"], run["ties"], run["adjusted"])
+    moved = run["adjusted"].poses.positions_m[5] - run["placement"].poses.positions_m[5]
+    assert rows[5].moved_m == pytest.approx(float(np.sqrt((moved**2).sum())))
+    assert 0.0 < rows[5].turned_deg < 4.0
+    assert rows[-1].status == "placed" and rows[-1].ties == 0
+    assert sum(r.ties for r in rows) == 2 * sum(len(p) for p in run["ties"].pairs)
+
+
+def test_the_plain_run_without_reference_rounds_or_ties(run):
+    adjusted = run["adjusted"]
+    bare = Adjusted(adjusted.poses, adjusted.cameras, ("placed",) * 12, (), (), adjusted.ground)
+    ties = replace(run["ties"], pairs=(), untied=())
+    page = Page(render_report(**{**run, "adjusted": bare, "ties": ties, "comparison": None, "summary": {}}))
+    words = " ".join(page.words.split())
+    assert "No warnings." in words and "No pair of frames is tied" in words
+    assert "Accuracy against the reference" not in words
+    assert not re.search(r"\bnan\b", words)
+
+
+def test_a_thousand_frames_stay_below_five_megabytes(tmp_path):
+    run = made_up_run(tmp_path, 20, 50, with_comparison=False, ties_per_pair=5)
+    one = {"code": "no-tie-points", "text": "tied to no other frame"}
+    run["summary"]["warnings"] = [{**one, "frame": f"DJI_{i}.JPG"} for i in range(1000)]
+    html = render_report(**run)
+    assert len(html.encode()) < 5e6
+    assert "995 more" in html and "The rest is in run.json." in html
+
+
+def test_the_glance_knows_its_place_and_area(tmp_path):
+    valid = np.ones((300, 400), dtype=bool)
+    valid[:150, :200] = False
+    picture = eight_bits(texture(300, 400, seed=1)).astype(np.uint16) * 37
+    path = write_tif(tmp_path / "m.tif", picture, 500000.0, 5200000.0, 0.5, valid=valid)
+    g = glance(path)
+    assert g.covered_m2 == pytest.approx(0.75 * 200.0 * 150.0)
+    np.testing.assert_allclose(g.at(np.array([[500050.0, 5199970.0]])), [[100.0, 60.0]], atol=1e-6)
+    assert g.uri.startswith("data:image/webp;base64,")
+    with pytest.raises(FileError, match="can't be read"):
+        glance(tmp_path / "none.tif")
+
+
+def test_both_stages_in_a_run_folder(run, tmp_path):
+    folder = run["mosaic_file"].parent
+    context = Context(folder, stage_id="quality.compare", work_folder=tmp_path / "work")
+    mosaic_file = context.run_file("mosaic.tif")
+    params = QualityCompare.Params(reference=folder / "ortho <true>.tif", search_px=16)
+    given = {"mosaic_file": mosaic_file}
+    comparison = QualityCompare().run(given, params, context)["comparison"]
+    metrics = context.notes.metrics["quality"]
+    assert metrics["absolute_rmse_m"] == pytest.approx(comparison.figures.absolute_rmse_m)
+    assert 0.5 < metrics["ssim"]["ssim"] < 1.0
+    json.dumps(context.notes.metrics, allow_nan=False)
+
+    context = Context(
+        folder, stage_id="export.report", work_folder=tmp_path / "work2", summary=run["summary"]
+    )
+    inputs = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic")}
+    given = {**inputs, "mosaic_file": mosaic_file, "comparison": comparison}
+    out = ExportReport().run(given, ExportReport.Params(), context)
+    assert out["report_file"].name == "report.html"
+    assert "absolute RMSE" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_frame_errors_against_the_truth_enter_the_metrics(run, tmp_path):
+    survey, adjusted = run["survey"], run["adjusted"]
+    geodetic = survey.work_frame.geodetic_from_enu(adjusted.poses.positions_m)
+    lines = ["frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg"]
+    for i, (lon, lat, height) in enumerate(geodetic):
+        yaw = 90 if run["placement"].lines[i] % 2 == 0 else 270
+        lines.append(f'"{survey.frames[i].name}",{lon:.10f},{lat:.10f},{height:.4f},{yaw},-90,0')
+    truth = tmp_path / "positions.csv"
+    truth.write_text("\n".join(lines))
+    folder = run["mosaic_file"].parent
+    context = Context(folder, stage_id="quality.compare", work_folder=tmp_path / "work")
+    params = QualityCompare.Params(reference=folder / "ortho <true>.tif", truth=truth, search_px=16)
+    given = {k: run[k] for k in ("survey", "placement", "adjusted")}
+    QualityCompare().run({**given, "mosaic_file": context.run_file("mosaic.tif")}, params, context)
+    frames = context.notes.metrics["quality"]["frames"]
+    assert len(frames["error_m"]) == 12 and frames["rmse_m"] < 0.02

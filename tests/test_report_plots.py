@@ -1,0 +1,127 @@
+"""Plots: well-formed SVG, places of values, escaping, empty data."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from defusedxml.ElementTree import fromstring
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geomosaic.export.map_plots import network_map, vector_map
+from geomosaic.export.plots import Axis, Series, bar_plot, histogram, line_plot
+from geomosaic.export.svg import nice_ticks, short, tick_texts
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@given(st.floats(-1e5, 1e5), st.floats(1e-3, 1e6), st.integers(2, 12))
+def test_ticks_enclose_the_data_at_even_steps(low, span, about):
+    ticks = nice_ticks(low, low + span, about)
+    assert ticks[0] <= low + 1e-6 * span and ticks[-1] >= low + span - 1e-6 * span
+    assert 2 <= len(ticks) <= 2 * about + 3
+    steps = np.diff(ticks)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
+
+
+def test_ticks_by_hand():
+    assert nice_ticks(0.0, 8.7) == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    assert nice_ticks(1.0, 3.0, least_step=1.0) == [1.0, 2.0, 3.0]
+    assert nice_ticks(float("nan"), 1.0)[0] == 0.0
+    assert nice_ticks(5.0, 5.0)[0] < 5.0 < nice_ticks(5.0, 5.0)[-1]
+    assert tick_texts([0.0, 0.05, 0.1]) == ["0.00", "0.05", "0.10"]
+    assert tick_texts([-20.0, 0.0, 20.0]) == ["-20", "0", "20"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0123456, "0.0123"),
+        (12.345, "12.3"),
+        (1234.5, "1\u202f234"),
+        (float("nan"), "–"),
+        (None, "–"),
+        (0.0, "0"),
+        (3e-6, "3.0e-06"),
+    ],
+)
+def test_short_numbers(value, text):
+    assert short(value) == text
+    assert short(2.5, "m") == "2.50\u00a0m"
+
+
+def test_a_line_goes_where_its_values_say():
+    plot = line_plot(
+        [Series("a", [0.0, 10.0], [0.0, 4.0], marks=False)], Axis("x", "s"), Axis("y", "m"), label="l"
+    )
+    root = fromstring(plot)
+    (line,) = root.iter(f"{SVG}polyline")
+    # box: 66 to 704 across, 34 to 294 down
+    assert line.get("points") == "66,294 704,34"
+    words = [t.text for t in root.iter(f"{SVG}text")]
+    assert "x [s]" in words and "y [m]" in words and "10" in words
+
+
+def test_unknown_values_break_a_line():
+    y = [1.0, 2.0, np.nan, 3.0, 4.0, np.nan]
+    root = fromstring(line_plot([Series("a", np.arange(6), y)], Axis("x"), Axis("y"), label="l"))
+    assert len(list(root.iter(f"{SVG}polyline"))) == 2
+    assert len(list(root.iter(f"{SVG}circle"))) == 4
+
+
+def test_bars_are_as_long_as_their_values():
+    root = fromstring(bar_plot(["a", "b", "c"], [10.0, 5.0, np.nan], Axis("time", "s"), label="l"))
+    widths = [float(r.get("width")) for r in root.iter(f"{SVG}rect")]
+    assert len(widths) == 2 and widths[0] == pytest.approx(2 * widths[1], abs=0.02)
+
+
+def test_histogram_counts_and_tells_of_what_lies_beyond():
+    values = np.concatenate([np.full(50, 0.2), np.full(149, 0.9), [40.0]])
+    root = fromstring(histogram(values, Axis("residual", "px"), label="l", bins=10))
+    heights = sorted(float(r.get("height")) for r in root.iter(f"{SVG}rect"))
+    assert len(heights) == 2 and heights[-1] == pytest.approx(3 * heights[0], rel=0.01)
+    assert any("beyond" in (t.text or "") and "40" in t.text for t in root.iter(f"{SVG}text"))
+
+
+def test_vectors_point_where_they_should():
+    at = np.array([[0.0, 0.0], [100.0, 50.0]])
+    plot = vector_map(at, np.array([[2.0, 0.0], [0.0, 2.0]]), label="l")
+    paths = [p for p in fromstring(plot).iter(f"{SVG}path") if p.get("stroke")]
+    first, second = ([float(v) for v in re.findall(r"-?[\d.]+", p.get("d"))][:4] for p in paths[:2])
+    assert first[2] - first[0] == pytest.approx(48.0, abs=0.1) and first[3] == first[1]
+    assert second[3] - second[1] == pytest.approx(-48.0, abs=0.1) and second[2] == second[0]
+    assert second[0] > first[0] and second[1] < first[1]
+    assert "arrow: 2 m" in plot
+
+
+def test_many_vectors_are_thinned_and_it_is_said():
+    at = np.random.default_rng(1).uniform(0, 1000, (5000, 2))
+    plot = vector_map(at, np.ones((5000, 2)), label="l", most=500)
+    assert "500 of 5000 shown" in plot and len(plot) < 200_000
+
+
+def test_nothing_to_draw_is_still_a_picture():
+    none = np.empty((0, 2))
+    for plot in (
+        line_plot([], Axis("x"), Axis("y"), label="l"),
+        bar_plot([], [], Axis("x"), label="l"),
+        histogram([], Axis("x"), label="l"),
+        vector_map(none, none, label="l"),
+        vector_map(np.zeros((1, 2)), np.zeros((1, 2)), label="l"),
+        network_map(np.zeros((1, 2)), np.empty((0, 2), dtype=int), np.empty(0), label="l", what="ties"),
+    ):
+        assert "nan" not in plot and fromstring(plot).tag == f"{SVG}svg"
+
+
+def test_strangers_names_stay_text():
+    bad = '"><script>alert(1)</script>&'
+    plots = [
+        line_plot([Series(bad, [0, 1], [0, 1])] * 2, Axis(bad), Axis("y"), label=bad),
+        bar_plot([bad], [1.0], Axis("x"), label=bad),
+        network_map(np.eye(2), np.array([[0, 1]]), np.ones(1), label=bad, what=bad, names=[bad, "b"]),
+    ]
+    for plot in plots:
+        assert "<script" not in plot
+        assert fromstring(plot).find(f"{SVG}title").text == bad
