@@ -1,0 +1,48 @@
+"""layers.gpkg and positions.csv."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.export.layers import write_layers
+from geomosaic.export.orientation import orientations
+from geomosaic.export.positions import write_positions
+from geomosaic.matching.model import TiePoints
+from geomosaic.mosaic.model import Mosaic
+from geomosaic.pipeline.stage import Context, RunFile, Stage
+from geomosaic.placement.model import Placement
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
+
+LAYERS = "layers.gpkg"
+POSITIONS = "positions.csv"
+
+
+class ExportLayers(Stage):
+    """Writes where every frame, tie point and seam lies."""
+
+    id = "export.layers"
+    display_name = "Write layers and positions"
+    group = "Export"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey,
+        "ground": GroundSurface,
+        "placement": Placement,
+        "ties": TiePoints,
+        "adjusted": Adjusted,
+        "mosaic": Mosaic,
+    }
+    outputs: ClassVar[dict[str, type]] = {"layers_file": RunFile, "positions_file": RunFile}
+
+    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+        """Both files from the same adjusted poses."""
+        survey, placement, adjusted = inputs["survey"], inputs["placement"], inputs["adjusted"]
+        with context.writing(POSITIONS) as path:
+            write_positions(path, orientations(survey, placement.poses, adjusted))
+        context.check_cancelled()
+        with context.writing(LAYERS) as path:
+            write_layers(path, survey, placement, inputs["ties"], adjusted, inputs["mosaic"])
+        return {"layers_file": context.run_file(LAYERS), "positions_file": context.run_file(POSITIONS)}

@@ -1,0 +1,44 @@
+"""tiles/: the mosaic as web map tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from geomosaic.export.web import TILE_FORMATS, write_tiles
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+
+TILES = "tiles"
+
+
+class ExportTiles(Stage):
+    """Writes tiles/{z}/{x}/{y} in Web Mercator and tiles/tiles.json."""
+
+    id = "export.tiles"
+    display_name = "Write web map tiles"
+    group = "Export"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
+    outputs: ClassVar[dict[str, type]] = {"tiles_folder": RunFile}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        format: str = param("png", help="of the tiles", choices=TILE_FORMATS)
+        min_zoom: int | Literal["auto"] = param("auto", help="coarsest zoom", ge=0, le=30)
+        max_zoom: int | Literal["auto"] = param("auto", help="finest zoom", ge=0, le=30)
+        processes: int = param(2, help="processes at work", ge=1, le=64, affects_output=False)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """By way of GDAL's gdal2tiles."""
+        with context.writing(TILES) as folder:
+            write_tiles(
+                context.path_of(inputs["mosaic_file"]),
+                folder,
+                tile_format=params.format,
+                min_zoom=None if params.min_zoom == "auto" else params.min_zoom,
+                max_zoom=None if params.max_zoom == "auto" else params.max_zoom,
+                processes=params.processes,
+                check_cancelled=context.check_cancelled,
+            )
+        return {"tiles_folder": context.run_file(TILES)}

@@ -1,0 +1,111 @@
+"""Adjusted poses in, the mosaic out: every pixel resampled once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import rasterio
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.compose import AUTO_FEATHER_PX, compose
+from geomosaic.mosaic.grid import auto_gsd_m, output_grid
+from geomosaic.mosaic.model import Mosaic, OutputGrid
+from geomosaic.mosaic.seams import SEAMS
+from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.window import RESAMPLING
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.survey.model import Survey
+
+RASTER = "work/mosaic.compose/mosaic.tif"
+SOURCES = "sources.tif"
+_THUMBNAIL_PX = 1024
+
+
+class MosaicCompose(Stage):
+    """Warps the frames onto the map and blends them."""
+
+    id = "mosaic.compose"
+    display_name = "Compose the mosaic"
+    group = "Mosaic"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
+    outputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        gsd_m: float | Literal["auto"] = param(
+            "auto", help="ground pixel; auto: the median of the frames' own", unit="m", ge=0.0005, le=1000.0
+        )
+        seam: str = param("nearest_nadir", help="who gives a pixel where frames overlap", choices=SEAMS)
+        feather_m: float | Literal["auto"] = param(
+            "auto",
+            help=f"width of the blend along seams and edges; auto: {AUTO_FEATHER_PX} ground pixels, 0: none",
+            unit="m",
+            ge=0.0,
+            le=1000.0,
+        )
+        resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
+        sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
+        memory_mb: int = param(
+            1024, help="memory for decoded frames", unit="MB", ge=64, le=1_000_000, affects_output=False
+        )
+        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Settles the grid, composes into RUN/work, and tells run.json what came out."""
+        survey: Survey = inputs["survey"]
+        adjusted: Adjusted = inputs["adjusted"]
+        ground, names = inputs["ground"], [f.name for f in survey.frames]
+        used = [s != "rejected" for s in adjusted.status]
+        views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
+        for i in sorted({i for i, use in enumerate(used) if use} - {v.frame for v in views}):
+            context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
+        gsd_m = auto_gsd_m(views) if params.gsd_m == "auto" and views else params.gsd_m
+        grid = output_grid(survey.map_crs, views, float(gsd_m) if views else 1.0, names)
+        with ExitStack() as files:
+            sources = files.enter_context(context.writing(SOURCES)) if params.sources else None
+            raster = files.enter_context(context.writing(RASTER))
+            mosaic = compose(
+                survey,
+                adjusted.poses,
+                adjusted.cameras,
+                used,
+                ground,
+                grid,
+                raster,
+                seam=params.seam,
+                feather_m=None if params.feather_m == "auto" else params.feather_m,
+                resampling=params.resampling,
+                memory_bytes=params.memory_mb << 20,
+                sources_path=sources,
+                threads=params.threads,
+                progress=lambda done, total: context.progress(done, total, "windows"),
+                check_cancelled=context.check_cancelled,
+            )
+        mosaic = replace(mosaic, raster=RASTER)
+        self._tell(context, grid, mosaic)
+        return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}
+
+    @staticmethod
+    def _tell(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:
+        size = {"width": grid.width_px, "height": grid.height_px}
+        context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
+        context.metric("mosaic.frames_used", len(mosaic.frames_used))
+        context.metric("mosaic.decodes", mosaic.decodes)
+        context.recorder.image("/images/mosaic", "mosaic", thumbnail(_glance(context.run_folder / RASTER)))
+
+
+def _glance(path: Path) -> Any:
+    """The raster at a fraction of its size, rows, cols, bands."""
+    with rasterio.open(path) as tiff:
+        reduction = max(1, max(tiff.width, tiff.height) // _THUMBNAIL_PX)
+        shape = (min(tiff.count, 3), -(-tiff.height // reduction), -(-tiff.width // reduction))
+        return np.moveaxis(tiff.read(list(range(1, shape[0] + 1)), out_shape=shape), 0, -1)
