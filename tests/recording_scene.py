@@ -30,7 +30,8 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
         recorder.location(frame, -91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5, 1.5, 2.0, 3.0, "observed")
     recorder.artefact("survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, ARTEFACT)
     recorder.log("info", "3 frames", stage="survey.read")
-    recorder.stage_finished("survey.read", {"survey": "ab" * 20}, 1.25, False)
+    notes = {"warnings": [], "metrics": {"frames": 3}}
+    recorder.stage_finished("survey.read", {"survey": "ab" * 20}, 1.25, False, notes)
     recorder.stage_started(
         "adjustment.solve", 2, {"method": method, "epsilon_px": 10.0}, {"survey": "ab" * 20}
     )

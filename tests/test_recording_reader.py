@@ -42,6 +42,7 @@ def test_all_of_a_recording(scene: Path) -> None:
     first, second = recording.stages
     assert (first.stage_id, first.version, first.finished, first.seconds) == ("survey.read", 1, True, None)
     assert first.params == {"frames": "images", "crs": "auto"} and first.outputs == {"survey": "ab" * 20}
+    assert first.notes == {"warnings": [], "metrics": {"frames": 3}} and second.notes == {}
     assert second.inputs == {"survey": "ab" * 20} and second.index == 1
     assert [r.round_index for r in recording.rounds] == [0, 1, 2]
     assert recording.rounds[2].pairs == ((FRAMES[0], FRAMES[1]), (FRAMES[1], FRAMES[2]))

@@ -25,7 +25,7 @@ _WIRE = {
 _MESSAGES: dict[str, tuple[str, ...]] = {
     "Fingerprint": ("string name", "string fingerprint"),
     # One at a stage's start and one at its end. `seconds` is absent at the start and in a recording
-    # with fixed times. `params_json` and `inputs` stand at the start, `outputs` at the end.
+    # with fixed times. `params_json` and `inputs` stand at the start, `outputs` and `notes_json` at the end.
     "StageEvent": (
         "string stage_id",
         "uint32 stage_index",
@@ -36,6 +36,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "string params_json",
         "repeated Fingerprint inputs",
         "repeated Fingerprint outputs",
+        "string notes_json",
     ),
     # One round of an adjustment: (left, right, east_m, north_m) are the misalignments of the pairs
     # before the moves, right minus left, NaN where unknown; (frame, move_east_m, move_north_m) the moves.

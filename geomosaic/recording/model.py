@@ -17,6 +17,7 @@ class StageRecord:
     """One stage of a run; `index` counts them in order of execution.
 
     `finished` is False where the run ended within it; seconds are None where unknown.
+    `notes` is what it added to run.json besides its artefacts.
     """
 
     index: int
@@ -28,6 +29,7 @@ class StageRecord:
     seconds: float | None = None
     cached: bool = False
     finished: bool = False
+    notes: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

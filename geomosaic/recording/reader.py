@@ -175,6 +175,7 @@ def _take_stage(stages: list[StageRecord], event: Any) -> None:
         raise ValueError(f"stage {event.stage_id[:80]} ends without having begun")
     stages[-1].outputs = {f.name: f.fingerprint for f in event.outputs}
     stages[-1].seconds = event.seconds if event.HasField("seconds") else None
+    stages[-1].notes = _json_object(event.notes_json) if event.notes_json else {}
     stages[-1].cached, stages[-1].finished = event.cached, True
 
 

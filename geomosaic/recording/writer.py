@@ -88,9 +88,17 @@ class Recorder:
         self._file.write("/stages", event)
 
     def stage_finished(
-        self, stage_id: str, output_fingerprints: Mapping[str, str], seconds: float | None, cached: bool
+        self,
+        stage_id: str,
+        output_fingerprints: Mapping[str, str],
+        seconds: float | None,
+        cached: bool,
+        notes: Mapping[str, Any] | None = None,
     ) -> None:
-        """A stage is done and its artefacts are recorded: all of it is put on the disk."""
+        """A stage is done and its artefacts are recorded: all of it is put on the disk.
+
+        `notes` is what it adds to run.json besides, so that a replay can add it again.
+        """
         event = StageEvent(
             stage_id=stage_id, stage_index=max(self._stage_index, 0), finished=True, cached=cached
         )
@@ -98,6 +106,8 @@ class Recorder:
             event.seconds = seconds
         for name, fingerprint in output_fingerprints.items():
             event.outputs.add(name=name, fingerprint=fingerprint)
+        if notes is not None:
+            event.notes_json = _json(notes)
         self._file.write("/stages", event)
         self.flush()
 
