@@ -7,11 +7,10 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
-import rasterio
 from rasterio.errors import RasterioError
 
 from geomosaic.errors import FileError, InputError
-from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader
+from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, open_picture
 from geomosaic.survey.names import natural_key
 
 _MASK_ENDINGS: Final = ("_mask", ".mask")
@@ -71,7 +70,7 @@ def masks(headers: list[FrameHeader]) -> dict[str, str]:
 
 def _check_size(mask: Path, header: FrameHeader) -> None:
     try:
-        with rasterio.open(mask) as raster:
+        with open_picture(mask) as raster:
             size = raster.width, raster.height
     except (RasterioError, OSError) as error:
         raise FileError("the mask can't be read", file=mask, mend="write it as 8 bit PNG or TIFF") from error

@@ -64,12 +64,17 @@ def _jpeg_header(path: Path) -> FrameHeader:
     return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
 
 
+def open_picture(path: Path, driver: str | None = None) -> Any:
+    """A rasterio dataset that needs no place on the map."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        return rasterio.open(path, driver=driver)
+
+
 def open_tiff(path: Path) -> Any:
-    """A TIFF frame as a rasterio dataset; frames have no place on the map, whatever their tags say."""
+    """A TIFF frame as a rasterio dataset; `FileError` for what is none."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            return rasterio.open(path, driver="GTiff")
+        return open_picture(path, "GTiff")
     except (RasterioError, OSError) as error:
         raise FileError(
             "is no readable TIFF file", file=path, mend="copy it again, or take it out of the folder"

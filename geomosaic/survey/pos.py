@@ -153,7 +153,7 @@ def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS |
         table = read_table(path, lines[1:], ALIASES, _GEO_TXT)
         return _without_empty_angles(table, notes), odm
     file_crs = given_crs(path, crs)
-    names = [column_of(name, ALIASES)[0] for name in split(first.text, first.text)]
+    names = [column_of(name, ALIASES, path)[0] for name in split(first.text, first.text)]
     if "frame" in names or len({n for n in names if n}) > 1:
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")

@@ -140,7 +140,7 @@ def split(text: str, like: str) -> list[str]:
     return [field.strip().strip(quote) for field in fields]
 
 
-def column_of(name: str, aliases: Aliases) -> tuple[str | None, float]:
+def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[str | None, float]:
     """Which column a header's name means, and the factor of its unit; (None, 1) where unknown.
 
     A unit stands in brackets or parentheses, or at the name's end: `Yaw [degrees]`, `omega_rad`.
@@ -156,7 +156,9 @@ def column_of(name: str, aliases: Aliases) -> tuple[str | None, float]:
         return None, 1.0
     if unit and unit not in _UNITS:
         raise InputError(
-            f"column '{name}' has the unknown unit '{unit}'", mend=f"known: {', '.join(sorted(_UNITS))}"
+            f"column '{name}' has the unknown unit '{unit}'",
+            file=path,
+            mend=f"known: {', '.join(sorted(_UNITS))}",
         )
     return column, _UNITS.get(unit, 1.0)
 
@@ -176,10 +178,7 @@ def read_table(
         header, lines = lines[0], lines[1:]
         like, known = header.text, []
         for name in split(header.text, like):
-            try:
-                column, factor = column_of(name, aliases)
-            except InputError as error:
-                raise InputError(error.problem, file=path, mend=error.mend) from error
+            column, factor = column_of(name, aliases, path)
             if column is not None and column in factors:
                 raise InputError(f"two columns for {column}", file=path, mend=f"rename or remove '{name}'")
             if column is None:

@@ -1,0 +1,267 @@
+"""Cameras from files and from EXIF."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from survey_files import dji_xmp, drone_frame, exif_block, picture, write_jpeg
+
+from geomosaic.camera.interior import Camera
+from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.survey.camera_files import read_cameras
+from geomosaic.survey.cameras import camera_from_header, cameras_from_file, cameras_from_headers
+from geomosaic.survey.exif import Exif
+from geomosaic.survey.header import FrameHeader, read_header
+
+
+def header(
+    width: int = 4000, height: int = 3000, xmp: dict[str, str] | None = None, **exif: object
+) -> FrameHeader:
+    return FrameHeader(Path("/f/a.jpg"), width, height, 3, "uint8", None, Exif(**exif), xmp or {})  # type: ignore[arg-type]
+
+
+def written(tmp_path: Path, content: object, name: str = "cameras.json") -> Path:
+    path = tmp_path / name
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+BROWN = {
+    "projection_type": "brown", "width": 5472, "height": 3648, "focal_x": 0.66, "focal_y": 0.662,
+    "c_x": -0.002, "c_y": 0.005, "k1": -0.26, "k2": 0.1, "k3": -0.02, "p1": 0.0007, "p2": 0.0003,
+}  # fmt: skip
+
+
+def test_opensfm_brown_is_normalised_by_the_longer_side(tmp_path: Path) -> None:
+    (camera,) = read_cameras(written(tmp_path, {"v2 dji": BROWN}))
+    assert camera.focal_length_px == pytest.approx(0.661 * 5472)
+    assert (camera.principal_col_px, camera.principal_row_px) == pytest.approx((2736 - 10.944, 1824 + 27.36))
+    assert (camera.k1, camera.k2, camera.k3, camera.p1, camera.p2) == (-0.26, 0.1, -0.02, 0.0007, 0.0003)
+    assert camera.focal_length_sd_px == pytest.approx(0.005 * camera.focal_length_px)
+
+
+def test_opensfm_perspective_upright_and_reconstruction(tmp_path: Path) -> None:
+    upright = {
+        "projection_type": "perspective",
+        "width": 1000,
+        "height": 1500,
+        "focal": 0.8,
+        "k1": -0.1,
+        "k2": 0.02,
+    }
+    for content in ({"a": upright}, [{"cameras": {"a": upright}, "shots": {}}], {"cameras": {"a": upright}}):
+        (camera,) = read_cameras(written(tmp_path, content))
+        assert camera == Camera(
+            "a", 1000, 1500, 1200.0, 500.0, 750.0, k1=-0.1, k2=0.02, focal_length_sd_px=6.0
+        )
+
+
+def test_plain_yaml_of_our_own(tmp_path: Path) -> None:
+    text = "name: survey camera\nwidth_px: 5344\nheight_px: 4008\nk1: -0.01\n"
+    text += "focal_length_mm: 50\npixel_size_um: 9\n"
+    (camera,) = read_cameras(written(tmp_path, text, "camera.yaml"))
+    assert camera.name == "survey camera"
+    assert camera.focal_length_px == pytest.approx(5555.5556, abs=1e-4)
+    assert (camera.principal_col_px, camera.principal_row_px, camera.k1) == (2672.0, 2004.0, -0.01)
+    both = (
+        "left: {width_px: 100, height_px: 80, focal_length_px: 90, focal_length_sd_px: 0.5, "
+        "principal_col_px: 49.5}\n"
+        "right:\n  {width_px: 200, height_px: 80, focal_length_px: 95}\n"
+    )
+    left, right = read_cameras(written(tmp_path, both, "camera.yml"))
+    assert (left.name, left.focal_length_sd_px, left.principal_col_px) == ("left", 0.5, 49.5)
+    assert (right.name, right.focal_length_sd_px) == ("right", pytest.approx(0.475))
+
+
+def test_orthority_yaml(tmp_path: Path) -> None:
+    text = "DMC:\n  type: pinhole\n  im_size: [640, 1152]\n  focal_len: 120.0\n"
+    text += "  sensor_size: [92.16, 165.888]\n  cx: 0.01\n"
+    (camera,) = read_cameras(written(tmp_path, text, "int.yaml"))
+    assert camera.focal_length_px == pytest.approx(833.33333)
+    assert (camera.principal_col_px, camera.principal_row_px) == pytest.approx((331.52, 576.0))
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "message"),
+    [
+        ("{", "c.json", "is no valid JSON; see docs/inputs.md"),
+        ("a: [", "c.yaml", "is no valid YAML"),
+        ("a: !!python/object/apply:os.system ['true']", "c.yaml", "is no valid YAML"),
+        ("[]", "c.json", "holds no cameras"),
+        ("just text", "c.yaml", "holds no cameras"),
+        ({"a": {"projection_type": "fisheye", "width": 1}}, "c.json", "projection 'fisheye' isn't handled"),
+        ({"a": {**BROWN, "focal_y": 0.7}}, "c.json", "differ by more than 1 %"),
+        ({"a": {**BROWN, "k1": "NaN"}}, "c.json", "camera 'a' has 'NaN' for k1; give it as a number"),
+        ({"a": {k: v for k, v in BROWN.items() if k != "width"}}, "c.json", "camera 'a' has no width"),
+        (
+            '{"a": {"projection_type": "brown", "width": NaN, "height": 1, "focal_x": 1}}',
+            "c.json",
+            "has nan for width",
+        ),
+        ("width_px: 100\nheight_px: 80\n", "c.yaml", "has no focal_length_px"),
+        ("width_px: 100\nheight_px: 80\nfocal_length_px: -5\n", "c.yaml", "must be above 0"),
+        ("a: {width: 100}\n", "c.yaml", "camera 'a' has none of projection_type, focal_len, width_px"),
+        ("a: {focal_len: 1, im_size: [100, 80], sensor_size: [1, 2]}", "c.yaml", "differ in shape"),
+        ("a: {focal_len: 1, im_size: 100}", "c.yaml", "im_size isn't"),
+    ],
+)
+def test_bad_camera_files(tmp_path: Path, content: object, name: str, message: str) -> None:
+    path = written(tmp_path, content, name)
+    with pytest.raises(InputError, match=message) as caught:
+        read_cameras(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_misspelt_key_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'focal_length_px'"):
+        read_cameras(written(tmp_path, "width_px: 1\nheight_px: 1\nfocal_lenght_px: 1\n", "c.yaml"))
+    with pytest.raises(FileError, match="there is no such file; check --camera"):
+        read_cameras(tmp_path / "none.json")
+
+
+def test_focal_length_from_the_sensor_table() -> None:
+    camera, source = camera_from_header(
+        header(4000, 2250, make="DJI", model="FC300S", focal_length_mm=3.61, focal_length_35mm=20.0)
+    )
+    assert source == "sensor-table"
+    assert camera.focal_length_px == pytest.approx(3.61 * 4000 / 6.17)
+    assert camera.focal_length_sd_px == pytest.approx(0.02 * camera.focal_length_px)
+    assert camera.name == "DJI FC300S 4000 x 2250 3.61 mm"
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "expected"),
+    [(6000, 4000, 24 / 36 * 6000), (4000, 3000, 24 * 5000 / 43.26661), (4000, 2250, 24 * 5000 / 43.26661)],
+)
+def test_focal_length_from_the_35_mm_equivalent_compares_diagonals(
+    width: int, height: int, expected: float
+) -> None:
+    camera, source = camera_from_header(header(width, height, focal_length_35mm=24.0))
+    assert source == "exif-35mm"
+    assert camera.focal_length_px == pytest.approx(expected, rel=1e-6)
+    rounding = 1 / math.sqrt(12) / 24
+    assert camera.focal_length_sd_px / camera.focal_length_px == pytest.approx(math.hypot(0.02, rounding))
+
+
+def test_focal_length_from_the_focal_plane_of_a_resized_picture() -> None:
+    camera, source = camera_from_header(
+        header(
+            2000,
+            1500,
+            width_px=4000,
+            height_px=3000,
+            focal_length_mm=5.5,
+            pixels_per_mm=250.0,
+            focal_length_35mm=29.0,
+        )
+    )
+    assert (source, camera.focal_length_px) == ("focal-plane", 687.5)
+
+
+def test_djis_own_calibration() -> None:
+    data = "2018-09-07;3657.02,3650.62,-4.03,23.1,-0.267,0.112,0.00092,0.00009,-0.033"
+    exif = {
+        "make": "DJI",
+        "model": "FC6310R",
+        "width_px": 5472,
+        "focal_length_mm": 8.8,
+        "focal_length_35mm": 24.0,
+    }
+    camera, source = camera_from_header(header(1368, 912, {"drone-dji:DewarpData": data}, **exif))
+    assert source == "dji-dewarp"
+    assert camera.focal_length_px == pytest.approx(3653.82 / 4)
+    assert (camera.principal_col_px, camera.principal_row_px) == pytest.approx((684 - 1.0075, 456 + 5.775))
+    assert (camera.k1, camera.k2, camera.p1, camera.p2, camera.k3) == (
+        -0.267,
+        0.112,
+        0.00092,
+        0.00009,
+        -0.033,
+    )
+    dewarped, _ = camera_from_header(
+        header(1368, 912, {"drone-dji:DewarpData": data, "drone-dji:DewarpFlag": "1"}, **exif)
+    )
+    assert (dewarped.k1, dewarped.focal_length_px) == (0.0, camera.focal_length_px)
+    wrong, source = camera_from_header(
+        header(1368, 912, {"drone-dji:DewarpData": data.replace("365", "965")}, **exif)
+    )
+    assert (source, wrong.k1) == ("sensor-table", 0.0)
+
+
+def test_no_focal_length_says_how_to_give_it() -> None:
+    with pytest.raises(
+        InputError, match=r"/f/a\.jpg: the frame doesn't tell its focal length; give .* --camera FILE"
+    ):
+        camera_from_header(header(make="X", model="Y", focal_length_mm=8.8))
+
+
+def test_each_make_size_and_focal_length_is_a_camera() -> None:
+    one = header(make="DJI", model="FC6310", focal_length_mm=8.8)
+    two = replace(one, width_px=2000, height_px=1500)
+    choice = cameras_from_headers([one, two, one])
+    assert choice.names == (
+        "DJI FC6310 4000 x 3000 8.8 mm",
+        "DJI FC6310 2000 x 1500 8.8 mm",
+        "DJI FC6310 4000 x 3000 8.8 mm",
+    )
+    assert [c.name for c in choice.cameras] == [*choice.names[:2]]
+    assert [w.code for w in choice.warnings] == ["camera-assumed", "camera-assumed"]
+
+
+def test_two_calibrations_of_one_model_are_two_cameras(tmp_path: Path) -> None:
+    paths = []
+    for i, f in enumerate((120.0, 121.0, 120.0)):
+        exif = exif_block(Make="DJI", Model="FC6310", FocalLength=Fraction("8.8"))
+        xmp = dji_xmp(DewarpData=f"2020-01-01;{f},{f},0,0,-0.1,0,0,0,0")
+        paths.append(write_jpeg(tmp_path / f"{i}.jpg", picture(180, 120), exif, xmp))
+    choice = cameras_from_headers([read_header(p) for p in paths])
+    assert [c.focal_length_px for c in choice.cameras] == [120.0, 121.0]
+    assert choice.names == (
+        "DJI FC6310 180 x 120 8.8 mm",
+        "DJI FC6310 180 x 120 8.8 mm (2)",
+        "DJI FC6310 180 x 120 8.8 mm",
+    )
+
+
+CAMERA = Camera("big", 4000, 3000, 3500.0, 1990.0, 1510.0, k1=-0.1, focal_length_sd_px=8.0)
+
+
+def test_a_resized_frame_scales_its_camera() -> None:
+    choice = cameras_from_file([header(1000, 750)], [CAMERA], Path("c.json"), [None])
+    assert choice.cameras == (Camera("big", 1000, 750, 875.0, 497.5, 377.5, k1=-0.1, focal_length_sd_px=2.0),)
+    assert choice.warnings[0].code == "camera-scaled"
+    assert choice.warnings[0].text == "big: of 4000 x 3000 pixels, scaled by 0.25"
+
+
+def test_a_camera_of_another_shape_is_refused() -> None:
+    message = (
+        r"c\.json: no camera for frame a\.jpg of 4000 x 2250 pixels: big \(4000 x 3000\); give a camera file"
+    )
+    with pytest.raises(InputError, match=message):
+        cameras_from_file([header(4000, 2250)], [CAMERA], Path("c.json"), [None])
+    with pytest.raises(InputError, match="no camera for frame"):
+        cameras_from_file([header(3000, 4000)], [CAMERA], Path("c.json"), [None])
+
+
+def test_several_cameras_are_told_apart() -> None:
+    cameras = [
+        CAMERA,
+        replace(CAMERA, name="v2 dji fc6310"),
+        replace(CAMERA, name="small", width_px=400, height_px=300),
+    ]
+    dji = header(make="DJI", model="FC6310")
+    assert cameras_from_file([dji], cameras, Path("c"), [None]).names == ("v2 dji fc6310",)
+    assert cameras_from_file([header(400, 300)], cameras, Path("c"), [None]).names == ("small",)
+    assert cameras_from_file([dji], cameras, Path("c"), ["big"]).names == ("big",)
+    with pytest.raises(InputError, match="several cameras fit frame"):
+        cameras_from_file([header()], cameras, Path("c"), [None])
+
+
+def test_a_drone_frame_tells_its_camera(tmp_path: Path) -> None:
+    camera, source = camera_from_header(read_header(drone_frame(tmp_path / "a.jpg")))
+    assert (source, camera.focal_length_px) == ("sensor-table", pytest.approx(80.0))

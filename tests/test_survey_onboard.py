@@ -1,0 +1,267 @@
+"""EXIF and XMP as drones write them."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from survey_files import (
+    dji_xmp,
+    dms,
+    drone_frame,
+    exif_block,
+    gps,
+    picture,
+    segment,
+    write_jpeg,
+    xmp_attributes,
+)
+
+from geomosaic.errors import FileError
+from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
+from geomosaic.survey.header import read_header
+from geomosaic.survey.jpeg import read_structure
+from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position
+from geomosaic.survey.xmp import number, parse_xmp
+
+CAMERA_NS = "http://pix4d.com/camera/1.0"
+PARROT_NS = "http://www.parrot.com/drone-parrot/1.0/"
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_exif_says_place_time_and_lens(order: str) -> None:
+    block = exif_block(
+        order, Make="Maker ", Model="M1", DateTimeOriginal="2016:06:23 16:31:59", SubSecTimeOriginal="25",
+        OffsetTimeOriginal="-05:00", FocalLength=Fraction("3.61"), FocalLengthIn35mmFilm=20,
+        FocalPlaneXResolution=Fraction("1000"), FocalPlaneResolutionUnit=3, PixelXDimension=4000,
+        **gps(-91.99455988, -46.84260708, -12.75),
+    )  # fmt: skip
+    exif = exif_from_block(block)
+    assert (exif.make, exif.model, exif.width_px) == ("Maker", "M1", 4000)
+    assert exif.lon_deg == pytest.approx(-91.99455988, abs=1e-9)
+    assert exif.lat_deg == pytest.approx(-46.84260708, abs=1e-9)
+    assert exif.altitude_m == -12.75
+    assert exif.time_s == 1466717519.25  # 2016-06-23 21:31:59.25 UTC
+    assert (exif.focal_length_mm, exif.focal_length_35mm, exif.pixels_per_mm) == (3.61, 20.0, 100.0)
+    assert not exif.hemisphere_assumed
+
+
+@given(st.floats(0.0, 179.999))
+def test_degrees_minutes_seconds_add_up(angle: float) -> None:
+    degrees, minutes, seconds = dms(angle)
+    assert float(degrees + minutes / 60 + seconds / 3600) == pytest.approx(angle, abs=2e-10)
+
+
+def test_a_receiver_without_fix_gives_no_position() -> None:
+    assert exif_from_block(exif_block(**gps(0.0, 0.0))).lon_deg is None
+    assert onboard_position(exif_from_block(exif_block(**gps(0.0, 0.0))), {}) is None
+
+
+def test_missing_hemisphere_is_told() -> None:
+    exif = exif_from_block(exif_block(GPSLatitude=dms(10.5), GPSLongitude=dms(20.25)))
+    assert (exif.lat_deg, exif.lon_deg, exif.hemisphere_assumed) == (10.5, 20.25, True)
+
+
+def test_gdal_keeps_exif_as_text() -> None:
+    exif = exif_from_gdal(
+        {
+            "EXIF_GPSLatitude": "(24) (40) (49.0009)", "EXIF_GPSLatitudeRef": "N",
+            "EXIF_GPSLongitude": "(120) (57) (6.1257)",
+            "EXIF_GPSLongitudeRef": "E", "EXIF_GPSAltitude": "(186.57)", "EXIF_GPSAltitudeRef": "0x00",
+            "EXIF_FocalLength": "(8.8)", "EXIF_FocalLengthIn35mmFilm": "24", "EXIF_Make": "DJI",
+            "EXIF_DateTimeOriginal": "2019:04:11 11:01:21",
+        }
+    )  # fmt: skip
+    assert exif.lat_deg == pytest.approx(24.680278027, abs=1e-8)
+    assert exif.lon_deg == pytest.approx(120.951701583, abs=1e-8)
+    assert (exif.altitude_m, exif.focal_length_mm, exif.focal_length_35mm) == (186.57, 8.8, 24.0)
+    assert exif.time_s == 1554980481.0
+
+
+@given(st.binary(max_size=300))
+def test_damaged_exif_is_no_exif(data: bytes) -> None:
+    exif = exif_from_block(b"II*\0" + data)
+    assert exif.lat_deg is None or abs(exif.lat_deg) <= 90.0
+
+
+def test_xmp_as_elements_and_attributes_is_the_same() -> None:
+    elements = (
+        b'junk<?xpacket?><x:xmpmeta xmlns:x="adobe:ns:meta/">'
+        b'<r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        b'<r:Description xmlns:C="http://pix4d.com/camera/1.0/"><C:Yaw>-12.5</C:Yaw><C:Pitch> 25/2 </C:Pitch>'
+        b"<C:Bands><r:Seq><r:li>Red</r:li><r:li>Green</r:li></r:Seq></C:Bands>"
+        b"</r:Description></r:RDF></x:xmpmeta>"
+    )
+    found = parse_xmp(elements)
+    assert found is not None
+    assert (number(found, "Camera:Yaw"), number(found, "Camera:Pitch"), found["Camera:Bands"]) == (
+        -12.5,
+        12.5,
+        "Red",
+    )
+    other = parse_xmp(xmp_attributes(CAMERA_NS, "anything", Yaw="-12.5", Pitch="12.5"))
+    assert other is not None
+    assert (number(other, "Camera:Yaw"), number(other, "Camera:Pitch")) == (-12.5, 12.5)
+
+
+def test_undeclared_prefixes_are_read_all_the_same() -> None:
+    packet = (
+        b'<x:xmpmeta><rdf:RDF><rdf:Description drone-dji:GimbalYawDegree="+12.30"/></rdf:RDF></x:xmpmeta>'
+    )
+    assert parse_xmp(packet) == {"drone-dji:GimbalYawDegree": "+12.30"}
+
+
+def test_entities_in_xmp_are_refused() -> None:
+    bomb = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaa">]>'
+    packet = dji_xmp(GimbalYawDegree="1").replace(b"><rdf:RDF", b">&a;<rdf:RDF", 1)
+    assert parse_xmp(bomb + packet) is None
+    assert parse_xmp(b"no packet at all") == {}
+    assert parse_xmp(dji_xmp(GimbalYawDegree="1").replace(b"/></rdf", b"></rdf")) is None
+
+
+def dji(**values: object) -> dict[str, str]:
+    return {f"drone-dji:{k}": str(v) for k, v in values.items()}
+
+
+def camera(yaw: float, pitch: float, roll: float) -> dict[str, str]:
+    return {"Camera:Yaw": str(yaw), "Camera:Pitch": str(pitch), "Camera:Roll": str(roll)}
+
+
+def test_the_gimbal_counts_and_not_the_aircraft() -> None:
+    xmp = dji(
+        GimbalYawDegree="+37.0", GimbalPitchDegree="-60.0", GimbalRollDegree="0", FlightYawDegree="91",
+        FlightPitchDegree="-8", FlightRollDegree="5",
+    )  # fmt: skip
+    attitude = onboard_attitude(Exif(), xmp)
+    assert attitude.source == "dji-gimbal"
+    assert attitude.yaw_deg == pytest.approx(37.0)
+    assert attitude.pitch_deg == pytest.approx(30.0)
+    assert attitude.roll_deg == pytest.approx(0.0, abs=1e-9)
+    assert (attitude.sd_yaw_deg, attitude.sd_tilt_deg) == (3.0, 0.5)
+
+
+def test_gimbal_roll_of_180_turns_the_heading_and_not_the_camera_up() -> None:
+    xmp = dji(GimbalYawDegree="20", GimbalPitchDegree="-90", GimbalRollDegree="180")
+    attitude = onboard_attitude(Exif(), xmp)
+    assert attitude.yaw_deg == pytest.approx(200.0)
+    assert attitude.pitch_deg == pytest.approx(0.0, abs=1e-9)
+    assert attitude.roll_deg == pytest.approx(0.0, abs=1e-9)
+
+
+def test_flight_attitude_only_where_there_is_no_gimbal() -> None:
+    xmp = dji(FlightYawDegree="-91", FlightPitchDegree="-8", FlightRollDegree="5")
+    attitude = onboard_attitude(Exif(), xmp)
+    assert (attitude.source, attitude.yaw_deg, attitude.pitch_deg, attitude.roll_deg) == (
+        "dji-flight",
+        269.0,
+        -8.0,
+        5.0,
+    )
+    assert attitude.sd_tilt_deg == 5.0
+
+
+@pytest.mark.parametrize(
+    ("xmp", "make", "expected"),
+    [
+        (camera(12, 3, -2), "MicaSense", ("xmp-camera", 12.0, 3.0, -2.0)),
+        (camera(12, 3, -2), "senseFly", ("sensefly", 12.0, 3.0, 2.0)),
+        (camera(-12, -85, 0), "Parrot", ("parrot-camera", 348.0, 5.0, 0.0)),
+        (
+            {f"drone-parrot:Camera{a}Degree": v for a, v in (("Yaw", "7"), ("Pitch", "-80"), ("Roll", "0"))},
+            "Parrot",
+            ("parrot-camera", 7.0, 10.0, 0.0),
+        ),
+        (
+            {"sensefly:Heading": "181", "sensefly:PitchAngle": "4", "sensefly:RollAngle": "-3"},
+            "senseFly",
+            ("sensefly", 181.0, 4.0, -3.0),
+        ),
+        ({"DLS:Yaw": "1.2", "DLS:Pitch": "0.1"}, "MicaSense", ("none", None, None, None)),
+    ],
+)  # fmt: skip
+def test_other_makers(xmp: dict[str, str], make: str, expected: tuple[object, ...]) -> None:
+    attitude = onboard_attitude(Exif(make=make), xmp)
+    assert attitude.source == expected[0]
+    for value, wanted in zip(
+        (attitude.yaw_deg, attitude.pitch_deg, attitude.roll_deg), expected[1:], strict=True
+    ):
+        assert value == (None if wanted is None else pytest.approx(wanted, abs=1e-9))
+
+
+def test_rtk_tells_its_own_accuracy() -> None:
+    exif = Exif(lon_deg=120.0, lat_deg=24.0, altitude_m=50.0)
+    fixed = dji(
+        RtkFlag="50", RtkStdLon="0.041", RtkStdLat="0.035", RtkStdHgt="0.072", AbsoluteAltitude="+51.5"
+    )
+    position = onboard_position(exif, fixed)
+    assert position is not None
+    assert (position.sd_horizontal_m, position.sd_vertical_m, position.source) == (0.041, 0.072, "rtk-fixed")
+    assert position.height_ellipsoidal_m == 51.5
+    assert not onboard_heights(exif, fixed).datum_unknown
+    bare = onboard_position(exif, dji(RtkFlag="50"))
+    assert bare is not None
+    assert (bare.sd_horizontal_m, bare.sd_vertical_m) == (0.03, 0.05)
+    plain = onboard_position(exif, dji(RtkFlag="0", RtkStdLon="0.01", RtkStdLat="0.01", RtkStdHgt="0.01"))
+    assert plain is not None
+    assert (plain.sd_horizontal_m, plain.sd_vertical_m, plain.source) == (5.0, 15.0, "exif")
+    assert onboard_heights(exif, {}).datum_unknown
+
+
+def test_heights_of_three_kinds_are_kept_apart() -> None:
+    heights = onboard_heights(Exif(altitude_m=100.0), {"Camera:AboveGroundAltitude": "62.5"})
+    assert (heights.height_m, heights.above_ground_m, heights.above_take_off) == (100.0, 62.5, False)
+    heights = onboard_heights(Exif(), dji(RelativeAltitude="+39.80"))
+    assert (heights.height_m, heights.above_ground_m, heights.above_take_off) == (None, 39.8, True)
+    assert onboard_heights(Exif(), dji(RelativeAltitude="+0.00")).above_ground_m is None
+
+
+def test_a_jpeg_with_previews_behind_its_end_is_whole(tmp_path: Path) -> None:
+    preview = write_jpeg(tmp_path / "preview.jpg", picture(64, 48)).read_bytes()
+    path = write_jpeg(
+        tmp_path / "a.jpg", picture(120, 80), exif_block(Make="DJI"), tail=b"\0" * 100 + preview
+    )
+    structure = read_structure(path)
+    assert (structure.width_px, structure.height_px, structure.bands, structure.bits) == (120, 80, 3, 8)
+    whole = path.read_bytes()
+    primary_end = whole.find(b"\xff\xd9") + 2
+    path.write_bytes(whole[: primary_end + 50])  # the preview is gone, the picture is all there
+    assert read_structure(path).width_px == 120
+    path.write_bytes(whole[: primary_end - 40])
+    with pytest.raises(FileError, match=r"a\.jpg: the JPEG is truncated: its image data don't end; copy it"):
+        read_structure(path)
+
+
+def test_a_thumbnail_in_the_header_is_no_end(tmp_path: Path) -> None:
+    thumbnail = write_jpeg(tmp_path / "t.jpg", picture(32, 24)).read_bytes()
+    path = write_jpeg(tmp_path / "a.jpg", picture(120, 80))
+    data = path.read_bytes()
+    path.write_bytes((data[:2] + segment(0xE3, thumbnail) + data[2:])[:-30])
+    with pytest.raises(FileError, match="truncated"):
+        read_structure(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "the file is empty"),
+        (b"hello, I am a text\n" * 9, "is no JPEG file"),
+        (b"\xff\xd8\xff\xe1\x00", "truncated in its header"),
+        (b"\xff\xd8\x00\x00\x00\x00\x00", "header is damaged"),
+    ],
+)
+def test_what_is_no_jpeg_is_named(tmp_path: Path, content: bytes, problem: str) -> None:
+    path = tmp_path / "frame.jpg"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=problem):
+        read_header(path)
+
+
+def test_a_frame_header_has_it_all(tmp_path: Path) -> None:
+    header = read_header(drone_frame(tmp_path / "DJI_0001.JPG", RtkFlag=50))
+    assert (header.width_px, header.height_px, header.bands, header.dtype) == (120, 80, 3, "uint8")
+    assert header.exif.lon_deg == pytest.approx(9.1234567, abs=1e-9)
+    assert header.xmp is not None
+    assert number(header.xmp, "drone-dji:RelativeAltitude") == 80.2

@@ -1,0 +1,167 @@
+"""Pixels of frames: order, types, masks, reductions, and files that are not whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+from rasterio.enums import ColorInterp
+from rasterio.transform import Affine
+from survey_files import exif_block, picture, write_jpeg
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.survey.folder import masks
+from geomosaic.survey.header import read_header
+from geomosaic.survey.model import Attitude, Frame, Position
+from geomosaic.survey.pixels import read_pixels
+
+
+def frame(path: Path, mask: Path | None = None) -> Frame:
+    h = read_header(path)
+    nowhere = Position(9.0, 48.0, None, None, 1.0, 1.0, "test")
+    level = Attitude(None, None, None, 1.0, 1.0, "test")
+    return Frame(
+        path.name, str(path), h.width_px, h.height_px, h.bands, h.dtype, "c", nowhere, level,
+        valid_mask=None if mask is None else str(mask), nodata=h.nodata,
+    )  # fmt: skip
+
+
+def write_tiff(
+    path: Path, pixels: np.ndarray, alpha: bool = False, mask: np.ndarray | None = None, **profile: object
+) -> Path:
+    rows, cols, bands = pixels.shape
+    options = {
+        "driver": "GTiff",
+        "dtype": pixels.dtype,
+        "count": bands,
+        "width": cols,
+        "height": rows,
+    } | profile
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+        rasterio.open(path, "w", transform=Affine(1.0, 0.0, 0.0, 0.0, -1.0, float(rows)), **options) as tiff,
+    ):
+        tiff.write(np.moveaxis(pixels, -1, 0))
+        if alpha:
+            tiff.colorinterp = [*[ColorInterp.undefined] * (bands - 1), ColorInterp.alpha]
+        if mask is not None:
+            tiff.write_mask(mask)
+    return path
+
+
+def test_jpeg_is_red_green_blue_and_never_turned(tmp_path: Path) -> None:
+    pixels = np.zeros((48, 96, 3), np.uint8)
+    pixels[..., 0] = 200
+    pixels[:24, :48] = (10, 220, 40)
+    path = write_jpeg(tmp_path / "a.jpg", pixels, exif_block(Orientation=3))
+    got, valid = read_pixels(frame(path))
+    assert got.shape == (48, 96, 3) and got.dtype == np.uint8 and valid is None
+    assert got[40, 80].astype(float) == pytest.approx([200, 0, 0], abs=6)
+    assert got[8, 8].astype(float) == pytest.approx([10, 220, 40], abs=6)
+
+
+@pytest.mark.parametrize("bands", [1, 3])
+@pytest.mark.parametrize("reduction", [1, 2, 4, 8])
+def test_reduced_pixels_are_means_of_full_ones(tmp_path: Path, bands: int, reduction: int) -> None:
+    pixels = picture(203, 101, bands)
+    jpeg, _ = read_pixels(frame(write_jpeg(tmp_path / "a.JPEG", pixels)), reduction)
+    tiff, _ = read_pixels(frame(write_tiff(tmp_path / "a.tif", pixels)), reduction)
+    rows, cols = 101 // reduction, 203 // reduction
+    means = (
+        pixels[: rows * reduction, : cols * reduction]
+        .reshape(rows, reduction, cols, reduction, bands)
+        .mean((1, 3))
+    )
+    assert jpeg.shape == tiff.shape == (-(-101 // reduction), -(-203 // reduction), bands)
+    assert np.abs(tiff[:rows, :cols].astype(float) - means).max() <= 0.51
+    assert np.abs(jpeg[:rows, :cols].astype(float) - means).mean() < 4.0
+
+
+def test_tiff_keeps_sixteen_bits_and_many_bands(tmp_path: Path) -> None:
+    pixels = (np.arange(40 * 30 * 6).reshape(40, 30, 6) * 9).astype(np.uint16)
+    got, valid = read_pixels(
+        frame(write_tiff(tmp_path / "a.TIFF", pixels, compress="deflate", interleave="band"))
+    )
+    assert got.dtype == np.uint16 and valid is None
+    assert np.array_equal(got, pixels)
+    half, _ = read_pixels(frame(tmp_path / "a.TIFF"), 2)
+    assert half.shape == (20, 15, 6)
+    assert half[3, 5, 4] == round(pixels[6:8, 10:12, 4].mean())
+
+
+def test_invalid_pixels_from_nodata_mask_alpha_and_sidecar(tmp_path: Path) -> None:
+    pixels = picture(40, 30).clip(1, 255)
+    hole = np.full((30, 40), 255, np.uint8)
+    hole[4:7, 10:13] = 0
+    zeroed = pixels * (hole > 0)[..., None]
+    files = [
+        write_tiff(tmp_path / "nodata.tif", zeroed, nodata=0),
+        write_tiff(tmp_path / "mask.tif", pixels, mask=hole),
+        write_tiff(tmp_path / "alpha.tif", np.dstack([pixels, hole]), alpha=True),
+    ]
+    for path in files:
+        got, valid = read_pixels(frame(path))
+        assert got.shape == (30, 40, 3)
+        assert valid is not None and np.array_equal(valid, hole), path.name
+    cv2.imwrite(str(tmp_path / "a_mask.png"), hole // 255)
+    jpeg = write_jpeg(tmp_path / "a.jpg", pixels)
+    (sidecar,) = masks([read_header(jpeg)]).values()
+    assert sidecar == str(tmp_path / "a_mask.png")
+    _, valid = read_pixels(frame(jpeg, Path(sidecar)))
+    assert valid is not None and np.array_equal(valid, hole)
+    _, quarter = read_pixels(frame(jpeg, Path(sidecar)), 4)
+    assert quarter is not None and quarter.shape == (8, 10)
+    assert np.argwhere(quarter == 0).tolist() == [[1, 2], [1, 3]]
+
+
+def test_a_mask_of_another_size_is_named(tmp_path: Path) -> None:
+    jpeg = write_jpeg(tmp_path / "a.jpg", picture(40, 30))
+    cv2.imwrite(str(tmp_path / "A.MASK.png"), np.ones((30, 41), np.uint8))
+    with pytest.raises(FileError, match=r"A\.MASK\.png: the mask has 41 x 30 pixels, its frame 40 x 30"):
+        masks([read_header(jpeg)])
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_a_jpeg_cut_after_its_header_was_read_is_refused(tmp_path: Path, share: float) -> None:
+    path = write_jpeg(tmp_path / "a.jpg", picture(400, 300))
+    cut = frame(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(FileError, match=r"a\.jpg: the JPEG is truncated"):
+        read_pixels(cut)
+
+
+@pytest.mark.parametrize("compress", ["none", "deflate"])
+def test_a_cut_tiff_is_refused(tmp_path: Path, compress: str) -> None:
+    rng = np.random.default_rng(3)
+    path = write_tiff(
+        tmp_path / "a.tif", rng.integers(0, 255, (300, 200, 3), dtype=np.uint8), compress=compress
+    )
+    whole = frame(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.7 * len(data))])
+    with pytest.raises(FileError, match=r"a\.tif: the TIFF is truncated: its image data don't end; copy it"):
+        read_header(path)
+    with pytest.raises(FileError, match=r"a\.tif: the TIFF can't be decoded whole"):
+        read_pixels(whole)
+
+
+def test_other_files_and_types_are_refused(tmp_path: Path) -> None:
+    text = tmp_path / "a.tif"
+    text.write_text("I am a text")
+    with pytest.raises(FileError, match=r"a\.tif: is no readable TIFF file"):
+        read_header(text)
+    with pytest.raises(
+        InputError, match="pixels of type float64 aren't handled; convert the frame to one of"
+    ):
+        read_header(write_tiff(tmp_path / "b.tif", np.zeros((8, 8, 1))))
+    path = write_jpeg(tmp_path / "c.jpg", picture(40, 30))
+    with pytest.raises(ValueError, match="reduction is one of"):
+        read_pixels(frame(path), 3)
+    before = frame(path)
+    write_jpeg(path, picture(48, 30))
+    with pytest.raises(FileError, match="has changed"):
+        read_pixels(before)
