@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _CAUCHY = 3.0
 _LEAST_SIGMA_PX = 0.02
+_ROUGH, _FINE = 1e-3, 1e-7
+_PRIOR_FACTORS = (0.1, 10.0)
 _GROUPS = ("image", "horizontal", "vertical", "tilt", "yaw")
 
 
@@ -27,7 +29,8 @@ class Priors:
     """What is believed before the pictures speak, with standard deviations.
 
     interior_sd (c, 8) in the order of INTERIOR. points_m, points_sd_m (p, 3): for control points
-    their own; for tie points the ground below, weakly.
+    their own; for tie points the ground below, weakly. trust (f, 6): factors of the pose priors'
+    weights, 1 but for tags that lie; set by the solver.
     """
 
     poses: Poses
@@ -35,6 +38,7 @@ class Priors:
     interior_sd: Floats
     points_m: Floats
     points_sd_m: Floats
+    trust: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -91,13 +95,19 @@ def solve_bundle(
     image, *_ = _projected(tracks, camera_of, state)
     apart = float(np.nanmedian(np.linalg.norm(tracks.image_px - image, axis=1)))
     sigma = dict.fromkeys(_GROUPS, 1.0) | {"image": max(sigma_px, apart)}
-    iterations = 0
-    for _ in range(8):
-        state, used = _converge(tracks, camera_of, priors, state, sigma, most)
+    iterations, settled = 0, False
+    for _ in range(12):
+        priors = replace(priors, trust=_trust(priors, state, sigma))
+        state, used = _converge(tracks, camera_of, priors, state, sigma, most, _ROUGH)
         iterations += used
-        changed = _variance_components(tracks, camera_of, priors, state, sigma)
-        if changed < 0.03:
+        image_changed, priors_changed = _variance_components(
+            tracks, camera_of, priors, state, sigma, image_only=not settled
+        )
+        if settled and max(image_changed, priors_changed) < 0.03:
             break
+        settled = image_changed < 0.1
+    state, used = _converge(tracks, camera_of, priors, state, sigma, most, _FINE)
+    iterations += used
     return _finish(tracks, camera_of, priors, state, sigma, iterations)
 
 
@@ -125,7 +135,7 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
     length = np.linalg.norm(tracks.image_px - image, axis=1) / sigma["image"]
     length = np.where(np.isfinite(length), length, 1e6)
     total = float((_CAUCHY**2 * np.log1p((length / _CAUCHY) ** 2)).sum())
-    total += float(_prior_cost(_pose_miss(priors, state) / _pose_sd(priors, sigma)))
+    total += float((_trust_of(priors) * (_pose_miss(priors, state) / _pose_sd(priors, sigma)) ** 2).sum())
     total += float(
         (
             ((np.stack([interior_of(c) for c in priors.cameras]) - state.interior) / priors.interior_sd) ** 2
@@ -134,15 +144,20 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
     return total + float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
 
 
-def _prior_cost(miss: Floats) -> Floats:
+def _trust(priors: Priors, state: _State, sigma: dict[str, float]) -> Floats:
+    """Cauchy weights of each frame's position and attitude, (f, 6): a wild tag loses its say.
+
+    A frame is wild against the bulk of the others, never all at once: else a whole block that shrinks
+    or tips over would free itself from its positions.
+    """
+    miss = _pose_miss(priors, state) / _pose_sd(priors, sigma)
     length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
-    return np.asarray((_CAUCHY**2 * np.log1p((length / _CAUCHY) ** 2)).sum())
+    bulk = np.maximum(1.0, np.median(length, axis=0) / 1.5)
+    return np.repeat(_robust(length / bulk), 3, axis=1)
 
 
-def _prior_weight(miss: Floats) -> Floats:
-    """Cauchy weights of position and attitude of each frame, (f, 6): a wild tag loses its say."""
-    length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
-    return np.repeat(_robust(length), 3, axis=1)
+def _trust_of(priors: Priors) -> Floats:
+    return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
 
 
 def _projected(tracks: Tracks, camera_of: Ints, state: _State) -> tuple[Floats, Floats, Floats, Floats]:
@@ -167,7 +182,7 @@ def _normals(
     counts = (len(state.positions), len(state.interior), len(state.points))
     n = build_normals(tracks.frame, tracks.point, camera_of, counts, residual, weight, *clean)
     miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
-    pose_weight = _prior_weight(miss / sd) / sd**2
+    pose_weight = _trust_of(priors) / sd**2
     interior_miss = np.stack([interior_of(c) for c in priors.cameras]) - state.interior
     for block, side, w, m in (
         (n.pose, n.pose_side, pose_weight, miss),
@@ -181,7 +196,13 @@ def _normals(
 
 
 def _converge(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float], most: int
+    tracks: Tracks,
+    camera_of: Ints,
+    priors: Priors,
+    state: _State,
+    sigma: dict[str, float],
+    most: int,
+    gain_left: float,
 ) -> tuple[_State, int]:
     damping, cost = 1e-4, _cost(tracks, camera_of, priors, state, sigma)
     for iteration in range(1, most + 1):
@@ -202,45 +223,53 @@ def _converge(
         if gain > 0.0:
             state, cost = trial, trial_cost
         damping = max(damping / 10.0, 1e-12)
-        if gain <= 1e-7 * max(cost, 1.0):
+        if gain <= gain_left * max(cost, 1.0):
             return state, iteration
     return state, most
 
 
 def _variance_components(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]
-) -> float:
-    """Updates the groups' factors in place; returns the largest relative change."""
+    tracks: Tracks,
+    camera_of: Ints,
+    priors: Priors,
+    state: _State,
+    sigma: dict[str, float],
+    *,
+    image_only: bool,
+) -> tuple[float, float]:
+    """Updates the groups' factors in place; returns the relative change of the image's factor and the
+    largest of the priors'. The priors' factors wait until the image's has settled: before, they would
+    take up what the poses haven't yet."""
     n = _normals(tracks, camera_of, priors, state, sigma)
     covariance, interior_covariance, _ = reduce_normals(n).covariance()
     miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
-    weight = _prior_weight(miss / sd)
+    weight = _trust_of(priors)
     share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
     image, *_ = _projected(tracks, camera_of, state)
-    length_sq = ((tracks.image_px - image) ** 2).sum(axis=1) / sigma["image"] ** 2
-    length_sq = np.where(np.isfinite(length_sq), length_sq, np.inf)
+    length_sq = np.nan_to_num(((tracks.image_px - image) ** 2).sum(axis=1) / sigma["image"] ** 2, nan=1e12)
     robust = _robust(np.sqrt(length_sq))
-    used = np.where(np.isfinite(length_sq), robust * length_sq, 0.0)
+    used = robust * length_sq
     prior_share = float(share.sum()) + float(
         (np.diagonal(interior_covariance, axis1=1, axis2=2) / priors.interior_sd**2).sum()
     )
     unknowns = 6 * len(state.positions) + state.interior.size - prior_share + 3 * len(state.points)
     redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
-    changes = []
+    changes = [0.0]
     before = sigma["image"]
     sigma["image"] = max(before * float(np.sqrt(used.sum() / redundancy)), _LEAST_SIGMA_PX)
-    changes.append(abs(np.log(sigma["image"] / before)))
+    image_changed = float(abs(np.log(sigma["image"] / before)))
+    if image_only:
+        return image_changed, 0.0
     for group, columns in (("horizontal", [0, 1]), ("vertical", [2]), ("tilt", [3, 4]), ("yaw", [5])):
         known = np.asarray(np.isfinite(sd[:, columns]))
         r = float((weight[:, columns] - share[:, columns])[known].sum())
         if r < 3.0:
             continue
         total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[known].sum())
-        factor = float(np.clip(np.sqrt(total / r), 0.3, 3.0))
         before = sigma[group]
-        sigma[group] = float(np.clip(before * factor, 0.1, 30.0))
-        changes.append(abs(np.log(sigma[group] / before)))
-    return float(max(changes))
+        sigma[group] = float(np.clip(before * np.sqrt(total / r), *_PRIOR_FACTORS))
+        changes.append(float(abs(np.log(sigma[group] / before))))
+    return image_changed, max(changes)
 
 
 def _finish(

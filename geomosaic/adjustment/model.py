@@ -21,7 +21,8 @@ class Block:
     """A survey ready to be adjusted: where the frames are believed to be, and what ties them.
 
     `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
-    number of frame i's flight line. `ground_pixel_m` is the paper's D.
+    number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
+    poses, cameras and tie points are those of the pictures as they lie in the files.
     """
 
     names: tuple[str, ...]
@@ -32,6 +33,7 @@ class Block:
     sequence: tuple[int, ...]
     lines: tuple[int, ...]
     ground_pixel_m: float
+    turned: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

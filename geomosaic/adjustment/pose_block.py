@@ -15,6 +15,7 @@ from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.similarity_block import similarity_block
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
@@ -40,6 +41,10 @@ def pose_block(block: Block, settings: Settings) -> Adjusted:
     POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
     deviations are estimated again from the residuals. Frames without tie points keep their POS.
     """
+    return as_filed(_solve(as_taken(block), settings), block)
+
+
+def _solve(block: Block, settings: Settings) -> Adjusted:
     tracks = thin_tracks(
         join_tracks(block.ties),
         np.array([[c.width_px, c.height_px] for c in block.cameras]),
@@ -123,9 +128,10 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
 
 
 def _point_deviations(block: Block, points: Floats) -> Floats:
-    """Tie points are free over the map; a DEM holds their height, flat ground only keeps it sane."""
+    """Tie points are free over the map; a DEM holds their height; flat ground
+    only keeps it sane, all points together no more than one of height's deviation."""
     height = float(np.median(heights_above_ground_m(block.poses, block.ground)))
-    up = _DEM_SD_M if block.ground.kind == "dem" else 0.5 * height
+    up = _DEM_SD_M if block.ground.kind == "dem" else height * np.sqrt(len(points))
     return np.tile([10.0 * height, 10.0 * height, up], (len(points), 1))
 
 

@@ -29,7 +29,8 @@ def similarity_block(
     number and put down at a new nadir point, so that tie points agree; the nadir points, turns and
     scales that POS gave are observations with their deviations. Since turn and scale enter linearly, a
     yaw that is 180 degrees off is no further from the solution than one of 1 degree. Ties and positions
-    are re-weighted by Cauchy's function.
+    are re-weighted by Cauchy's function; positions against the bulk of them, since a whole block that
+    shrinks onto itself would please the ties.
 
     Args: nadir_m (n, 2); position_sd_m, yaw_sd_rad, scale_sd (n,).
     Returns: turn (n,) and nadir point (n,) as complex numbers, east + i north.
@@ -67,7 +68,8 @@ def similarity_block(
         scale_m = max(1.5 * float(np.median(length)) if m else 0.0, net.step_m)
         tie_weight = 1.0 / (1.0 + (length / (_CAUCHY * scale_m)) ** 2)
         moved = np.linalg.norm(x.reshape(n, 4)[:, 2:] - nadir_m, axis=1) / position_sd_m
-        position_weight = 1.0 / (1.0 + (moved / _CAUCHY) ** 2)
+        bulk = max(1.0, 1.5 * float(np.median(moved)))
+        position_weight = 1.0 / (1.0 + (moved / (_CAUCHY * bulk)) ** 2)
     parts = x.reshape(n, 4)
     return parts[:, 0] + 1j * parts[:, 1], parts[:, 2] + 1j * parts[:, 3]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,24 @@ class Camera:
     p1: float = 0.0
     p2: float = 0.0
     focal_length_sd_px: float = 0.0
+
+    def turned(self, quarters: int) -> Camera:
+        """The camera of a picture that was turned clockwise by quarter turns after it was taken.
+
+        The principal point and the decentring terms turn with the pixels.
+        """
+        camera = self
+        for _ in range(quarters % 4):
+            camera = replace(
+                camera,
+                width_px=camera.height_px,
+                height_px=camera.width_px,
+                principal_col_px=camera.height_px - camera.principal_row_px,
+                principal_row_px=camera.principal_col_px,
+                p1=camera.p2,
+                p2=-camera.p1,
+            )
+        return camera
 
     @property
     def distortion(self) -> Floats:

@@ -55,13 +55,17 @@ class AdjustmentSolve(Stage):
         ties: TiePoints = inputs["ties"]
         block = Block(
             names=tuple(f.name for f in survey.frames),
-            cameras=tuple(survey.camera_of(i) for i in range(len(survey.frames))),
+            cameras=tuple(
+                survey.camera_of(i).turned(quarters if quarters == 2 else 0)
+                for i, quarters in enumerate(placement.turned or (0,) * len(survey.frames))
+            ),
             poses=placement.poses,
             ground=inputs["ground"],
             ties=ties,
             sequence=placement.sequence,
             lines=placement.lines,
             ground_pixel_m=placement.ground_pixel_m,
+            turned=placement.turned,
         )
         adjusted = METHODS[params.method](
             block, Settings(params.epsilon_px, params.max_rounds, params.ground)

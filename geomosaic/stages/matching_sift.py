@@ -36,7 +36,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
@@ -105,7 +105,11 @@ class MatchingSift(Stage):
         context.metric("matching.tie_points", sum(len(p) for p in pairs))
         return {
             "ties": TiePoints(tuple(pairs), tuple(untied)),
-            "placement": replace(placement, poses=righted(placement.poses, turns)),
+            "placement": replace(
+                placement,
+                poses=righted(placement.poses, turns),
+                turned=tuple(turns.get(i, 0) for i in range(len(frames))),
+            ),
         }
 
     @staticmethod
