@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -104,6 +105,28 @@ def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
     assert (desk.folder / "run" / "total.txt").read_text().startswith("100.0 ")
     code, _, err = desk.run("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3")
     assert "[2/5] Raise to a power: unchanged, from the cache" in err
+
+
+def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
+    ours, theirs = os.openpty()
+    arguments = ["run", "toy.yaml", "-o", "run", "--workers", "1", "--set", "toy.power.delay_s=0.3"]
+    process = subprocess.Popen([*COMMAND, *arguments], cwd=desk.folder, env=desk.environment, stderr=theirs)
+    os.close(theirs)
+    shown = b""
+    while True:
+        try:
+            part = os.read(ours, 4096)
+        except OSError:
+            break
+        if not part:
+            break
+        shown += part
+    os.close(ours)
+    assert process.wait() == 0
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
+    assert re.search(r"\[2/5\] Raise to a power \S+ 0:00:0\d 2/4, time left \S+ +powers", text)
+    assert "warning: four.jpg: 4 numbers are many" in text
+    assert re.search(r"\[2/5\] Raise to a power: 1\.\d s", text)
 
 
 @pytest.mark.parametrize(

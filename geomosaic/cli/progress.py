@@ -67,13 +67,15 @@ class Bar:
     def _begin(self) -> TaskID:
         if self._task is not None:
             self._progress.remove_task(self._task)
-        self._task = self._progress.add_task(escape(self._name or "reading inputs"), total=None, text="")
+        name = escape(self._name or "reading inputs")
+        self._task = self._progress.add_task(name, total=None, count="", text="")
         return self._task
 
     def progress(self, done: int, total: int, text: str) -> None:
         """So much of the present stage is done."""
         task = self._begin() if self._task is None else self._task
-        self._progress.update(task, completed=done, total=total, text=escape(printable(text)))
+        count = f"{done}/{total}, time left"
+        self._progress.update(task, completed=done, total=total, count=count, text=escape(printable(text)))
 
     def warning(self, text: str) -> None:
         """A stage's warning."""
@@ -97,9 +99,8 @@ def progress() -> Iterator[Reporter]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=24),
-        TextColumn("{task.completed:.0f}/{task.total}"),
         TimeElapsedColumn(),
-        TextColumn("left"),
+        TextColumn("{task.fields[count]}"),
         TimeRemainingColumn(),
         TextColumn("{task.fields[text]}"),
     )
