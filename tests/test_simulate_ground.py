@@ -120,3 +120,15 @@ def test_spline_noise_is_smooth_and_pointwise(x: float, y: float) -> None:
     assert spline_noise(1, 2, x, y) == pytest.approx(at[0], abs=1e-12)
     assert abs(at[1] - at[0]) < 1.5e-3
     assert 0.0 < at.min() <= at.max() < 1.0
+
+
+def test_crop_rows_run_on_over_the_blocks_edge() -> None:
+    """On every block edge of 2 km of land, neighbours differ no more than pixels beside them."""
+    ground = Ground(Landscape(8), 0.2)
+    worst = []
+    for k in range(8):
+        edge = BLOCK_PX * (6500 + k)
+        strip = ground.window(edge - 30, -26_650_000, (400, 60)).astype(float)
+        steps = np.abs(np.diff(strip, axis=1)).mean(axis=(0, 2))
+        worst.append(steps[29] / np.median(steps))
+    assert max(worst) < 1.25

@@ -153,7 +153,7 @@ class Landscape:
         bend = (self.number(i, j, 4 if upward else 3) - 0.5) * 0.28
         t = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
         across = np.array([a[1] - b[1], b[0] - a[0]])
-        return np.asarray(a + (b - a) * t + across * bend * 4.0 * t * (1.0 - t) * 0.5)
+        return np.asarray(a + (b - a) * t + across * bend * 2.0 * t * (1.0 - t))
 
     def patch_m(self, i: int, j: int, u: Floats, v: Floats) -> Floats:
         """Points (..., 2) of the Coons patch between a cell's edges; u eastward, v northward in [0, 1]."""

@@ -10,7 +10,6 @@ import numpy as np
 import rasterio
 from affine import Affine
 from numpy.typing import NDArray
-from rasterio.enums import MaskFlags
 from rasterio.windows import Window
 
 from geomosaic.simulate.landscape import Bounds, Building
@@ -97,7 +96,6 @@ def read_ortho(path: Path, bounds_m: Bounds) -> tuple[NDArray[np.uint8], float, 
         row = max(int((ortho.transform.f - north) / pixel) - MARGIN_PX, 0)
         end_col = min(int((east - ortho.transform.c) / pixel) + MARGIN_PX, ortho.width)
         end_row = min(int((ortho.transform.f - south) / pixel) + MARGIN_PX, ortho.height)
-        assert MaskFlags.per_dataset in ortho.mask_flag_enums[0]
         pixels = ortho.read(window=Window(col, row, end_col - col, end_row - row))
         corner = ortho.transform.c + col * pixel, ortho.transform.f - row * pixel
     return np.ascontiguousarray(np.moveaxis(pixels, 0, -1)), float(corner[0]), float(corner[1])

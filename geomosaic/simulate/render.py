@@ -55,7 +55,7 @@ class World:
         level = flat_ground(self.work_frame, self.relief.base_m, reach)
         if self.relief.amplitude_m == 0.0:
             return level
-        lowest = GroundSurface("flat", 0.0, 0.0, 1.0, level.up_m[:1, :1] * 0.0 + self._lowest_up(pose))
+        lowest = GroundSurface("flat", 0.0, 0.0, 1.0, np.full((1, 1), self._lowest_up(pose)))
         outline = footprint(pose, camera, lowest)
         spacing = min(self.relief.wavelength_m / 300.0, 2.0)
         low, high = outline[:, :2].min(axis=0) - 20.0, outline[:, :2].max(axis=0) + 20.0

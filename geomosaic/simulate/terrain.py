@@ -145,7 +145,9 @@ class _Painter:
                 self._fill(colour, p.outline_m, p.colour)
                 self._fill(rough, p.outline_m, (p.fine, p.middle, p.rows), smooth=False)
                 if p.rows:
-                    self._fill(wave, p.outline_m, (*p.rows_rad_per_m, 0.0), smooth=False)
+                    along, up = p.rows_rad_per_m
+                    start_rad = (along * self.west_m + up * self.north_m) % (2.0 * np.pi)
+                    self._fill(wave, p.outline_m, (along, up, start_rad), smooth=False)
         for w in self.ways:
             verge = _ribbon(w.line_m, w.width_m + (2.4 if w.paved else 0.0))
             self._fill(colour, verge, (128, 124, 100) if w.paved else (158, 146, 122))
@@ -160,14 +162,10 @@ class _Painter:
                     self._fill(colour, dash, (205, 204, 198))
         tone = 1.0 + rough[..., 0] * self.fine + rough[..., 1] * self.middle + 0.05 * self.coarse
         if wave.any():
-            x = self.west_m % 1000.0 + (np.arange(self.size, dtype=np.float32) + 0.5) * self.pixel_m
-            y = self.north_m % 1000.0 - (np.arange(self.size, dtype=np.float32) + 0.5) * self.pixel_m
-            fade = 1.0 + 0.6 * self.middle
-            tone += (
-                rough[..., 2]
-                * np.sin(wave[..., 0] * x + wave[..., 1] * y[:, None] + 1.5 * self.coarse)
-                * fade
-            )
+            metres = (np.arange(self.size, dtype=np.float32) + 0.5) * self.pixel_m
+            phase = wave[..., 0] * metres - wave[..., 1] * metres[:, None] + wave[..., 2]
+            phase += 1.5 * self.coarse
+            tone += rough[..., 2] * (1.0 + 0.6 * self.middle) * np.sin(phase)
         image = colour.astype(np.float32) * tone[..., None]
         image += self.hue[..., None] * np.array([5.0, 1.0, -3.0], dtype=np.float32)
         return np.asarray(image, dtype=np.float32)
