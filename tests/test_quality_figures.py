@@ -48,12 +48,18 @@ def test_what_the_similarity_leaves_is_in_pixels_of_the_mosaic():
 
 
 def test_a_seam_shows_as_a_jump_of_its_full_size():
-    step = np.where(GRID[:, :1] > 20.0, [0.3, 0.4], [0.0, 0.0])
+    step = np.where(np.abs(GRID[:, :1] - 22.4) < 14.0, [0.3, 0.4], [0.0, 0.0])
     touching = touching_patches(GRID * 10, 64, 64)
     assert len(touching) == 7 * 5 + 8 * 4
     f = figures(GRID, step, touching, 0.1, 40)
     assert f.jump_99_px == pytest.approx(5.0)
-    assert f.jump_rms_px == pytest.approx(math.sqrt(5 * 25.0 / 67))
+    assert f.jump_rms_px == pytest.approx(math.sqrt(10 * 25.0 / 67))
+
+
+def test_a_mosaic_scaled_as_a_whole_has_no_jumps():
+    f = figures(GRID, 0.02 * (GRID - 10.0), touching_patches(GRID * 10, 64, 64), 0.1, 40)
+    assert f.absolute_rmse_m > 0.3 and f.similarity.scale == pytest.approx(1.02)
+    assert f.jump_99_px == pytest.approx(0.0, abs=1e-9)
 
 
 def test_jumps_are_between_patches_that_touch_whatever_the_step():

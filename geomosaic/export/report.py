@@ -89,6 +89,7 @@ def render_report(
         comparison_maps=_comparison_maps(comparison) if comparison else [],
         ssim_uri=parts.ssim_picture(comparison) if comparison else "",
         ssim_width_px=_heat_width_px(comparison) if comparison else 0,
+        before=parts.misaligned_px(adjusted, 0, placement.ground_pixel_m) if adjusted.rounds else None,
         rounds=svg(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
         moves=svg(parts.moves_map(survey, placement, adjusted, footprints_m)),
         graph=svg(parts.ties_map(survey, ties, adjusted)),

@@ -82,18 +82,26 @@ def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
 
 
 def rounds_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
-    """Misalignment of the tied pairs before each round, in ground pixels; None without rounds."""
-    lengths = [np.linalg.norm(r.misalignments_m, axis=1) / ground_pixel_m for r in adjusted.rounds]
-    lengths = [x[np.isfinite(x)] for x in lengths]
-    if not lengths or not any(len(x) for x in lengths):
+    """Misalignment of the tied pairs before each round, in ground pixels; None for less than two rounds."""
+    if len(adjusted.rounds) < 2:
         return None
-    number = np.arange(1, len(lengths) + 1)
-    mean = [float(np.sqrt((x**2).mean())) if len(x) else np.nan for x in lengths]
-    most = [float(x.max()) if len(x) else np.nan for x in lengths]
+    mean, most = zip(
+        *(misaligned_px(adjusted, i, ground_pixel_m) for i in range(len(adjusted.rounds))), strict=True
+    )
+    number = np.arange(1, len(adjusted.rounds) + 1)
     label = "misalignment of tied pairs before each round of the adjustment"
     series = [Series("largest", number, most), Series("root mean square", number, mean)]
-    ends = Axis("round", low=1.0, high=float(max(2, len(lengths))), whole=True)
+    ends = Axis("round", low=1.0, high=float(len(number)), whole=True)
     return line_plot(series, ends, Axis("misalignment", "ground px"), label=label)
+
+
+def misaligned_px(adjusted: Adjusted, i: int, ground_pixel_m: float) -> tuple[float, float]:
+    """Root mean square and largest misalignment before round i, in ground pixels; NaN if none is known."""
+    length = np.linalg.norm(adjusted.rounds[i].misalignments_m, axis=1) / ground_pixel_m
+    length = length[np.isfinite(length)]
+    if not length.size:
+        return float("nan"), float("nan")
+    return float(np.sqrt((length**2).mean())), float(length.max())
 
 
 def moves_map(survey: Survey, placement: Placement, adjusted: Adjusted, footprints_m: list[Floats]) -> str:

@@ -36,9 +36,10 @@ class Figures:
     ce90_m: 90 % of the displacements are shorter (circular error, empirical).
     similarity: best in least squares over all vectors; needs 3 or more.
     after_similarity_m, after_similarity_px: RMSE of what the similarity leaves: the block in itself.
-    jump_99_px: 99 % of the differences between the displacement vectors of touching patches are shorter
-    than this; jump_rms_px their root mean square. Patches touch when their centres are one patch apart
-    along a row or a col, so that the figure depends on the patch but not on the step. A seam shows here.
+    jump_99_px: 99 % of the differences between the vectors of touching patches are shorter than this;
+    jump_rms_px their root mean square. Patches touch when their centres are one patch apart along a row or
+    a col, so that the figure depends on the patch but not on the step. The vectors are those that the
+    similarity leaves: a mosaic that is turned or scaled as a whole has no seams. A seam shows here.
     """
 
     asked: int
@@ -106,7 +107,7 @@ def figures(
     """
     similarity, left_m = best_similarity(at_m, displacement_m)
     length_m = np.linalg.norm(displacement_m, axis=1)
-    jumps_px = np.linalg.norm(displacement_m[touching[:, 0]] - displacement_m[touching[:, 1]], axis=1) / gsd_m
+    jumps_px = np.linalg.norm(left_m[touching[:, 0]] - left_m[touching[:, 1]], axis=1) / gsd_m
     after_m = _root_mean_square(np.linalg.norm(left_m, axis=1))
     mean = displacement_m.mean(axis=0) if len(at_m) else np.full(2, np.nan)
     return Figures(

@@ -26,7 +26,7 @@ class QualityCompare(Stage):
     id = "quality.compare"
     display_name = "Compare with a reference"
     group = "Quality"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     optional_inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "adjusted": Adjusted,
