@@ -116,7 +116,8 @@ def evaluate(
         raise FileError("no such file", file=path, mend="give a finished run's folder or a GeoTIFF")
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work:
         file = Context(path.absolute().parent, work_folder=Path(work)).run_file(path.name)
-    notes = _run(stage, params, path.absolute().parent, {"mosaic_file": file}, {})
+    summary, inputs = _inputs(stage, target) if (target / "run.json").is_file() else ({}, {})
+    notes = _run(stage, params, path.absolute().parent, {**inputs, "mosaic_file": file}, summary)
     if as_json:
         found = {
             "mosaic": str(path),
