@@ -256,8 +256,11 @@ def develop(
         light = np.asarray(cv2.GaussianBlur(light, (0, 0), blur_px), dtype=np.float32)
     x = (np.arange(cols, dtype=np.float32) + 0.5 - cols / 2.0) / np.hypot(rows, cols) * 2.0
     y = (np.arange(rows, dtype=np.float32) + 0.5 - rows / 2.0) / np.hypot(rows, cols) * 2.0
-    kept = gain * (1.0 - vignetting * (x * x + (y * y)[:, None]))
-    exposed = light * kept[..., None].astype(np.float32)
-    if noise > 0.0:
-        exposed += np.float32(noise) * rng.standard_normal(light.shape, dtype=np.float32)
-    return np.asarray(np.clip(exposed, 0.0, 255.0), dtype=np.float32)
+    kept = (gain * (1.0 - vignetting * (x * x + (y * y)[:, None]))).astype(np.float32)
+    exposed = np.empty_like(light)
+    for top in range(0, rows, _STRIP_PX):
+        part = np.s_[top : top + _STRIP_PX]
+        exposed[part] = light[part] * kept[part, :, None]
+        if noise > 0.0:
+            exposed[part] += np.float32(noise) * rng.standard_normal(light[part].shape, dtype=np.float32)
+    return np.asarray(np.clip(exposed, 0.0, 255.0, out=exposed))

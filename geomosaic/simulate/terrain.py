@@ -83,7 +83,7 @@ class Ground:
 
 
 class _Painter:
-    """Paints one padded block: land, roads, shadows, trees, cars, buildings, from below to above."""
+    """Paints one padded block: land, roads, shadows, cars, trees, buildings, from below to above."""
 
     def __init__(self, ground: Ground, col: int, row: int) -> None:
         self.land, self.pixel_m, self.col, self.row = ground.landscape, ground.pixel_m, col, row
@@ -108,8 +108,8 @@ class _Painter:
     def picture(self) -> Pixels:
         image = self._land()
         image = self._shaded(image)
-        image = self._crowns(image)
         image = self._cars(image)
+        image = self._crowns(image)
         image = self._roofs(image)
         inner = slice(_PAD_PX, _PAD_PX + BLOCK_PX)
         return np.ascontiguousarray(np.clip(image[inner, inner] + 0.5, 0.0, 255.0).astype(np.uint8))
