@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -273,3 +277,31 @@ def composed_only(folder: Path, survey, poses, ground) -> None:
     views = frame_views(survey.work_frame, CRS, poses, cameras, used, ground)
     grid = output_grid(CRS, views, GSD_M / 4, [f.name for f in survey.frames])
     compose(survey, poses, cameras, used, ground, grid, folder / "m.tif", memory_bytes=2_000_000)
+
+
+FULL_DISK = """
+import resource, signal, sys
+from pathlib import Path
+from mosaic_scenes import make_survey
+from test_mosaic_compose import composed
+survey, poses, ground = make_survey(Path(sys.argv[1]) / "frames", lines=1, per_line=2)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+try:
+    composed(Path(sys.argv[1]), survey, poses, ground)
+except OSError as error:
+    print("OSError", error.errno)
+"""
+
+
+def test_a_raster_that_can_not_grow_is_an_error(tmp_path):
+    """As on a full disk: the system refuses further bytes."""
+    run = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=Path(__file__).parent,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+    )
+    assert run.stdout == f"OSError {errno.EIO}\n", run.stderr

@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.export.gdal_failures import GdalProgress, Progress, gdal_failures
 
 COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
-    "deflate": ("PREDICTOR=YES",),
+    "deflate": ("PREDICTOR=YES", "LEVEL=3"),
     "zstd": ("PREDICTOR=YES",),
     "webp": (),
     "jpeg": (),

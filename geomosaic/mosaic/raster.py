@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any
 import numpy as np
 import rasterio
 from rasterio.enums import ColorInterp
+from rasterio.errors import RasterioError
 from rasterio.windows import Window as RasterWindow
 
 from geomosaic.mosaic.model import OutputGrid
@@ -17,6 +20,7 @@ from geomosaic.mosaic.plan import Window
 from geomosaic.mosaic.window import Composed
 
 TILE_PX = 512
+_LITTLE_BYTES = 1 << 20
 _SHARED: dict[str, Any] = {
     "driver": "GTiff",
     "tiled": True,
@@ -53,7 +57,20 @@ def writing_mosaic(
 
     sources: where the frame index raster goes: 0 where there is no frame, else the frame's index + 1; its
     tags name the frames.
+    Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
+    try:
+        with _open_files(path, grid, bands, dtype, sources, frames) as raster:
+            yield raster
+    except RasterioError as error:
+        full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
+        raise OSError(errno.ENOSPC if full else errno.EIO, str(error.__cause__ or error)) from error
+
+
+@contextmanager
+def _open_files(
+    path: Path, grid: OutputGrid, bands: int, dtype: str, sources: Path | None, frames: Sequence[str]
+) -> Iterator[MosaicRaster]:
     shape = {
         "width": grid.width_px,
         "height": grid.height_px,

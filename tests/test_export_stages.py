@@ -1,0 +1,76 @@
+"""The stages of composition and export, run as the runner does, on a small survey."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import rasterio
+from mosaic_scenes import CAMERA, make_survey
+from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.single import run_stage
+from geomosaic.placement.model import Placement
+from geomosaic.stages.export_cog import ExportCog
+from geomosaic.stages.export_layers import ExportLayers
+from geomosaic.stages.export_stac import ExportStac
+from geomosaic.stages.export_tiles import ExportTiles
+from geomosaic.stages.export_vrt import ExportVrt
+from geomosaic.stages.mosaic_compose import MosaicCompose
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    survey, poses, ground = make_survey(folder / "frames", lines=1, per_line=3)
+    status = ("tied", "tied", "rejected")
+    given = {
+        "survey": survey,
+        "ground": ground,
+        "placement": Placement(poses, (0, 1, 2), (0, 0, 0), (), 0.25, "rigorous"),
+        "ties": TiePoints(()),
+        "adjusted": Adjusted(poses, (CAMERA,) * 3, status, (), (), ground),
+    }
+    notes = {}
+    for stage in (MosaicCompose, ExportCog, ExportLayers, ExportVrt, ExportTiles, ExportStac):
+        params = stage.Params(**({"gsd_m": 0.25} if stage is MosaicCompose else {}))
+        inputs = {name: given[name] for name in stage.inputs}
+        outputs, notes[stage.id] = run_stage(
+            stage, params, folder / "RUN", inputs, work_folder=folder / "work", workers=1
+        )
+        given.update(outputs)
+    return folder / "RUN", given, notes
+
+
+def test_the_run_folder_is_complete_and_clean(run):
+    folder, _, _ = run
+    files = "layers.gpkg mosaic.stac.json mosaic.tif mosaic.vrt positions.csv sources.tif tiles work"
+    assert sorted(p.name for p in folder.iterdir()) == files.split()
+    assert validate(str(folder / "mosaic.tif"), full_check=True)[:2] == ([], [])
+
+
+def test_run_json_hears_of_the_mosaic(run):
+    folder, given, notes = run
+    mosaic = given["mosaic"]
+    with rasterio.open(folder / "mosaic.tif") as tiff:
+        told = {"crs": "EPSG:32632", "gsd_m": 0.25, "width": tiff.width, "height": tiff.height}
+    assert notes["mosaic.compose"].report["mosaic"] == told
+    assert mosaic.frames_used == (0, 1)
+    assert (folder / mosaic.raster).is_file()
+
+
+def test_sources_name_the_frames(run):
+    folder, _, _ = run
+    with rasterio.open(folder / "sources.tif") as tiff:
+        assert set(np.unique(tiff.read(1))) == {0, 1, 2}
+        assert tiff.tags()["FRAME_1"] == "frame 00.tif"
+
+
+def test_the_stac_item_lists_what_is_there(run):
+    folder, _, _ = run
+    item = json.loads((folder / "mosaic.stac.json").read_text())
+    assert set(item["assets"]) == {"mosaic", "layers", "positions", "sources"}
+    assert item["properties"]["datetime"] == "2023-11-14T22:13:20.000Z"
