@@ -14,10 +14,9 @@ from geomosaic.mosaic.views import FrameView
 MOST_PIXELS_PER_FRAME_PIXEL = 200.0
 
 
-def auto_gsd_m(views: Sequence[FrameView]) -> float:
-    """The median of the frames' ground sampling distances, to three digits."""
-    median = float(np.median([v.gsd_m for v in views]))
-    return round(median, 2 - math.floor(math.log10(median)))
+def auto_gsd_m(ground_pixel_m: float) -> float:
+    """A survey's median ground sampling distance to three digits, so that grids have plain numbers."""
+    return round(ground_pixel_m, 2 - math.floor(math.log10(ground_pixel_m)))
 
 
 def output_grid(crs: str, views: Sequence[FrameView], gsd_m: float, names: Sequence[str]) -> OutputGrid:

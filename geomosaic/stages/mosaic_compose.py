@@ -19,6 +19,7 @@ from geomosaic.mosaic.seams import SEAMS
 from geomosaic.mosaic.views import frame_views
 from geomosaic.mosaic.window import RESAMPLING
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.model import Survey
@@ -35,14 +36,23 @@ class MosaicCompose(Stage):
     display_name = "Compose the mosaic"
     group = "Mosaic"
     version = 1
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey,
+        "ground": GroundSurface,
+        "placement": Placement,
+        "adjusted": Adjusted,
+    }
     outputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
 
     class Params(StageParams):
         """See each parameter's help."""
 
         gsd_m: float | Literal["auto"] = param(
-            "auto", help="ground pixel; auto: the median of the frames' own", unit="m", ge=0.0005, le=1000.0
+            "auto",
+            help="ground pixel; auto: the frames' median by POS, the same for every method",
+            unit="m",
+            ge=0.0005,
+            le=1000.0,
         )
         seam: str = param("nearest_nadir", help="who gives a pixel where frames overlap", choices=SEAMS)
         feather_m: float | Literal["auto"] = param(
@@ -68,8 +78,9 @@ class MosaicCompose(Stage):
         views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
         for i in sorted({i for i, use in enumerate(used) if use} - {v.frame for v in views}):
             context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
-        gsd_m = auto_gsd_m(views) if params.gsd_m == "auto" and views else params.gsd_m
-        grid = output_grid(survey.map_crs, views, float(gsd_m) if views else 1.0, names)
+        ground_pixel_m = inputs["placement"].ground_pixel_m
+        gsd_m = auto_gsd_m(ground_pixel_m) if params.gsd_m == "auto" else params.gsd_m
+        grid = output_grid(survey.map_crs, views, gsd_m, names)
         with ExitStack() as files:
             sources = files.enter_context(context.writing(SOURCES)) if params.sources else None
             raster = files.enter_context(context.writing(RASTER))
