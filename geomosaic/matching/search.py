@@ -68,12 +68,16 @@ def _within(points_m: Floats, others_m: Floats, margin_m: float) -> Ints:
 
 
 def by_homography(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray[np.bool_]:
-    """Inliers of one plane seen from two places, by MAGSAC++ (Barath et al. 2020)."""
+    """Inliers of one plane seen from two places, by MAGSAC++ (Barath et al. 2020); none where OpenCV
+    finds no model (it raises on some degenerate sets)."""
     if len(left_px) < 4:
         return np.zeros(len(left_px), np.bool_)
-    _, mask = cv2.findHomography(
-        left_px, right_px, cv2.USAC_MAGSAC, tolerance_px, maxIters=5000, confidence=0.9999
-    )
+    try:
+        _, mask = cv2.findHomography(
+            left_px, right_px, cv2.USAC_MAGSAC, tolerance_px, maxIters=5000, confidence=0.9999
+        )
+    except cv2.error:
+        mask = None
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel() > 0
 
 
@@ -81,7 +85,10 @@ def by_epipolar_line(left_px: Floats, right_px: Floats, tolerance_px: float) -> 
     """Inliers of the epipolar geometry of two views of relief, by MAGSAC++."""
     if len(left_px) < 8:
         return np.zeros(len(left_px), np.bool_)
-    _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
+    try:
+        _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
+    except cv2.error:
+        mask = None
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel() > 0
 
 

@@ -38,7 +38,7 @@ class SurveyRead(Stage):
         gcp: Path | None = param(None, help="control and check points: gcp_list.txt or CSV")
         crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
         pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
-        attitude_convention: str = param("auto", help="what the angles of the POS file mean", choices=CONVENTIONS)
+        attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
