@@ -1,0 +1,56 @@
+"""The recipes that come with the project: one for each adjustment method, and the paper's."""
+
+from pathlib import Path
+
+import pytest
+
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.errors import InputError
+from geomosaic.pipeline.recipe import Recipe, load_recipe
+from geomosaic.pipeline.registry import installed
+
+RECIPES = Path(__file__).parents[1] / "recipes"
+
+
+def load(name: str, frames: Path, *more: str) -> Recipe:
+    return load_recipe(RECIPES / f"{name}.yaml", installed(), [f"survey.read.frames={frames}", *more])
+
+
+def params(recipe: Recipe, stage: str) -> dict[str, object]:
+    return next(s.params.model_dump() for s in recipe.steps if s.stage.id == stage)
+
+
+def test_there_is_one_recipe_for_each_method_and_the_paper() -> None:
+    assert {p.stem for p in RECIPES.iterdir()} == {*METHODS, "paper"}
+
+
+@pytest.mark.parametrize("name", [*METHODS, "paper"])
+def test_a_recipe_is_whole(name: str, tmp_path: Path) -> None:
+    recipe = load(name, tmp_path)
+    recipe.check_files()
+    assert recipe.description and "\n" not in recipe.description
+    assert recipe.name == name.replace("_", " ")
+    assert recipe.steps[0].stage.id == "survey.read"
+    assert recipe.steps[-1].stage.id == "export.report"
+    assert params(recipe, "survey.read")["frames"] == tmp_path
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_recipe_holds_the_method_of_its_name(method: str, tmp_path: Path) -> None:
+    assert params(load(method, tmp_path), "adjustment.solve")["method"] == method
+
+
+def test_the_papers_numbers(tmp_path: Path) -> None:
+    recipe = load("paper", tmp_path)
+    solve, placement = params(recipe, "adjustment.solve"), params(recipe, "placement.pos")
+    assert (solve["method"], solve["epsilon_px"], solve["max_rounds"]) == ("error_sharing", 10.0, 12)
+    assert (placement["formula"], placement["attitude"]) == ("mid_latitude", "phi_omega_kappa")
+    assert (
+        params(load("paper", tmp_path, "adjustment.solve.max_rounds=7"), "adjustment.solve")["max_rounds"]
+        == 7
+    )
+
+
+def test_without_frames_a_recipe_says_what_is_missing() -> None:
+    with pytest.raises(InputError, match=r"survey\.read.*frames"):
+        load_recipe(RECIPES / "chain.yaml", installed())
