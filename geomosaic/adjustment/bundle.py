@@ -14,6 +14,7 @@ from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -25,11 +26,25 @@ _GROUPS = ("image", "horizontal", "vertical", "tilt", "yaw")
 
 
 @dataclass(frozen=True)
+class Terrain:
+    """Tie points lie on this surface, but for one level that is common to all of them.
+
+    sd_m: of a point from the surface; what stands up (trees, roofs) is outweighed by Cauchy's function.
+    level_sd_m: of the surface as a whole.
+    """
+
+    ground: GroundSurface
+    sd_m: float
+    level_sd_m: float
+
+
+@dataclass(frozen=True)
 class Priors:
     """What is believed before the pictures speak, with standard deviations.
 
     interior_sd (c, 8) in the order of INTERIOR. points_m, points_sd_m (p, 3): for control points
-    their own; for tie points the ground below, weakly. trust (f, 6): factors of the pose priors'
+    their own; for tie points the ground below, weakly. terrain: a surface that tie points lie on, if one
+    is known. trust (f, 6): factors of the pose priors'
     weights, 1 but for tags that lie; set by the solver.
     """
 
@@ -38,6 +53,7 @@ class Priors:
     interior_sd: Floats
     points_m: Floats
     points_sd_m: Floats
+    terrain: Terrain | None = None
     trust: Floats | None = None
 
 
@@ -71,10 +87,18 @@ class _State:
     rotations: Floats
     interior: Floats
     points: Floats
+    level: float = 0.0
 
 
 def solve_bundle(
-    tracks: Tracks, camera_of: Ints, priors: Priors, start: Poses, *, sigma_px: float = 0.5, most: int = 30
+    tracks: Tracks,
+    camera_of: Ints,
+    priors: Priors,
+    start: Poses,
+    *,
+    again: Bundle | None = None,
+    sigma_px: float = 0.5,
+    most: int = 30,
 ) -> Bundle:
     """Levenberg-Marquardt on the reduced normal equations, Cauchy weights, variance components.
 
@@ -83,14 +107,15 @@ def solve_bundle(
     vertical position, tilt, yaw) are estimated anew from residuals and redundancy (Förstner 1979), so a
     wrongly stated deviation does no harm; two or three rounds settle them.
 
-    Args: start: poses to begin from (the priors' own may be far off).
+    Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
+        lenses and points to go on from.
     Raises: NotSolvableError if the system is singular.
     """
     state = _State(
         start.positions_m.copy(),
         start.rotations.copy(),
-        np.stack([interior_of(c) for c in priors.cameras]),
-        priors.points_m.copy(),
+        np.stack([interior_of(c) for c in (again.cameras if again else priors.cameras)]),
+        again.points_m if again else priors.points_m,
     )
     image, *_ = _projected(tracks, camera_of, state)
     apart = float(np.nanmedian(np.linalg.norm(tracks.image_px - image, axis=1)))
@@ -141,7 +166,45 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
             ((np.stack([interior_of(c) for c in priors.cameras]) - state.interior) / priors.interior_sd) ** 2
         ).sum()
     )
-    return total + float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
+    total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
+    if priors.terrain is not None:
+        miss = _terrain_miss(priors.terrain, state) / priors.terrain.sd_m
+        total += float((_CAUCHY**2 * np.log1p((miss / _CAUCHY) ** 2)).sum())
+        total += (state.level / priors.terrain.level_sd_m) ** 2
+    return total
+
+
+def _terrain_miss(terrain: Terrain, state: _State) -> Floats:
+    """Surface plus level minus point, along the vertical, (p,)."""
+    return np.asarray(
+        terrain.ground.up_at(state.points[:, 0], state.points[:, 1]) + state.level - state.points[:, 2]
+    )
+
+
+def _add_terrain(n: Normals, terrain: Terrain | None, state: _State) -> Normals:
+    """Each point's equation: up minus slope times place minus level, observed as the surface says."""
+    if terrain is None:
+        return replace(n, level=1.0)
+    miss = _terrain_miss(terrain, state)
+    weight = _robust(miss / terrain.sd_m) / terrain.sd_m**2
+    step, (e, u) = terrain.ground.spacing_m, state.points[:, :2].T
+    at = terrain.ground.up_at
+    normal = np.column_stack(
+        [
+            (at(e - step / 2, u) - at(e + step / 2, u)) / step,
+            (at(e, u - step / 2) - at(e, u + step / 2)) / step,
+            np.ones(len(e)),
+        ]
+    )
+    n.points[:] += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    n.point_side[:] += (weight * miss)[:, None] * normal
+    level_weight = 1.0 / terrain.level_sd_m**2
+    return replace(
+        n,
+        level_point=-weight[:, None] * normal,
+        level=float(weight.sum()) + level_weight,
+        level_side=-float((weight * miss).sum()) - level_weight * state.level,
+    )
 
 
 def _trust(priors: Priors, state: _State, sigma: dict[str, float]) -> Floats:
@@ -192,7 +255,7 @@ def _normals(
         i = np.arange(block.shape[-1])
         block[:, i, i] += w
         side += w * m
-    return n
+    return _add_terrain(n, priors.terrain, state)
 
 
 def _converge(
@@ -208,12 +271,13 @@ def _converge(
     for iteration in range(1, most + 1):
         normals = _normals(tracks, camera_of, priors, state, sigma)
         while True:
-            pose, interior, point = reduce_normals(normals, damping).solve()
+            pose, interior, point, level = reduce_normals(normals, damping).solve()
             trial = _State(
                 state.positions + pose[:, :3],
                 exp_turn(pose[:, 3:]) @ state.rotations,
                 state.interior + interior,
                 state.points + point,
+                state.level + level,
             )
             trial_cost = _cost(tracks, camera_of, priors, trial, sigma)
             if trial_cost <= cost or damping > 1e6:
@@ -252,7 +316,8 @@ def _variance_components(
     prior_share = float(share.sum()) + float(
         (np.diagonal(interior_covariance, axis1=1, axis2=2) / priors.interior_sd**2).sum()
     )
-    unknowns = 6 * len(state.positions) + state.interior.size - prior_share + 3 * len(state.points)
+    bound = 0.0 if priors.terrain is None else float(len(state.points))
+    unknowns = 6 * len(state.positions) + state.interior.size - prior_share + 3 * len(state.points) - bound
     redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
     changes = [0.0]
     before = sigma["image"]

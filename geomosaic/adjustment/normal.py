@@ -19,7 +19,7 @@ _DENSE_UNKNOWNS = 2400
 
 @dataclass(frozen=True)
 class Normals:
-    """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of 8, p points of 3.
+    """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of 8, p points of 3, one ground level.
 
     The observations' own blocks (frame by point) are kept as they are, for the reduction.
     """
@@ -42,6 +42,10 @@ class Normals:
     pose_side: Floats
     interior_side: Floats
     point_side: Floats
+    level_point: Floats
+    """(p, 3), the ground's level by point: minus weight times the surface's normal"""
+    level: float
+    level_side: float
 
 
 def build_normals(
@@ -86,37 +90,40 @@ def build_normals(
         pose_side=gather(frame, f, (t(wp, 1, 2) @ residual[:, :, None])[:, :, 0]),
         interior_side=gather(camera, c, (t(wk, 1, 2) @ residual[:, :, None])[:, :, 0]),
         point_side=gather(point, p, (t(wx, 1, 2) @ residual[:, :, None])[:, :, 0]),
+        level_point=np.zeros((p, 3)),
+        level=0.0,
+        level_side=0.0,
     )
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """The reduced system: poses (sparse) bordered by cameras (dense)."""
+    """The reduced system: poses (sparse) bordered by what all share: cameras, then the level (dense)."""
 
     poses: csc_matrix
     border: Floats
-    interior: Floats
+    shared: Floats
     pose_side: Floats
-    interior_side: Floats
+    shared_side: Floats
     points_inverse: Floats
     normals: Normals
 
-    def solve(self) -> tuple[Floats, Floats, Floats]:
-        """Corrections of poses (f, 6), interiors (c, 8) and points (p, 3)."""
+    def solve(self) -> tuple[Floats, Floats, Floats, float]:
+        """Corrections of poses (f, 6), interiors (c, 8), points (p, 3) and the ground's level."""
         solver = _Solver(self.poses)
         y = solver(np.column_stack([self.border, self.pose_side]))
-        corner = self.interior - self.border.T @ y[:, :-1]
-        interior = _spd_solve(corner, self.interior_side - self.border.T @ y[:, -1])
-        pose = y[:, -1] - y[:, :-1] @ interior
+        corner = self.shared - self.border.T @ y[:, :-1]
+        shared = _spd_solve(corner, self.shared_side - self.border.T @ y[:, -1])
+        pose = y[:, -1] - y[:, :-1] @ shared
         n = self.normals
         dp = pose.reshape(-1, 6)
-        dk = interior.reshape(-1, 8)
+        dk, level = shared[:-1].reshape(-1, 8), float(shared[-1])
         moved = np.einsum("mij,mi->mj", n.pose_point, dp[n.frame])
         side = n.point_side - np.stack(
             [np.bincount(n.point, moved[:, k], minlength=len(n.points)) for k in range(3)], axis=1
         )
-        side -= np.einsum("cpij,ci->pj", n.interior_point, dk)
-        return dp, dk, np.einsum("pij,pj->pi", self.points_inverse, side)
+        side -= np.einsum("cpij,ci->pj", n.interior_point, dk) + level * n.level_point
+        return dp, dk, np.einsum("pij,pj->pi", self.points_inverse, side), level
 
     def covariance(self) -> tuple[Floats, Floats, Floats]:
         """Covariances for unit weight: poses (f, 6, 6), cameras (c, 8, 8), and the correlations between
@@ -124,7 +131,7 @@ class Reduced:
         f, size = self.poses.shape[0] // 6, self.poses.shape[0]
         solver = _Solver(self.poses)
         y = solver(self.border)
-        corner: Floats = np.asarray(np.linalg.inv(self.interior - self.border.T @ y), dtype=np.float64)
+        corner: Floats = np.asarray(np.linalg.inv(self.shared - self.border.T @ y), dtype=np.float64)
         blocks = np.empty((f, 6, 6))
         for start in range(0, size, 600):
             stop = min(start + 600, size)
@@ -133,6 +140,7 @@ class Reduced:
             columns = solver(unit) + y @ (corner @ (y.T @ unit))
             for k in range(start // 6, stop // 6):
                 blocks[k] = columns[6 * k : 6 * k + 6, 6 * k - start : 6 * k - start + 6]
+        corner = corner[:-1, :-1]
         c = len(corner) // 8
         cameras = np.stack([corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] for k in range(c)])
         return blocks, cameras, corner
@@ -152,24 +160,26 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     wv = bsr_matrix((scaled[order], n.point[order], starts), shape=shape, blocksize=(6, 3))
     own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f), blocksize=(6, 6))
     reduced = own - wv @ w.T.tobsr(blocksize=(3, 6))
-    wk = np.swapaxes(n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), 8 * c, 3), 1, 2)
-    wk_flat = wk.reshape(3 * len(points), 8 * c)
+    by_camera = n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), 8 * c, 3)
+    wk = np.swapaxes(np.concatenate([by_camera, n.level_point[:, None, :]], axis=1), 1, 2)
+    wk_flat = wk.reshape(3 * len(points), 8 * c + 1)
     border = -(wv @ wk_flat)
     for k in range(c):
         rows = np.flatnonzero(n.camera_of == k)
         index = (6 * rows[:, None] + np.arange(6)).ravel()
         border[index, 8 * k : 8 * k + 8] += n.pose_interior[rows].reshape(-1, 8)
-    corner = np.zeros((8 * c, 8 * c))
+    corner = np.zeros((8 * c + 1, 8 * c + 1))
+    corner[-1, -1] = n.level
     for k in range(c):
         corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] = interior[k]
-    corner -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), 8 * c)
+    corner -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), 8 * c + 1)
     eliminated = np.einsum("pij,pj->pi", inverse, n.point_side)
     return Reduced(
         poses=reduced.tocsc(),
         border=np.asarray(border),
-        interior=corner,
+        shared=corner,
         pose_side=n.pose_side.ravel() - w @ eliminated.ravel(),
-        interior_side=n.interior_side.ravel() - wk_flat.T @ eliminated.ravel(),
+        shared_side=np.append(n.interior_side.ravel(), n.level_side) - wk_flat.T @ eliminated.ravel(),
         points_inverse=inverse,
         normals=n,
     )

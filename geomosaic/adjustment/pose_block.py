@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
+from geomosaic.adjustment.bundle import Bundle, Priors, Terrain, solve_bundle
 from geomosaic.adjustment.collinearity import INTERIOR, log_turn
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
@@ -30,7 +30,9 @@ Floats = NDArray[np.float64]
 _LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
 _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
-_DEM_SD_M = 2.0
+_DEM_SD_M = 1.0
+_DEM_LEVEL_SD_M = 2.0
+_UNKNOWN_LEVEL_SD_M = 1e3
 _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 
@@ -64,9 +66,14 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         interior_sd=np.stack([interior_deviations(c) for c in cameras]),
         points_m=points,
         points_sd_m=_point_deviations(block, points),
+        terrain=Terrain(block.ground, _DEM_SD_M, _DEM_LEVEL_SD_M) if block.ground.kind == "dem" else None,
     )
     bundle = solve_bundle(kept, camera_of, priors, start)
     ground = _ground(block, settings, bundle)
+    if ground.kind == "flat":
+        flat = Terrain(ground, _least_relief_m(block), _UNKNOWN_LEVEL_SD_M)
+        bundle = solve_bundle(kept, camera_of, replace(priors, terrain=flat), bundle.poses, again=bundle)
+        ground = _flat_ground(ground, bundle)
     net = offset_net(block)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
@@ -128,24 +135,34 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
 
 
 def _point_deviations(block: Block, points: Floats) -> Floats:
-    """Tie points are free over the map; a DEM holds their height; flat ground
-    only keeps it sane, all points together no more than one of height's deviation."""
+    """Tie points are free; all together, no further from the start than a flying height."""
     height = float(np.median(heights_above_ground_m(block.poses, block.ground)))
-    up = _DEM_SD_M if block.ground.kind == "dem" else height * np.sqrt(len(points))
-    return np.tile([10.0 * height, 10.0 * height, up], (len(points), 1))
+    return np.full((len(points), 3), height * np.sqrt(len(points)))
+
+
+def _view(block: Block) -> float:
+    """How far relief moves the middle of a frame's outer half, per metre of height."""
+    return max(float(np.hypot(c.width_px, c.height_px)) / 4.0 / c.focal_length_px for c in block.cameras)
+
+
+def _least_relief_m(block: Block) -> float:
+    """Relief that moves a point by half a ground pixel: less than that is flat."""
+    return 0.5 * block.ground_pixel_m / _view(block)
+
+
+def _flat_ground(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
+    """The ground's own shape at the level of the points."""
+    above = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
+    return replace(ground, up_m=ground.up_m + level_m(above, bundle.points_sd_m[:, 2]))
 
 
 def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
-    """A DEM stays; else flat at the points' own level, or their surface where relief shows.
-
-    Relief shows where it moves the middle of a frame's outer half by more than half a ground pixel.
-    """
+    """A DEM stays; else flat at the points' own level, or their surface where relief shows."""
     if block.ground.kind == "dem":
         return block.ground
+    flat = _flat_ground(block.ground, bundle)
     well = bundle.points_sd_m[:, 2] < 3.0 * np.median(bundle.points_sd_m[:, 2])
     points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
-    above = points[:, 2] - block.ground.up_at(points[:, 0], points[:, 1])
-    flat = replace(block.ground, up_m=block.ground.up_m + level_m(above, sd))
     if settings.ground == "flat" or len(points) < 50:
         return flat
     height = float(np.median(heights_above_ground_m(bundle.poses, flat)))
@@ -154,10 +171,16 @@ def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
     )
     if settings.ground == "tie_surface":
         return surface
-    view = max(np.hypot(c.width_px, c.height_px) / 4.0 / c.focal_length_px for c in bundle.cameras)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
-    shown = float(np.sqrt(np.mean(np.square(relief)))) * view
-    return surface if shown > 0.5 * block.ground_pixel_m else flat
+    shown = float(np.sqrt(np.mean(np.square(relief - _bend(points, relief)))))
+    return surface if shown > _least_relief_m(block) else flat
+
+
+def _bend(points: Floats, relief: Floats) -> Floats:
+    """The part of the relief that a block without height control may have bent in: a paraboloid."""
+    e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / np.ptp(points[:, :2], axis=0).max()).T
+    terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
+    return np.asarray(terms @ np.linalg.lstsq(terms, relief, rcond=None)[0])
 
 
 def _lies(block: Block, poses: Poses) -> list[Warn]:
