@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 import rasterio
 from defusedxml.ElementTree import fromstring
+from pyproj import Geod
 
 from geomosaic.camera.exterior import Pose
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -25,9 +26,14 @@ from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.survey import SimulatedSurvey, simulate_frames
 from geomosaic.simulate.write import gimbal_deg
 from geomosaic.stages.simulate_frames import SimulateFrames
+from geomosaic.survey.read import read_survey
 
 SMALL = {"lines": 1, "frames_per_line": 3, "width_px": 240, "height_px": 180, "height_above_ground_m": 30.0}
-PLAN = SurveyPlan(seed=11, turned="2", k1=0.0, k2=0.0, lat_deg=-33.5, lon_deg=-70.6, **SMALL)
+OFF_CENTRE = {"principal_col_offset_px": 6.0, "principal_row_offset_px": -4.0, "p1": 0.004}
+PLAN = SurveyPlan(
+    seed=11, turned="2", k1=0.0, k2=0.0, lat_deg=-33.5, lon_deg=-70.6,
+    **OFF_CENTRE, **SMALL,
+)  # fmt: skip
 DJI = "{http://www.dji.com/drone-dji/1.0/}"
 
 
@@ -80,7 +86,11 @@ def test_exif_says_what_the_pos_says_to_the_digit(survey: SimulatedSurvey) -> No
     assert str(tags["EXIF DateTimeOriginal"]) == "2024:06:12 09:30:01"
     assert str(tags["EXIF SubSecTimeOriginal"]) == "350"
     assert float(tags["EXIF FocalLength"].values[0]) == pytest.approx(300.0 * 13.2 / 240.0, abs=5e-4)
-    assert tags["EXIF FocalLengthIn35mmFilm"].values == [45]
+    assert tags["EXIF FocalLengthIn35mmFilm"].values == [43]
+    for axis in "XY":
+        per_mm = float(tags[f"EXIF FocalPlane{axis}Resolution"].values[0])
+        assert per_mm == pytest.approx(240.0 / 13.2, rel=1e-9)
+    assert tags["EXIF FocalPlaneResolutionUnit"].values == [4]
     assert (tags["EXIF ExifImageWidth"].values, tags["EXIF ExifImageLength"].values) == ([240], [180])
     for axis, negative in (("Latitude", "S"), ("Longitude", "W")):
         d, m, s = (float(v) for v in tags[f"GPS GPS{axis}"].values)
@@ -132,7 +142,9 @@ def test_positions_are_of_the_pictures_as_they_are_stored(survey: SimulatedSurve
             *(np.radians(float(row[f"{k}_deg"])) for k in ("omega", "phi", "kappa"))
         )
         body = np.radians([float(row["yaw_deg"]), float(row["pitch_deg"]) + 90.0, float(row["roll_deg"])])
-        np.testing.assert_allclose(opk.matrix, Rotation.from_yaw_pitch_roll(*body).matrix, atol=1e-8)
+        to_grid = about_z(np.radians(0.883))  # (longitude - 69 W) * sin(latitude): true north lies west
+        true_axes = Rotation.from_yaw_pitch_roll(*body).matrix
+        np.testing.assert_allclose(opk.matrix, to_grid @ true_axes, atol=1e-5)
         assert float(row["moved_m"]) == pytest.approx(np.linalg.norm(frame["position_error_m"]), abs=1e-4)
         at = MapProjection("EPSG:32719").map_from_geodetic(float(row["lon_deg"]), float(row["lat_deg"]))
         np.testing.assert_allclose([float(row["easting_m"]), float(row["northing_m"])], at, atol=1e-4)
@@ -162,7 +174,7 @@ def test_a_stored_frame_lies_on_the_ortho_by_its_true_position(survey: Simulated
             work.enu_from_geodetic(lon, lat, height),
             Rotation.from_yaw_pitch_roll(*np.radians([yaw, pitch + 90.0, roll])),
         )
-        px = pose.image_from_ground(camera, ground)
+        px = pose.image_from_ground(camera.turned(2) if row["frame"] == "F0002.jpg" else camera, ground)
         here = (px > 3.0).all(axis=-1) & (px[..., 0] < 237.0) & (px[..., 1] < 177.0)
         seen |= ((px > 0.0) & (px < [240.0, 180.0])).all(axis=-1)
         frame = cv2.imread(str(survey.frames / row["frame"]), cv2.IMREAD_COLOR)[..., 1].astype(np.float32)
@@ -233,6 +245,51 @@ def test_what_is_not_told_is_not_written(tmp_path: Path) -> None:
     assert told["k1"] == 0.0 and true["k1"] == -0.1
     assert told["focal_x"] == pytest.approx(1.05 * 300.0 / 240.0)
     assert true["focal_x"] == pytest.approx(300.0 / 240.0)
+
+
+def test_kappa_is_the_grid_heading_of_a_level_frame(tmp_path: Path) -> None:
+    level = {"wander_m": 0.0, "wander_tilt_deg": 0.0, "wander_yaw_deg": 0.0}
+    plan = dataclasses.replace(PLAN, lat_deg=52.0, lon_deg=13.1, heading_deg=70.0, turned="", **level)
+    row = rows_of(simulate_frames(tmp_path, plan).positions)[1]
+    lon, lat = float(row["lon_deg"]), float(row["lat_deg"])
+    ahead = Geod(ellps="WGS84").fwd(lon, lat, float(row["yaw_deg"]), 100.0)[:2]
+    projection = MapProjection("EPSG:32633")
+    step = projection.map_from_geodetic(*ahead) - projection.map_from_geodetic(lon, lat)
+    grid_heading = np.degrees(np.arctan2(*step))
+    assert float(row["yaw_deg"]) == pytest.approx(70.0, abs=1e-3)
+    assert grid_heading == pytest.approx(71.497, abs=1e-3), "west of the meridian: grid north lies west"
+    assert -float(row["kappa_deg"]) == pytest.approx(grid_heading, abs=1e-3)
+
+
+def test_a_survey_without_a_camera_file_starts_from_the_right_focal_length(
+    survey: SimulatedSurvey,
+) -> None:
+    read = read_survey(survey.frames)
+    (camera,) = read.cameras
+    assert camera.focal_length_px == pytest.approx(300.0, abs=0.02)
+    assert [f.position.height_above_ground_m for f in read.frames] == pytest.approx([30.0] * 3, abs=8.0)
+
+
+def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
+    one = dataclasses.replace(PLAN, turned="")
+    biased = dataclasses.replace(one, height_bias_m=-45.0, position_bias_m=5.0)
+    plain, off = simulate_frames(tmp_path / "plain", one), simulate_frames(tmp_path / "off", biased)
+    positions = [[f.position for f in read_survey(s.frames).frames] for s in (plain, off)]
+    for true, said in zip(*positions, strict=True):
+        assert said.height_ellipsoidal_m is not None and true.height_ellipsoidal_m is not None
+        assert said.height_ellipsoidal_m - true.height_ellipsoidal_m == pytest.approx(-45.0, abs=2e-3)
+        assert said.height_above_ground_m == pytest.approx(true.height_above_ground_m, abs=2e-3)
+    errors = [
+        np.array([f["position_error_m"] for f in json.loads(s.truth.read_text())["frames"]])
+        for s in (plain, off)
+    ]
+    bias = json.loads(off.truth.read_text())["position_bias_m"]
+    np.testing.assert_allclose(errors[1] - errors[0], [bias] * 3, atol=1e-9)
+    assert np.hypot(*bias[:2]) == pytest.approx(5.0) and bias[2] == -45.0
+    silent = simulate_frames(tmp_path / "silent", dataclasses.replace(biased, relative_height_told=False))
+    for frame in read_survey(silent.frames).frames:
+        assert frame.position.height_above_ground_m is None
+        assert frame.position.height_ellipsoidal_m is not None
 
 
 def test_the_pos_in_exif_alone_or_in_the_csv_alone(tmp_path: Path) -> None:

@@ -79,9 +79,18 @@ def sexagesimal(degrees: float) -> tuple[Fraction, Fraction, Fraction]:
 
 
 def camera_tags(
-    time_s: float, make: str, model: str, size_px: tuple[int, int], focal_mm: float, focal_35mm: int
+    time_s: float,
+    make: str,
+    model: str,
+    size_px: tuple[int, int],
+    focal_mm: float,
+    pixels_per_mm: Fraction,
+    focal_35mm: int,
 ) -> tuple[list[Tag], list[Tag]]:
-    """IFD0 and Exif IFD of a picture: who took it, when (UTC), its size and focal length."""
+    """IFD0 and Exif IFD of a picture: who took it, when (UTC), its size and focal length.
+
+    pixels_per_mm goes into FocalPlaneXResolution and YResolution with unit 4 (millimetre).
+    """
     when = datetime.fromtimestamp(time_s, UTC)
     stamp = when.strftime("%Y:%m:%d %H:%M:%S")
     main = [
@@ -107,6 +116,9 @@ def camera_tags(
         rational_tag(0x920A, Fraction(round(focal_mm * 1000), 1000)),
         long_tag(0xA002, size_px[0]),
         long_tag(0xA003, size_px[1]),
+        rational_tag(0xA20E, pixels_per_mm),
+        rational_tag(0xA20F, pixels_per_mm),
+        short_tag(0xA210, 4),
         short_tag(0xA405, focal_35mm),
     ]
     return main, exif

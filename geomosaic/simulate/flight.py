@@ -131,6 +131,13 @@ def rotations_in(work_frame: LocalFrame, geodetic: Floats, attitude_deg: Floats)
     return np.asarray(work_frame.enu_from_local_rotation(geodetic[:, 0], geodetic[:, 1]) @ local)
 
 
+def position_bias(plan: SurveyPlan) -> Floats:
+    """East, north, up (3,) of the error that all positions share; its direction is the seed's."""
+    direction = plan.rng("bias").uniform(0.0, 2.0 * np.pi)
+    east, north = plan.position_bias_m * np.array([np.sin(direction), np.cos(direction)])
+    return np.array([east, north, plan.height_bias_m])
+
+
 def observe(plan: SurveyPlan, flight: Flight) -> Observed:
     """The platform's position and attitude: truth, noise, lag, and whatever else is to be wrong."""
     n = len(flight.poses)
@@ -142,6 +149,7 @@ def observe(plan: SurveyPlan, flight: Flight) -> Observed:
         lag_m = plan.gps_lag_s * plan.speed_m_per_s
         errors_m[:, :2] -= lag_m * np.column_stack([np.sin(heading), np.cos(heading)])
 
+    errors_m += position_bias(plan)
     rng = plan.rng("outliers")
     outlier, yaw_wrong = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     outlier[rng.permutation(n)[: plan.gps_outliers]] = True

@@ -75,6 +75,9 @@ class SurveyPlan:
     turned: str = ""
     attitude_told: bool = True
     height_told: bool = True
+    relative_height_told: bool = True
+    position_bias_m: float = 0.0
+    height_bias_m: float = 0.0
 
     exposure_sd: float = 0.0
     vignetting: float = 0.0

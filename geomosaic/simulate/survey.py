@@ -16,7 +16,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic.projection.footprint import footprint
-from geomosaic.simulate.flight import Flight, Observed, fly, observe
+from geomosaic.simulate.flight import Flight, Observed, fly, observe, position_bias
 from geomosaic.simulate.landscape import Bounds, Landscape
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.rasters import read_ortho, write_heights, write_ortho
@@ -194,6 +194,8 @@ def _truth(
         "work_frame": dataclasses.asdict(world.work_frame),
         "relief": dataclasses.asdict(world.relief),
         "camera": dataclasses.asdict(plan.camera()),
+        "camera_of_turned_frames": dataclasses.asdict(plan.camera().turned(2)),
+        "position_bias_m": position_bias(plan).tolist(),
         "frames": frames,
         "warnings": [
             {"code": code, "frame": f["frame"], "text": text}

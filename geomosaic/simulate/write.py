@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.simulate.exif import camera_tags, dji_xmp, gps_tags, tiff_bytes, with_segments
 from geomosaic.simulate.flight import Flight, Observed, rotations_in
 from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.survey.cameras import FILM_DIAGONAL_MM
 
 Floats = NDArray[np.float64]
 MAKE, MODEL = "geomosaic", "simulated"
-SENSOR_WIDTH_MM = 13.2
+SENSOR_WIDTH_MM = Fraction(132, 10)
 
 POS_COLUMNS = (
     "frame", "lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg",
@@ -92,11 +95,11 @@ def frame_bytes(
     if plan.format != "jpeg":
         return cv2.imencode(".tif", bgr, [cv2.IMWRITE_TIFF_COMPRESSION, 8])[1].tobytes()
     jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality])[1].tobytes()
-    focal_share = told.focal_length_px / told.width_px
-    main, exif = camera_tags(
-        float(flight.time_s[i]), MAKE, MODEL, (told.width_px, told.height_px),
-        focal_share * SENSOR_WIDTH_MM, max(round(focal_share * 36.0), 1),
-    )  # fmt: skip
+    size = told.width_px, told.height_px
+    per_mm = Fraction(told.width_px) / SENSOR_WIDTH_MM
+    focal_35mm = max(round(told.focal_length_px * FILM_DIAGONAL_MM / math.hypot(*size)), 1)
+    focal_mm = told.focal_length_px / float(per_mm)
+    main, exif = camera_tags(float(flight.time_s[i]), MAKE, MODEL, size, focal_mm, per_mm, focal_35mm)
     if plan.pos_in == "csv":
         return with_segments(jpeg, tiff_bytes(main, exif, []), None)
     lon, lat, height = (float(v) for v in observed.lon_lat_height[i])
@@ -110,7 +113,9 @@ def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
     if plan.height_told:
         height = float(observed.lon_lat_height[i, 2])
         tags["AbsoluteAltitude"] = f"{height:+.3f}"
-        tags["RelativeAltitude"] = f"{height - plan.ground_height_m:+.3f}"
+        if plan.relative_height_told:  # counted by a barometer from the take-off: no bias of the datum
+            above = height - plan.height_bias_m - plan.ground_height_m
+            tags["RelativeAltitude"] = f"{above:+.3f}"
     if plan.attitude_told:
         yaw, pitch, roll = gimbal_deg(observed.yaw_pitch_roll_deg[i])
         heading = (float(observed.yaw_pitch_roll_deg[i, 0]) + 180.0) % 360.0 - 180.0
@@ -161,8 +166,10 @@ def true_positions(
 ) -> list[list[str]]:
     """Rows of positions.csv for the truth: of each picture as it is stored, so turned where it was turned.
 
-    Angles are against each frame's own true north and vertical; yaw is the heading of the stored
-    picture's top edge. `moved_m` and `turned_deg` are what a perfect adjustment moves and turns the POS.
+    Yaw, pitch and roll are against each frame's own true north and vertical, yaw being the heading of the
+    stored picture's top edge; omega, phi, kappa are against the map grid's east and north. A turned
+    picture obeys the collinearity equations with `camera.turned(2)`. `moved_m` and `turned_deg` are what
+    a perfect adjustment moves and turns the POS, the half turn of a turned picture left out.
     """
     rows = []
     turned = plan.turned_frames()
@@ -171,7 +178,8 @@ def true_positions(
         local = Rotation.from_yaw_pitch_roll(*np.radians(flight.yaw_pitch_roll_deg[i]))
         stored = local.turned(2) if i in turned else local
         yaw, pitch, roll = (float(np.degrees(a)) for a in stored.yaw_pitch_roll())
-        opk = [float(np.degrees(a)) for a in stored.omega_phi_kappa()]
+        grid_from_local = about_z(projection.grid_convergence_rad(lon, lat))
+        opk = [float(np.degrees(a)) for a in Rotation(grid_from_local @ stored.matrix).omega_phi_kappa()]
         east, north = projection.map_from_geodetic(lon, lat)
         moved = float(np.linalg.norm(observed.position_errors_m[i]))
         between = flight.poses.rotations[i].T @ said[i]

@@ -100,6 +100,15 @@ class SimulateFrames(Stage):
         )
         attitude_told: bool = param(_PLAN.attitude_told, help="the POS holds yaw, pitch and roll")
         height_told: bool = param(_PLAN.height_told, help="the POS holds heights")
+        relative_height_told: bool = param(
+            _PLAN.relative_height_told, help="frames tell their height above the take-off too (XMP)"
+        )
+        position_bias_m: float = param(
+            _PLAN.position_bias_m, help="error that all positions share, in one direction", unit="m", ge=0
+        )
+        height_bias_m: float = param(
+            _PLAN.height_bias_m, help="error that all absolute heights share", unit="m", ge=-200, le=200
+        )
         exposure_sd: float = param(
             _PLAN.exposure_sd, help="noise of each frame's exposure (logarithm of the gain)", ge=0, le=1
         )
