@@ -20,8 +20,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _CAUCHY = 3.0
 _LEAST_SIGMA_PX = 0.02
-_ROUGH, _FINE = 1e-3, 1e-7
+_ROUGH, _FINE = 1e-3, 1e-5
 _PRIOR_FACTORS = (0.1, 10.0)
+_STEPS_BETWEEN = 2
+_DAMPING = 1e-9
 _GROUPS = ("image", "horizontal", "vertical", "tilt", "yaw")
 
 
@@ -123,7 +125,9 @@ def solve_bundle(
     iterations, settled = 0, False
     for _ in range(12):
         priors = replace(priors, trust=_trust(priors, state, sigma))
-        state, used = _converge(tracks, camera_of, priors, state, sigma, most, _ROUGH)
+        state, used = _converge(
+            tracks, camera_of, priors, state, sigma, _STEPS_BETWEEN if iterations else most, _ROUGH
+        )
         iterations += used
         image_changed, priors_changed = _variance_components(
             tracks, camera_of, priors, state, sigma, image_only=not settled
@@ -267,7 +271,7 @@ def _converge(
     most: int,
     gain_left: float,
 ) -> tuple[_State, int]:
-    damping, cost = 1e-4, _cost(tracks, camera_of, priors, state, sigma)
+    damping, cost = _DAMPING, _cost(tracks, camera_of, priors, state, sigma)
     for iteration in range(1, most + 1):
         normals = _normals(tracks, camera_of, priors, state, sigma)
         while True:
@@ -286,7 +290,7 @@ def _converge(
         gain = cost - trial_cost
         if gain > 0.0:
             state, cost = trial, trial_cost
-        damping = max(damping / 10.0, 1e-12)
+        damping = max(damping / 100.0, _DAMPING)
         if gain <= gain_left * max(cost, 1.0):
             return state, iteration
     return state, most

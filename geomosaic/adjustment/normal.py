@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import bsr_matrix, csc_matrix
+from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from geomosaic.errors import NotSolvableError
@@ -71,9 +71,8 @@ def build_normals(
     wx = by_point * weight[:, None, None]
 
     def gather(index: Ints, size: int, values: Floats) -> Floats:
-        flat = values.reshape(len(values), -1)
-        out = np.stack([np.bincount(index, flat[:, k], minlength=size) for k in range(flat.shape[1])], axis=1)
-        return out.reshape((size, *values.shape[1:]))
+        into = csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), shape=(size, len(index)))
+        return np.asarray(into @ values.reshape(len(values), -1)).reshape((size, *values.shape[1:]))
 
     t = np.swapaxes
     both = camera * p + point
