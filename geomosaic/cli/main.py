@@ -16,6 +16,9 @@ from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
 from geomosaic.errors import CancelledError, GeomosaicError
 
+# Small matrices on few cores: OpenBLAS's second thread costs more than it brings (tenfold when busy).
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 _GENERATED = {
     "simulate": "Simulate surveys with known truth.",
     "export": "Export a finished run in another form.",
