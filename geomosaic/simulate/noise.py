@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
@@ -45,6 +47,7 @@ def lattice_noise(
     return lattice if spacing_px == 1 else np.asarray(from_rows @ lattice @ from_cols.T)
 
 
+@lru_cache(maxsize=256)
 def _cubic_weights(start: int, count: int, spacing_px: int) -> tuple[NDArray[np.int64], Floats32]:
     """Lattice indices that pixels start ... start + count need, and their weights (count, indices).
 

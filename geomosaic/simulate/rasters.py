@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.simulate.landscape import Bounds, Building
-from geomosaic.simulate.terrain import BLOCK_PX, Ground, Relief
+from geomosaic.simulate.spread import in_threads
+from geomosaic.simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, Relief
 from geomosaic.simulate.write import whole
 
 Floats = NDArray[np.float64]
@@ -21,18 +23,45 @@ MARGIN_PX = 8
 _DEM_ROWS = 512
 
 
+@dataclass(frozen=True)
+class Texture:
+    """The ground's picture as frames see it: a continuous surface, bicubic through these samples.
+
+    pixels: (rows, cols, 3) RGB, kept on disk and sparse; west_m, north_m: its outer corner.
+    """
+
+    pixels: NDArray[np.uint8]
+    west_m: float
+    north_m: float
+    pixel_m: float
+
+    def window(self, bounds_m: Bounds) -> tuple[NDArray[np.uint8], float, float]:
+        """The part that covers the bounds with a margin: pixels (rows, cols, 3), west, north."""
+        west, south, east, north = bounds_m
+        rows, cols = self.pixels.shape[:2]
+        col = max(int((west - self.west_m) / self.pixel_m) - MARGIN_PX, 0)
+        row = max(int((self.north_m - north) / self.pixel_m) - MARGIN_PX, 0)
+        end_col = min(int((east - self.west_m) / self.pixel_m) + MARGIN_PX, cols)
+        end_row = min(int((self.north_m - south) / self.pixel_m) + MARGIN_PX, rows)
+        corner = self.west_m + col * self.pixel_m, self.north_m - row * self.pixel_m
+        return np.array(self.pixels[row:end_row, col:end_col]), *corner
+
+
 def write_ortho(
     path: Path,
+    scratch: Path,
     crs: str,
     ground: Ground,
     seen_m: Sequence[Bounds],
     footprints_m: Sequence[Floats],
     progress: Callable[[int, int], None],
-) -> None:
+) -> Texture:
     """The ground's picture wherever a frame looks, RGB with an internal mask of the footprints' union.
 
-    Its grid is the ground's own, so nothing is resampled. Blocks outside every frame's box stay empty;
-    pixels between a footprint and its box hold the ground too, but are masked.
+    Each pixel of the ortho is the mean of the ground over its square: what a camera of that ground pixel
+    sees from straight above. The samples themselves go to the texture in the file `scratch`. Blocks
+    outside every frame's box stay empty; pixels between a footprint and its box hold the ground too,
+    but are masked.
 
     Args: seen_m: each frame's west, south, east, north; footprints_m: each frame's outline (n, 2).
     """
@@ -48,10 +77,13 @@ def write_ortho(
     blocks = np.array(list(touched))
     (row_0, col_0), (row_1, col_1) = blocks.min(axis=0), blocks.max(axis=0) + 1
     west_m, north_m = float(col_0) * side, -float(row_0) * side
+    size = int(row_1 - row_0) * BLOCK_PX, int(col_1 - col_0) * BLOCK_PX
+    texture = np.memmap(scratch, np.uint8, "w+", shape=(*size, 3))
+    inner = slice(TILE_MARGIN_PX, -TILE_MARGIN_PX)
     profile = {
         "driver": "GTiff",
-        "width": int(col_1 - col_0) * BLOCK_PX,
-        "height": int(row_1 - row_0) * BLOCK_PX,
+        "width": size[1],
+        "height": size[0],
         "count": 3,
         "dtype": "uint8",
         "photometric": "RGB",
@@ -71,11 +103,35 @@ def write_ortho(
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         rasterio.open(part, "w", **profile) as out,
     ):
-        for done, ((row, col), frames) in enumerate(sorted(touched.items())):
-            window = Window((col - col_0) * BLOCK_PX, (row - row_0) * BLOCK_PX, BLOCK_PX, BLOCK_PX)
-            out.write(np.moveaxis(ground.block(col, row), -1, 0), window=window)
-            out.write_mask(_mask(ground, row, col, [footprints_m[i] for i in frames]), window=window)
+        blocks_at = sorted(touched)
+        tiles = in_threads(lambda at: ground.tile(at[1], at[0]), blocks_at)
+        for done, ((row, col), tile) in enumerate(zip(blocks_at, tiles, strict=True)):
+            y, x = int(row - row_0) * BLOCK_PX, int(col - col_0) * BLOCK_PX
+            window = Window(x, y, BLOCK_PX, BLOCK_PX)
+            texture[y : y + BLOCK_PX, x : x + BLOCK_PX] = tile[inner, inner]
+            out.write(np.moveaxis(square_mean(tile)[inner, inner], -1, 0), window=window)
+            frames = [footprints_m[i] for i in touched[row, col]]
+            out.write_mask(_mask(ground, row, col, frames), window=window)
             progress(done + 1, len(touched))
+    return Texture(texture, west_m, north_m, ground.pixel_m)
+
+
+def square_mean(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The mean over each pixel's square of the bicubic surface through the samples (2 x 2, as `render`)."""
+    mean = cv2.sepFilter2D(texture, cv2.CV_32F, _SQUARE, _SQUARE, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(np.clip(np.round(mean), 0.0, 255.0), dtype=np.uint8)
+
+
+def _cubic(t: NDArray[np.floating]) -> Floats:
+    """The cubic convolution kernel of Keys 1981 with a = -0.75, which OpenCV interpolates with."""
+    d, a = np.abs(t), -0.75
+    near = ((a + 2.0) * d - (a + 3.0)) * d * d + 1.0
+    far = ((a * d - 5.0 * a) * d + 8.0 * a) * d - 4.0 * a
+    return np.asarray(np.where(d < 1.0, near, np.where(d < 2.0, far, 0.0)), dtype=np.float64)
+
+
+_TAPS = np.arange(-2.0, 3.0)
+_SQUARE = (_cubic(_TAPS - 0.25) + _cubic(_TAPS + 0.25)) / 2.0
 
 
 def _mask(ground: Ground, row: int, col: int, footprints_m: Sequence[Floats]) -> NDArray[np.uint8]:
@@ -85,20 +141,6 @@ def _mask(ground: Ground, row: int, col: int, footprints_m: Sequence[Floats]) ->
         px = outline / ground.pixel_m * [1.0, -1.0] - [col * BLOCK_PX, row * BLOCK_PX] - 0.5
         cv2.fillPoly(mask, [np.round(px * 64.0).astype(np.int32)], (255, 255, 255), shift=6)
     return mask
-
-
-def read_ortho(path: Path, bounds_m: Bounds) -> tuple[NDArray[np.uint8], float, float]:
-    """The part of the ortho that covers the bounds with a margin: pixels (rows, cols, 3), west, north."""
-    with rasterio.open(path) as ortho:
-        west, south, east, north = bounds_m
-        pixel = ortho.transform.a
-        col = max(int((west - ortho.transform.c) / pixel) - MARGIN_PX, 0)
-        row = max(int((ortho.transform.f - north) / pixel) - MARGIN_PX, 0)
-        end_col = min(int((east - ortho.transform.c) / pixel) + MARGIN_PX, ortho.width)
-        end_row = min(int((ortho.transform.f - south) / pixel) + MARGIN_PX, ortho.height)
-        pixels = ortho.read(window=Window(col, row, end_col - col, end_row - row))
-        corner = ortho.transform.c + col * pixel, ortho.transform.f - row * pixel
-    return np.ascontiguousarray(np.moveaxis(pixels, 0, -1)), float(corner[0]), float(corner[1])
 
 
 def write_heights(

@@ -26,6 +26,8 @@ Pixels = NDArray[np.uint8]
 _STEP_PX = 16
 _STRIP_PX = 256
 _OVERSAMPLING = 2
+_COARSE_PX = 2
+_BEYOND_PX = 4
 _WALL = np.array([176.0, 168.0, 154.0])
 
 
@@ -109,7 +111,9 @@ def sight_of(camera: Camera, pose: Pose, world: World) -> Sight:
 
 
 def _nodes(size_px: int) -> Floats:
-    return np.linspace(0.0, size_px, max(int(np.ceil(size_px / _STEP_PX)), 4) + 1)
+    """Where rays are traced: from a little outside one edge to a little outside the other."""
+    count = max(int(np.ceil((size_px + 2 * _BEYOND_PX) / _STEP_PX)), 4) + 1
+    return np.linspace(-_BEYOND_PX, size_px + _BEYOND_PX, count)
 
 
 def render(
@@ -133,7 +137,7 @@ def render(
     for top in range(0, camera.height_px, _STRIP_PX):
         bottom = min(top + _STRIP_PX, camera.height_px)
         rows = _samples(top, bottom)
-        east, north = sight.easting(rows, cols), sight.northing(rows, cols)
+        east, north = (_dense(s, top, bottom, camera.width_px) for s in (sight.easting, sight.northing))
         walls = _raise_buildings(near, sight, rows, cols, east, north)
         x = ((east - west_m) / pixel_m - 0.5).astype(np.float32)
         y = ((north_m - north) / pixel_m - 0.5).astype(np.float32)
@@ -148,6 +152,19 @@ def render(
 def _samples(start_px: int, end_px: int) -> Floats:
     """Where the samples of pixels start ... end lie, corner origin."""
     return np.asarray((np.arange(start_px * _OVERSAMPLING, end_px * _OVERSAMPLING) + 0.5) / _OVERSAMPLING)
+
+
+def _dense(spline: RectBivariateSpline, top_px: int, bottom_px: int, width_px: int) -> Floats:
+    """A layer of the sight at the samples of a strip: linear between points _COARSE_PX apart.
+
+    Off by an eighth of the squared step times the curvature: 2e-4 pixel for a lens of k1 = -0.1.
+    """
+    rows = np.arange(top_px - _COARSE_PX / 2, bottom_px + _COARSE_PX, _COARSE_PX)
+    cols = np.arange(-_COARSE_PX / 2, width_px + _COARSE_PX, _COARSE_PX)
+    coarse, times = spline(rows, cols), _COARSE_PX * _OVERSAMPLING
+    fine = cv2.resize(coarse, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
+    height, width = (bottom_px - top_px) * _OVERSAMPLING, width_px * _OVERSAMPLING
+    return np.asarray(fine[times : times + height, times : times + width])
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from geomosaic.projection.footprint import footprint
 from geomosaic.simulate.flight import Flight, Observed, fly, observe, position_bias
 from geomosaic.simulate.landscape import Bounds, Landscape
 from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.rasters import read_ortho, write_heights, write_ortho
+from geomosaic.simulate.rasters import Texture, write_heights, write_ortho
 from geomosaic.simulate.render import Sight, World, develop, render, sight_of
+from geomosaic.simulate.spread import in_threads
 from geomosaic.simulate.terrain import Ground, hills
 from geomosaic.simulate.write import (
     POSITIONS_COLUMNS,
@@ -80,11 +81,19 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
         write_csv(paths.pos, *pos_rows(plan, observed))
 
     sights = [sight_of(camera, flight.poses[i], world) for i in range(plan.frames)]
-    _write_ground(plan, paths, camera, flight, world, sights, progress)
-    for i, name in enumerate(names):
-        light = _frame(plan, camera, flight.poses[i], world, sights[i], paths.ortho, i)
-        write_bytes(paths.frames / name, frame_bytes(plan, told, flight, observed, i, light))
-        progress(i + 1, len(names), "frames")
+    scratch = out / "truth" / ".texture.part"
+    try:
+        texture = _write_ground(plan, paths, scratch, camera, flight, world, sights, progress)
+
+        def picture(i: int) -> bytes:
+            light = _frame(plan, camera, flight.poses[i], world, sights[i], texture, i)
+            return frame_bytes(plan, told, flight, observed, i, light)
+
+        for i, data in enumerate(in_threads(picture, range(plan.frames))):
+            write_bytes(paths.frames / names[i], data)
+            progress(i + 1, len(names), "frames")
+    finally:
+        scratch.unlink(missing_ok=True)
     return paths
 
 
@@ -108,7 +117,7 @@ def world_of(plan: SurveyPlan, flight: Flight) -> World:
 
 
 def _frame(
-    plan: SurveyPlan, camera: Camera, pose: Pose, world: World, sight: Sight, ortho: Path, i: int
+    plan: SurveyPlan, camera: Camera, pose: Pose, world: World, sight: Sight, texture: Texture, i: int
 ) -> NDArray[np.float32]:
     """One frame as it is stored, values of [0, 255]."""
     if plan.buildings_stand:
@@ -117,8 +126,8 @@ def _frame(
             (west - 20, south - 20, east + 20, north + 20)
         )
         world = dataclasses.replace(world, buildings=tuple(near))
-    texture, west_m, north_m = read_ortho(ortho, sight.bounds_m)
-    light = render(camera, pose, world, sight, texture, west_m, north_m, plan.pixel_m)
+    ground, west_m, north_m = texture.window(sight.bounds_m)
+    light = render(camera, pose, world, sight, ground, west_m, north_m, plan.pixel_m)
     gain = exposure_gain(plan, i)
     light = develop(light, gain, plan.vignetting, plan.blur_px, plan.pixel_noise, plan.rng("pixels", i))
     return light[::-1, ::-1] if i in plan.turned_frames() else light
@@ -132,12 +141,13 @@ def exposure_gain(plan: SurveyPlan, i: int) -> float:
 def _write_ground(
     plan: SurveyPlan,
     paths: SimulatedSurvey,
+    scratch: Path,
     camera: Camera,
     flight: Flight,
     world: World,
     sights: list[Sight],
     progress: Progress,
-) -> None:
+) -> Texture:
     seen: list[Bounds] = [s.bounds_m for s in sights]
     border = camera.border_px(32)
     outlines = [
@@ -146,8 +156,9 @@ def _write_ground(
     ]
     landscape = Landscape(plan.seed, plan.buildings)
     crs = world.projection.crs
-    write_ortho(
+    texture = write_ortho(
         paths.ortho,
+        scratch,
         crs,
         Ground(landscape, plan.pixel_m),
         seen,
@@ -160,6 +171,7 @@ def _write_ground(
     write_heights(paths.dem, crs, world.relief, bounds, spacing)
     if paths.dsm:
         write_heights(paths.dsm, crs, world.relief, bounds, min(spacing, 0.5), landscape.buildings_in(bounds))
+    return texture
 
 
 def _truth(

@@ -23,6 +23,7 @@ Floats32 = NDArray[np.float32]
 Pixels = NDArray[np.uint8]
 
 BLOCK_PX = 512
+TILE_MARGIN_PX = 2
 _PAD_PX = 8
 _SHIFT = 6
 _SUN = np.array([0.62, -0.78])
@@ -67,6 +68,10 @@ class Ground:
 
     def block(self, block_col: int, block_row: int) -> Pixels:
         """One block (BLOCK_PX, BLOCK_PX, 3), RGB; its first pixel is world (BLOCK_PX * block_col, ...)."""
+        return self.tile(block_col, block_row)[TILE_MARGIN_PX:-TILE_MARGIN_PX, TILE_MARGIN_PX:-TILE_MARGIN_PX]
+
+    def tile(self, block_col: int, block_row: int) -> Pixels:
+        """A block with TILE_MARGIN_PX more on every side."""
         return _Painter(self, block_col * BLOCK_PX - _PAD_PX, block_row * BLOCK_PX - _PAD_PX).picture()
 
     def window(self, col: int, row: int, shape: tuple[int, int]) -> Pixels:
@@ -111,7 +116,7 @@ class _Painter:
         image = self._cars(image)
         image = self._crowns(image)
         image = self._roofs(image)
-        inner = slice(_PAD_PX, _PAD_PX + BLOCK_PX)
+        inner = slice(_PAD_PX - TILE_MARGIN_PX, _PAD_PX + BLOCK_PX + TILE_MARGIN_PX)
         return np.ascontiguousarray(np.clip(image[inner, inner] + 0.5, 0.0, 255.0).astype(np.uint8))
 
     def _noise(self, salt: int, spacings_px: tuple[int, ...]) -> Floats32:
@@ -190,9 +195,8 @@ class _Painter:
         for w in self.ways:
             for x, y, along, _ in w.cars:
                 box = _box(x + 0.4, y - 0.5, along, 2.2, 0.95)
-                mask = np.zeros_like(shadow)
-                self._fill(mask, box, (255, 255, 255))
-                ragged = np.maximum(ragged, mask.astype(np.float32) / 255.0)
+                part, cover = self._cover(box)
+                ragged[part] = np.maximum(ragged[part], cover)
         ragged = np.asarray(cv2.GaussianBlur(ragged, (0, 0), 0.8), dtype=np.float32)
         return np.asarray(image * (1.0 - ragged[..., None] * np.array([0.62, 0.58, 0.48], dtype=np.float32)))
 
@@ -255,18 +259,21 @@ class _Painter:
 
     def _over(self, image: Floats32, outline_m: Floats, paint: Colour, rough: float) -> Floats32:
         """Lay a roughened polygon over the image, touching only the part it covers."""
-        xy = self._px(outline_m)
-        x_0, y_0 = np.maximum(np.floor(xy.min(axis=0)).astype(int) - 1, 0)
-        x_1, y_1 = np.minimum(np.ceil(xy.max(axis=0)).astype(int) + 2, self.size)
-        if x_0 >= x_1 or y_0 >= y_1:
-            return image
-        mask = np.zeros((self.size, self.size), dtype=np.uint8)
-        self._fill(mask, outline_m, (255, 255, 255))
-        part = np.s_[y_0:y_1, x_0:x_1]
-        cover = (mask[part] / np.float32(255.0))[..., None]
+        part, cover = self._cover(outline_m)
         tone = 1.0 + rough * self.fine[part] + 0.6 * rough * self.middle[part]
-        image[part] += cover * (np.array(paint, dtype=np.float32) * tone[..., None] - image[part])
+        image[part] += cover[..., None] * (np.array(paint, dtype=np.float32) * tone[..., None] - image[part])
         return image
+
+    def _cover(self, outline_m: Floats) -> tuple[tuple[slice, slice], Floats32]:
+        """The part of the block around a polygon, and how much of each pixel there it covers."""
+        xy = self._px(outline_m)
+        x_0, y_0 = (int(v) for v in np.clip(np.floor(xy.min(axis=0)) - 1, 0, self.size))
+        x_1, y_1 = (int(v) for v in np.clip(np.ceil(xy.max(axis=0)) + 2, 0, self.size))
+        mask = np.zeros((max(y_1 - y_0, 0), max(x_1 - x_0, 0)), dtype=np.uint8)
+        if mask.size:
+            points = np.round((xy - [x_0, y_0] - 0.5) * 2**_SHIFT).astype(np.int32)
+            cv2.fillPoly(mask, [points], (255, 255, 255), lineType=cv2.LINE_AA, shift=_SHIFT)
+        return np.s_[y_0 : max(y_0, y_1), x_0 : max(x_0, x_1)], mask.astype(np.float32) / np.float32(255.0)
 
 
 def _times(colour: Colour, factor: float) -> Colour:
