@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
+_ROWS = 512
 
 
 def root_sift(descriptors: Bytes) -> NDArray[np.float32]:
@@ -24,15 +25,23 @@ def mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32], ratio:
     nothing = np.zeros(0, np.intp)
     if len(left) < 2 or len(right) < 2:
         return nothing, nothing
-    likeness = left @ right.T
-    best = likeness.argmax(axis=1)
-    back = likeness.argmax(axis=0)
-    rows = np.arange(len(left))
-    first = likeness[rows, best]
-    likeness[rows, best] = -1.0
-    second = likeness.max(axis=1)
-    distinct = (1.0 - first) < ratio**2 * (1.0 - second)
-    kept = np.flatnonzero((back[best] == rows) & distinct)
+    best = np.empty(len(left), np.intp)
+    distinct = np.empty(len(left), np.bool_)
+    column_best = np.full(len(right), -1.0, np.float32)
+    back = np.zeros(len(right), np.intp)
+    for start in range(0, len(left), _ROWS):
+        likeness = left[start : start + _ROWS] @ right.T
+        rows = np.arange(len(likeness))
+        nearest = likeness.argmax(axis=1)
+        first = likeness[rows, nearest]
+        top = likeness.argmax(axis=0)
+        highest = likeness[top, np.arange(len(right))]
+        better = highest > column_best
+        column_best[better], back[better] = highest[better], top[better] + start
+        likeness[rows, nearest] = -1.0
+        best[start : start + _ROWS] = nearest
+        distinct[start : start + _ROWS] = (1.0 - first) < ratio**2 * (1.0 - likeness.max(axis=1))
+    kept = np.flatnonzero((back[best] == np.arange(len(left))) & distinct)
     return kept, best[kept]
 
 

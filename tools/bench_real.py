@@ -1,0 +1,156 @@
+"""Real surveys: a drone flight with turned frames, and the orientation conventions on other people's data.
+
+    .venv/bin/python tools/bench_real.py [--shared ../shared] [--out out/bench-real]
+
+Needs the data folders `brighton_beach`, `ngi` and `odm_oblique` below SHARED/data; without them it says
+so and ends with exit code 0. Prints a Markdown table for docs/results.md; exit code 1 if a bound is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import rasterio
+from osgeo import gdal
+from osgeo_utils.samples import validate_cloud_optimized_geotiff as cog
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.matching.features import grey, sift_features
+from geomosaic.matching.match import PairJob, match_pair
+from geomosaic.placement.prior import prior_poses
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.relief import relief
+from geomosaic.survey.dem import read_heights
+from geomosaic.survey.model import Survey
+from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.read import read_survey
+
+GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
+TURNED = {f"DJI_00{n}.JPG" for n in range(24, 30)}
+Row = tuple[str, str, str, bool]
+
+
+def brighton(data: Path, out: Path) -> list[Row]:
+    """The acceptance of the real flight: time, CRS, pixel, COG, tied frames, turned frames."""
+    run = out / "brighton"
+    shutil.rmtree(run, ignore_errors=True)
+    start = time.monotonic()
+    subprocess.run([GEOMOSAIC, "mosaic", data / "brighton_beach" / "images", "-o", run], check=True)
+    seconds = time.monotonic() - start
+    told = json.loads((run / "run.json").read_text())
+    tied = told["frames"]["tied"]
+    turned = {w["frame"] for w in told["warnings"] if w["code"] == "frame-turned"}
+    gdal.UseExceptions()
+    _, errors, _ = cog.validate(str(run / "mosaic.tif"), full_check=True)
+    mosaic, metrics = told["mosaic"], told["metrics"]["adjustment"]
+    return [
+        ("wall time", f"{seconds:.0f} s", "< 120 s", seconds < 120),
+        ("peak memory", f"{told['peak_memory_mb']:.0f} MB", "", True),
+        ("CRS", mosaic["crs"], "EPSG:32615", mosaic["crs"] == "EPSG:32615"),
+        ("pixel", f"{100 * mosaic['gsd_m']:.2f} cm", "about 1.7 cm", abs(mosaic["gsd_m"] - 0.017) < 0.001),
+        ("COG validator", "; ".join(errors) or "passes", "passes", not errors),
+        ("frames tied", f"{tied} of {told['frames']['total']}", "18", tied == 18),
+        ("frames found turned", f"{len(turned)}", "0024 to 0029", turned == TURNED),
+        ("mean reprojection error", f"{metrics['reprojection_mean_px']:.2f} px", "", True),
+        ("tracks, mean length", f"{metrics['tracks']:.0f}, {metrics['track_length_mean']:.2f}", "", True),
+    ]  # fmt: skip
+
+
+def two_pose_files(data: Path) -> list[Row]:
+    """Attitudes of the same frames, measured (roll, pitch, yaw) and adjusted (omega, phi, kappa)."""
+    folder = data / "odm_oblique"
+    camera = folder / "opensfm" / "reconstruction.json"
+    measured = read_survey(folder / "images", pos=folder / "odm_lla_rpy.csv", camera=camera)
+    adjusted = read_survey(
+        folder / "images", pos=folder / "odm_xyz_opk.csv", camera=camera, pos_crs="EPSG:32651"
+    )
+    angles = []
+    for a, b in zip(measured.frames, adjusted.frames, strict=True):
+        r = [
+            Rotation.from_yaw_pitch_roll(*np.radians([x.yaw_deg, x.pitch_deg, x.roll_deg])).matrix
+            for x in (a.attitude, b.attitude)
+        ]
+        angles.append(np.degrees(np.arccos((np.trace(r[0].T @ r[1]) - 1.0) / 2.0)))
+    worst = max(angles)
+    return [("odm_oblique: two pose files", f"{worst:.2f} deg apart at most", "< 3 deg", worst < 3.0)]
+
+
+def on_the_dem(data: Path) -> list[Row]:
+    """Frames projected on the DEM with their given poses land on their neighbours."""
+    folder = data / "ngi"
+    survey = read_survey(
+        folder, pos=folder / "ngi_xyz_opk.csv", camera=folder / "ngi_int_param.yaml",
+        dem=folder / "dem.tif", dem_offset_m=0.0,
+    )  # fmt: skip
+    apart = overlap_displacements_m(survey)
+    pixel_m = 9.22
+    worst = max(abs(np.array(v)).max() for v in apart.values())
+    pairs = ", ".join(f"{a}-{b}: {np.hypot(*v):.1f} m" for (a, b), v in apart.items())
+    return [
+        (
+            f"ngi on its DEM ({pairs})",
+            f"{worst:.1f} m = {worst / pixel_m:.2f} frame px",
+            "< 1 px",
+            worst < pixel_m,
+        )
+    ]
+
+
+def overlap_displacements_m(survey: Survey) -> dict[tuple[int, int], tuple[float, float]]:
+    """Median displacement (east, north) between the ground places of SIFT matches, per pair."""
+    heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=float)
+    poses: Poses = prior_poses(survey, heights, (0,) * len(heights))
+    assert survey.elevation is not None
+    with rasterio.open(survey.elevation.path) as source:
+        bounds = tuple(source.bounds)
+    raster = read_heights(survey.elevation, bounds)
+    low, high = poses.positions_m[:, :2].min(axis=0) - 6000, poses.positions_m[:, :2].max(axis=0) + 6000
+    ground = relief(survey.work_frame, raster, low, high, 24.0)
+    features, places = [], []
+    for i, frame in enumerate(survey.frames):
+        pixels, valid = read_pixels(frame, 1)
+        features.append(sift_features(grey(pixels, valid), valid, 1))
+        places.append(ground_from_image(poses[i], survey.camera_of(i), ground, features[i].image_px)[:, :2])
+    out = {}
+    for a in range(len(features)):
+        for b in range(a + 1, len(features)):
+            job = PairJob(features[a], features[b], places[a], places[b], 300.0, 2.0, 0.8, "auto", 12)
+            found = match_pair(job)
+            if len(found.left) >= 12 and not found.free:
+                apart = np.nanmedian(places[b][found.right] - places[a][found.left], axis=0)
+                out[a, b] = (float(apart[0]), float(apart[1]))
+    return out
+
+
+def main() -> int:
+    """Runs all of it and prints the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--shared", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
+    parser.add_argument("--out", type=Path, default=Path("out/bench-real"))
+    args = parser.parse_args()
+    data = args.shared / "data"
+    if not (data / "brighton_beach").is_dir():
+        print(f"skipped: {data} has no brighton_beach; name the data with --shared")
+        return 0
+    rows = two_pose_files(data) + on_the_dem(data) + brighton(data, args.out)
+    print("| what | found | wanted | |\n|---|---|---|---|")
+    for what, found, wanted, good in rows:
+        print(f"| {what} | {found} | {wanted} | {'ok' if good else 'MISSED'} |")
+    return 0 if all(row[3] for row in rows) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
