@@ -8,12 +8,25 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 
 class GeomosaicError(Exception):
     """Anything the package raises on purpose."""
 
     exit_code = 1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as it is: constructors take other arguments than the one line they make."""
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[GeomosaicError], args: tuple[Any, ...], state: dict[str, Any]) -> GeomosaicError:
+    new: Any = OSError.__new__ if issubclass(kind, OSError) else Exception.__new__
+    error: GeomosaicError = new(kind, *args)
+    error.args = args
+    error.__dict__.update(state)
+    return error
 
 
 class InputError(GeomosaicError, ValueError):

@@ -155,3 +155,26 @@ def test_the_right_handmade_file_is_taken() -> None:
     body = np.array([1.5, -2.0]).tobytes()
     data = zipped({"is": type_name(Inner), "fields": {"xs": {"array": 0}}}, {"0": npy("(2,)", body=body)})
     assert decode(data, Inner).xs.tolist() == [1.5, -2.0]
+
+
+def test_a_field_added_later_with_a_default_is_read_from_old_files() -> None:
+    @dataclass(frozen=True)
+    class Old:
+        name: str
+
+    @dataclass(frozen=True)
+    class New:
+        name: str
+        turned: tuple[int, ...] = (7,)
+
+    @dataclass(frozen=True)
+    class Stricter:
+        name: str
+        turned: tuple[int, ...]
+
+    data = encode(Old("a"))
+    for cls in (New, Stricter):
+        cls.__qualname__, cls.__module__ = Old.__qualname__, Old.__module__
+    assert decode(data, New) == New("a", (7,))
+    with pytest.raises(FileError, match="no whole artefact"):
+        decode(data, Stricter)

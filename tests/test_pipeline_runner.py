@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import pickle
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -21,14 +22,17 @@ from geomosaic.errors import (
     GeomosaicError,
     InputError,
     OutputError,
+    PluginError,
     UnknownNameError,
 )
 from geomosaic.pipeline import executor
 from geomosaic.pipeline.artefacts import decode
-from geomosaic.pipeline.context import Context, RunFile
+from geomosaic.pipeline.context import Context, Notes, RunFile
 from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.given import given_stage
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.runner import run
+from geomosaic.recording.compare import compare
 from geomosaic.recording.reader import read_recording
 
 ALL = ["read", "power", "item 1", "item 2", "item 3", "item 4", "sum", "write", "tell"]
@@ -148,7 +152,7 @@ def new_sidecar(toys: Toys) -> None:
         (delete_total, ["write", "tell"]),
         (edit_total, ["write", "tell"]),
         (delete_raw, ["sum", "tell"]),
-        (spoil_artefact, ["power", "tell"]),
+        (spoil_artefact, [*ALL[1:6], "tell"]),
         (spoil_items, ["tell"]),
     ],
 )
@@ -167,13 +171,58 @@ def test_a_change_redoes_only_what_it_touches(
         assert (toys.run_folder / "total.txt").read_text().startswith("30.0 7 ")
 
 
-def test_going_back_to_old_parameters_finds_the_old_results(toys: Toys) -> None:
+def test_the_work_folder_keeps_what_the_last_run_used_and_nothing_else(toys: Toys) -> None:
     toys.run()
-    toys.run("toy.power.power=3")
+    work = toys.run_folder / "work"
+    first = {p.relative_to(work) for p in work.rglob("*") if p.is_file()}
+    assert not (work / "toy.power" / "items").exists()
+    work.joinpath("toy.gone", "0123").mkdir(parents=True)
+    work.joinpath("toy.gone", "0123", "entry.json").write_text("{}")
+    toys.folder.joinpath("precious").mkdir()
+    toys.folder.joinpath("precious", "pearl").write_text("x")
+    work.joinpath("link").symlink_to(toys.folder / "precious")
+    for power in (3, 4, 5):
+        toys.run(f"toy.power.power={power}")
+    assert [len(list((work / id).iterdir())) for id in ("toy.read", "toy.power")] == [1, 1]
+    assert not (work / "toy.gone").exists() and not (work / "link").is_symlink()
+    assert (toys.folder / "precious" / "pearl").exists()
+    assert (work / "toy.sum" / "raw.bin").stat().st_size == 1000
     toys.done()
     toys.run()
-    assert toys.done() == ["write", "tell"]
-    assert (toys.run_folder / "total.txt").read_text().startswith("30.0 0 ")
+    assert toys.done() == ALL[1:]
+    assert {p.relative_to(work) for p in work.rglob("*") if p.is_file()} == first
+
+
+def test_a_run_that_fails_prunes_nothing(toys: Toys) -> None:
+    toys.run()
+    before = set((toys.run_folder / "work").rglob("*.artefact"))
+    recipe_file(toys.folder, "1 13 2")
+    with pytest.raises(UnknownNameError):
+        toys.run()
+    assert before < set((toys.run_folder / "work").rglob("*.artefact"))
+
+
+def test_what_a_killed_run_left_half_written_goes(toys: Toys) -> None:
+    toys.run_folder.mkdir()
+    for name in (
+        ".mosaic.4711.part.tif",
+        ".layers.4711.part.gpkg-journal",
+        ".run.json.4711.old",
+        ".x.part.txt",
+    ):
+        (toys.run_folder / name).write_text("half")
+    (toys.run_folder / ".tiles.4711.part").mkdir()
+    toys.run()
+    assert [p.name for p in toys.run_folder.glob(".*")] == [".x.part.txt"]
+
+
+def test_hashes_of_files_nobody_asks_for_are_forgotten(toys: Toys) -> None:
+    toys.run()
+    toys.folder.joinpath("others.txt").write_text("5 6")
+    toys.run(f"toy.read.file={toys.folder / 'others.txt'}")
+    known = json.loads((toys.run_folder / "work" / "hashes.json").read_text())
+    names = {Path(path).name for path in known}
+    assert "others.txt" in names and "numbers.txt" not in names
 
 
 def test_randomness_comes_from_the_seed_alone(toys: Toys) -> None:
@@ -209,12 +258,47 @@ def test_a_cached_run_records_what_the_first_one_did(toys: Toys) -> None:
     assert first.whole and second.whole
 
 
-def test_given_outputs_stand_for_stages(toys: Toys) -> None:
+def test_given_stages_tell_what_they_told_and_are_not_run(toys: Toys) -> None:
+    first = toys.run(fixed_time=True)
+    toys.done()
     toys.folder.joinpath("numbers.txt").unlink()
-    given = {0: {"numbers": Numbers(np.array([10.0, 1.0]), "recorded")}}
-    toys.run(given=given)
-    assert toys.done() == ["power", "item 1", "item 10", "sum", "write", "tell"]
-    assert (toys.run_folder / "total.txt").read_text().startswith("101.0 0 ")
+    recording = read_recording(toys.run_folder / "run.mcap")
+    recipe = toys.recipe()
+    given = {i: given_stage(recording, recipe, i) for i in range(2)}
+    for again in range(2):
+        second = run(recipe, toys.folder / "again", given=given)
+        assert toys.done() == (["tell"] if again else ["sum", "write", "tell"])
+    assert second["recorded_stages"] == ["toy.read", "toy.power"]
+    assert second["cached_stages"] == ["toy.sum", "toy.write"]
+    for key in ("warnings", "metrics", "frames", "recipe", "inputs"):
+        assert second[key] == first[key]
+    told = read_recording(toys.folder / "again" / "run.mcap")
+    assert compare(recording, told)["equal"]
+    assert [s.outputs for s in told.stages] == [s.outputs for s in recording.stages]
+    assert told.stages[1].notes["metrics"] == {"toy": {"largest": 16.0}}
+    assert [line.text for line in told.log if line.stage == "toy.read"][-1].startswith("from the recording")
+    assert len([line for line in told.log if line.text.startswith("from the recording")]) == 2
+    assert told.topics["/location/tied"].messages == 1 and told.rounds[0].moves_m.tolist() == [[0.25, 0.5]]
+
+
+def test_a_changed_step_after_given_ones_is_named_first(toys: Toys) -> None:
+    toys.run(fixed_time=True)
+    recording = read_recording(toys.run_folder / "run.mcap")
+    recipe = toys.recipe("toy.sum.fill=7")
+    given = {i: given_stage(recording, recipe, i) for i in range(2)}
+    run(recipe, toys.folder / "again", given=given)
+    difference = compare(recording, read_recording(toys.folder / "again" / "run.mcap"))
+    assert (
+        difference["first_stage"] == "toy.sum" and not difference["warnings"] and not difference["manifest"]
+    )
+
+
+def test_notes_of_a_stranger_are_refused() -> None:
+    warning = {"code": "a", "frame": "b", "text": "c"}
+    assert Notes.from_plain({"warnings": [warning], "more": 1}).warnings == [warning]
+    for plain in ({"warnings": {}}, {"warnings": [{"code": 1, "frame": "", "text": ""}]}, {"metrics": []}):
+        with pytest.raises(FileError, match="notes aren't what a run writes"):
+            Notes.from_plain(plain)
 
 
 def test_artefacts_are_read_back_from_the_work_folder_or_the_recording(toys: Toys) -> None:
@@ -242,6 +326,51 @@ def test_a_stage_s_error_comes_home_whole(workers: int, toys: Toys) -> None:
     recording = read_recording(toys.run_folder / "run.mcap")
     assert recording.warnings[-1].text.startswith("UnknownNameError: unknown number '13'")
     assert [s.finished for s in recording.stages] == [True, False]
+
+
+class PickyError(Exception):
+    """An error whose constructor doesn't take what it keeps: it can't be unpickled."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def picky(item: int) -> int:
+    raise PickyError("salt", "pepper")
+
+
+def threads(item: int) -> list[str]:
+    return [os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]]
+
+
+def test_an_error_that_cannot_travel_says_at_least_what_it_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    with executor.Workers(2) as team:
+        context = Context(tmp_path, workers=team)
+        assert context.map("threads", threads, [1]) == [["1", "1"]]
+        assert os.environ["OMP_NUM_THREADS"] == "7"
+        with pytest.raises(GeomosaicError, match="PickyError: salt and pepper"):
+            context.map("picky", picky, [1])
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("bad", file="a.jpg", mend="mend it"),
+        FileError("cut", file="b.jpg"),
+        UnknownNameError("stage", "a.b", ["a.c"]),
+        OutputError("full", file="c.tif", mend="free some"),
+        PluginError("broken"),
+        CancelledError(),
+    ],
+)
+def test_errors_survive_pickling(error: GeomosaicError) -> None:
+    error.add_note("seen here")
+    back = pickle.loads(pickle.dumps(error))
+    assert type(back) is type(error) and str(back) == str(error)
+    assert vars(back) == vars(error) and back.__notes__ == ["seen here"]
 
 
 def test_a_worker_that_dies_is_an_error_and_the_rest_is_kept(toys: Toys) -> None:

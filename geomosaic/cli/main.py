@@ -15,6 +15,7 @@ from geomosaic.cli.mosaic import mosaic, name_methods, run
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
 from geomosaic.errors import CancelledError, GeomosaicError
+from geomosaic.pipeline.executor import ALGEBRA_THREADS
 
 # Small matrices on few cores: OpenBLAS's second thread costs more than it brings (tenfold when busy).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -66,6 +67,8 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command and returns the exit code; a failure is one line on stderr."""
     argv = list(sys.argv[1:] if argv is None else argv)
+    for name in ALGEBRA_THREADS:  # many small systems: threads would only wait for each other
+        os.environ.setdefault(name, "1")
     try:
         result = typer.main.get_command(build_app(argv))(argv, prog_name="geomosaic", standalone_mode=False)
         sys.stdout.flush()

@@ -13,6 +13,7 @@ from geomosaic.cli.options import Dask, FixedTime, RunFolder, Seed, Sets, Worker
 from geomosaic.errors import GeomosaicError
 
 if TYPE_CHECKING:
+    from geomosaic.pipeline.given import Given
     from geomosaic.pipeline.recipe import Recipe
 
 STAGES = (
@@ -70,6 +71,12 @@ def mosaic(
     dem_offset: Annotated[
         float | None, typer.Option(help="what to add to the DEM to have ellipsoidal heights", metavar="M")
     ] = None,
+    pos_crs: Annotated[
+        str | None, typer.Option(help="CRS of x and y in the POS file", metavar="EPSG:n")
+    ] = None,
+    ground_height: Annotated[
+        float | None, typer.Option(help="ellipsoidal height of flat ground [by the frames]", metavar="M")
+    ] = None,
     gcp: Annotated[Path | None, typer.Option(help="control and check points", metavar="F")] = None,
     crs: Annotated[str, typer.Option(help="map CRS of the mosaic: auto (UTM) or EPSG:n")] = "auto",
     gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
@@ -96,7 +103,9 @@ def mosaic(
             "dem_offset_m": dem_offset,
             "gcp": gcp,
             "crs": crs,
+            "pos_crs": pos_crs,
         },
+        "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
         "mosaic.compose": {"gsd_m": gsd},
         "quality.compare": {"reference": reference},
@@ -143,7 +152,7 @@ def execute(
     workers: int | None,
     dask: str | None,
     fixed_time: bool,
-    given: Mapping[int, Mapping[str, Any]] | None = None,
+    given: Mapping[int, Given] | None = None,
 ) -> None:
     """Runs a checked recipe with progress on stderr, and says on stdout where the results lie."""
     from geomosaic.cli.progress import progress

@@ -12,10 +12,19 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from geomosaic.pipeline.reporter import Reporter
+from geomosaic.pipeline.reporter import Reporter, Source
 from geomosaic.recording.reader import printable
 
 _SECONDS_BETWEEN_LINES = 10.0
+
+
+def _how(seconds: float, source: Source) -> str:
+    texts = {
+        "work": f"{seconds:.1f} s",
+        "cache": "unchanged, from the cache",
+        "recording": "from the recording",
+    }
+    return texts[source]
 
 
 class Lines:
@@ -43,9 +52,9 @@ class Lines:
         """A stage's warning."""
         self._line(f"warning: {text}")
 
-    def stage_finished(self, seconds: float, cached: bool) -> None:
+    def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
-        self._line(f"{self._name}: {'unchanged, from the cache' if cached else f'{seconds:.1f} s'}")
+        self._line(f"{self._name}: {_how(seconds, source)}")
 
 
 class Bar:
@@ -81,12 +90,12 @@ class Bar:
         """A stage's warning."""
         self._say(f"warning: {text}", style="yellow")
 
-    def stage_finished(self, seconds: float, cached: bool) -> None:
+    def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
         if self._task is not None:
             self._progress.remove_task(self._task)
             self._task = None
-        self._say(f"{self._name}: {'unchanged, from the cache' if cached else f'{seconds:.1f} s'}")
+        self._say(f"{self._name}: {_how(seconds, source)}")
 
 
 @contextmanager

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import shutil
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -17,7 +15,6 @@ from geomosaic.errors import FileError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
-    from geomosaic.recording import Recording
 
 app = typer.Typer()
 
@@ -75,6 +72,7 @@ def replay(
     names the files to read.
     """
     from geomosaic.cli.mosaic import execute
+    from geomosaic.pipeline.given import bring_files, frame_folders, given_stage
     from geomosaic.pipeline.recipe import parse_recipe
     from geomosaic.pipeline.registry import installed
     from geomosaic.recording import read_recording
@@ -87,12 +85,12 @@ def replay(
         raise FileError("it holds no recipe", file=path, mend="run the recipe itself")
     recipe = parse_recipe(recorded.recipe_yaml, installed(), set or (), file=str(path))
     first = _first_stage(recipe, start, set or [], path)
-    given = {i: _given(recorded, recipe, i) for i in range(first)}
-    _bring_files(recipe, given, path.absolute().parent, output.absolute())
+    given = {i: given_stage(recorded, recipe, i) for i in range(first)}
+    bring_files(recipe, given, path.absolute().parent, output.absolute())
     try:
         execute(recipe, output, workers, dask, fixed_time, given)
     except FileError as error:
-        for folder in _frame_folders(given):
+        for folder in frame_folders(given.values()):
             if not folder.is_dir():
                 mend = "put the frames back there, or replay from a stage that reads no pixels"
                 raise FileError("the frames' folder is gone", file=folder, mend=mend) from error
@@ -141,74 +139,6 @@ def _first_stage(recipe: Recipe, start: str, sets: list[str], file: Path) -> int
         problem = f"--set {changed[earlier]} changes a stage before {start}"
         raise InputError(problem, mend=f"replay with --from {ids[earlier]}")
     return first
-
-
-def _given(recorded: Recording, recipe: Recipe, index: int) -> dict[str, Any]:
-    """The recorded outputs of a stage."""
-    from geomosaic.pipeline.artefacts import decode
-    from geomosaic.recording import artefact_data
-
-    stage = recipe.steps[index].stage
-    done = next(
-        (s for s in recorded.stages if s.index == index and s.stage_id == stage.id and s.finished), None
-    )
-    kept = {a.name: a for a in recorded.artefacts if a.stage_index == index}
-    if done is None or not kept.keys() >= stage.outputs.keys():
-        problem = f"the recording has no whole outcome of stage {stage.id}"
-        raise FileError(
-            problem, file=recorded.path, mend=f"replay with --from {stage.id} or an earlier stage"
-        )
-    given: dict[str, Any] = {}
-    for name, kind in stage.outputs.items():
-        try:
-            given[name] = decode(artefact_data(recorded, kept[name]), kind)
-        except FileError as error:
-            mend = f"replay with --from {stage.id} or an earlier stage"
-            raise FileError(error.problem, file=recorded.path, mend=mend) from error
-    return given
-
-
-def _bring_files(
-    recipe: Recipe, given: dict[int, dict[str, Any]], recorded_folder: Path, output: Path
-) -> None:
-    """Copies into the new run folder the files that given artefacts name and later stages take."""
-    from geomosaic.pipeline.files import path_within, writing
-
-    later = recipe.steps[len(given) :]
-    wanted = {name for step in later for name in (*step.stage.inputs, *step.stage.optional_inputs)}
-    for index, outputs in given.items():
-        for name in wanted & outputs.keys():
-            for file in _named_files(outputs[name]):
-                try:
-                    source, target = path_within(recorded_folder, file), path_within(output, file)
-                except ValueError as error:
-                    raise FileError(str(error), file=recorded_folder) from error
-                if not source.is_file():
-                    id = recipe.steps[index].stage.id
-                    mend = f"replay with --from {id} or an earlier stage"
-                    raise FileError(f"the file of '{name}' is gone", file=source, mend=mend)
-                with writing(target) as temporary:
-                    shutil.copyfile(source, temporary)
-
-
-def _named_files(artefact: Any) -> list[str]:
-    """Names of files in the run folder that an artefact stands for: of `RunFile`s, and below work/."""
-    from geomosaic.pipeline.context import RunFile
-
-    if isinstance(artefact, RunFile):
-        return [artefact.name]
-    if isinstance(artefact, str):
-        return [artefact] if artefact.startswith("work/") else []
-    if dataclasses.is_dataclass(artefact):
-        return [n for f in dataclasses.fields(artefact) for n in _named_files(getattr(artefact, f.name))]
-    return [n for item in artefact for n in _named_files(item)] if isinstance(artefact, tuple) else []
-
-
-def _frame_folders(given: dict[int, dict[str, Any]]) -> list[Path]:
-    """The folders of the frames of a given survey."""
-    surveys = [outputs["survey"] for outputs in given.values() if "survey" in outputs]
-    paths = [Path(frame.path) for survey in surveys for frame in getattr(survey, "frames", ())]
-    return list(dict.fromkeys(path.parent for path in paths))
 
 
 def _console() -> Console:

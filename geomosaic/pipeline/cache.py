@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,8 @@ from typing import Any
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import decode, encode, fingerprint_of_bytes, fingerprint_of_json
-from geomosaic.pipeline.context import Notes
+from geomosaic.pipeline.context import Context, Notes
+from geomosaic.pipeline.given import Given
 from geomosaic.pipeline.params import StageParams, file_values, output_values
 from geomosaic.pipeline.recipe import Step
 from geomosaic.pipeline.stage import Stage
@@ -45,11 +48,16 @@ class Held:
 
 @dataclass(frozen=True)
 class Finished:
-    """A stage's outcome in the cache."""
+    """A stage's outcome on disk.
+
+    calls: what it told; None for a stage from a recording, whose messages are copied.
+    used: the folders and files it lives on.
+    """
 
     outputs: dict[str, Held]
     notes: Notes
-    calls: Path
+    calls: Path | None
+    used: tuple[Path, ...]
 
 
 def file_manifest(
@@ -103,7 +111,10 @@ class StageCache:
                 outputs[name] = Held(kind, mark, path)
             calls = folder / "calls"
             calls.stat()
-            return Finished(outputs, Notes(**entry["notes"]), calls)
+            beside = [
+                files.path_within(self._run_folder, name) for name in (*entry["files"], *entry["items"])
+            ]
+            return Finished(outputs, Notes.from_plain(entry["notes"]), calls, (folder, *beside))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, FileError):
             return None
 
@@ -112,17 +123,17 @@ class StageCache:
         stage: type[Stage],
         key: str,
         values: Mapping[str, Any],
-        notes: Notes,
-        kept: Iterable[Path],
+        context: Context,
         manifest: Mapping[str, Mapping[str, str]],
         calls: Path,
     ) -> Finished:
-        """Stores a stage's outcome; `calls` moves into the cache."""
+        """Stores the outcome of a stage that ran in a context; `calls` moves into the cache."""
         folder = self.folder(stage.id, key)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "entry.json").unlink(missing_ok=True)
         written = {
-            path.relative_to(self._run_folder).as_posix(): self._hashes.of_written(path) for path in kept
+            path.relative_to(self._run_folder).as_posix(): self._hashes.of_written(path)
+            for path in context.kept
         }
         beside = [written, {name: dict(content) for name, content in manifest.items()}]
         outputs, entry_outputs = {}, {}
@@ -135,6 +146,40 @@ class StageCache:
             outputs[name] = Held(kind, mark, path, values[name])
             entry_outputs[name] = (content, mark)
         calls = calls.replace(folder / "calls")
-        entry = {"outputs": entry_outputs, "files": written, "notes": asdict(notes)}
+        items = [path.relative_to(self._run_folder).as_posix() for path in context.lasting_items]
+        entry = {"outputs": entry_outputs, "files": written, "items": items, "notes": asdict(context.notes)}
         files.write_json(folder / "entry.json", entry)
-        return Finished(outputs, notes, calls)
+        return Finished(outputs, context.notes, calls, (folder, *context.kept, *context.lasting_items))
+
+    def keep_given(self, stage: type[Stage], given: Given) -> Finished:
+        """Stores the outputs of a stage as a recording has them, under their recorded fingerprints."""
+        marks = {name: given.entries[name].fingerprint for name in stage.outputs}
+        folder = self.folder(stage.id, f"given-{fingerprint_of_json(marks)}")
+        folder.mkdir(parents=True, exist_ok=True)
+        outputs = {}
+        for name, kind in stage.outputs.items():
+            path = folder / f"{name}.artefact"
+            files.write_bytes(path, given.data(name))
+            outputs[name] = Held(kind, marks[name], path, given.outputs[name])
+        brought = [files.path_within(self._run_folder, name) for name in given.files()]
+        return Finished(outputs, given.notes, None, (folder, *brought))
+
+    def prune(self, used: Iterable[Path]) -> None:
+        """Deletes everything in RUN/work but these folders and files, the lock and the hashes."""
+        work = self._run_folder / "work"
+        kept = {*used, work / "lock", work / "hashes.json"}
+        above = {folder for path in kept for folder in path.parents}
+        _prune(work, kept, above)
+
+
+def _prune(folder: Path, kept: set[Path], above: set[Path]) -> None:
+    for path in folder.iterdir():
+        if path in kept:
+            continue
+        with suppress(OSError):
+            if path.is_symlink() or not path.is_dir():
+                path.unlink()
+            elif path in above:
+                _prune(path, kept, above)
+            else:
+                shutil.rmtree(path)

@@ -48,6 +48,20 @@ class Notes:
     metrics: dict[str, Any] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
 
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Notes:
+        """Notes as `dataclasses.asdict` gave them. Raises `FileError` for anything else."""
+        notes = cls(**{name: copy.deepcopy(plain[name]) for name in cls().__dict__ if name in plain})
+        warnings = notes.warnings if isinstance(notes.warnings, list) else [None]
+        whole = isinstance(notes.metrics, dict) and isinstance(notes.report, dict)
+        for warning in warnings:
+            texts = list(warning.values()) if isinstance(warning, dict) else []
+            named = isinstance(warning, dict) and warning.keys() == {"code", "frame", "text"}
+            whole = whole and named and all(isinstance(text, str) for text in texts)
+        if not whole:
+            raise FileError("a stage's notes aren't what a run writes")
+        return notes
+
     def add_to(self, summary: dict[str, Any]) -> None:
         """Adds these notes to a summary of the shape of run.json."""
         summary.setdefault("warnings", []).extend(copy.deepcopy(self.warnings))
@@ -79,7 +93,11 @@ def plain(value: Any) -> Any:
 
 
 class Context:
-    """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test."""
+    """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test.
+
+    seed: the recipe's, for a stage that tells it; randomness comes from `rng`.
+    lasting_items: where `map` keeps results that outlive the stage's own outcome.
+    """
 
     def __init__(
         self,
@@ -107,10 +125,11 @@ class Context:
         self.fixed_time = fixed_time
         self.notes = Notes()
         self.kept: list[Path] = []
+        self.lasting_items: list[Path] = []
         self._version = version
         self._workers = workers or Workers()
         self._hashes = hashes or files.FileHashes()
-        self._seed = seed
+        self.seed = seed
         self._key = key
         self._on_progress = on_progress
         self._on_warning = on_warning
@@ -156,7 +175,7 @@ class Context:
     def rng(self, purpose: str) -> np.random.Generator:
         """A random generator of the recipe's seed, this stage and this purpose alone."""
         name = int(fingerprint_of_bytes(f"{self.stage_id}/{purpose}".encode()), 16)
-        return np.random.default_rng(np.random.SeedSequence([self._seed, name]))
+        return np.random.default_rng(np.random.SeedSequence([self.seed, name]))
 
     @contextmanager
     def writing(self, filename: str) -> Iterator[Path]:
@@ -207,7 +226,8 @@ class Context:
         Results are kept under the stage's own fingerprint, `name`, and the item (or its key, if the item
         is no artefact), so any change to the stage's parameters or inputs redoes them all. With
         `reads`, which names the files the function reads for an item, they are kept under the item and
-        those files' contents alone, and so outlive changes that don't touch them.
+        those files' contents alone, and so outlive changes that don't touch them; the others go when
+        the run is finished.
         """
         items = list(items)
         returns = _returns(function)
@@ -256,6 +276,8 @@ class Context:
             read = [] if reads is None else [self._hashes.of_file(Path(path)) for path in reads(item)]
             mark = fingerprint_of_json([*base, fingerprint(key), *read])
             paths.append(self.work_folder / "items" / mark[:2] / mark[2:])
+        if reads is not None:
+            self.lasting_items += [path for path in paths if path is not None]
         return paths
 
 

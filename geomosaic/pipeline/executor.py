@@ -1,6 +1,6 @@
 """Who does the work: this process, local processes or Dask, all in the shape of `concurrent.futures`.
 
-This module imports nothing heavy, so that a new worker process sets its thread limits before numpy.
+A worker process is started with its thread limits in the environment, so that numpy finds them.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -16,45 +17,40 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing.context import SpawnContext
 from typing import Any
 
 from geomosaic.errors import GeomosaicError, InputError
 
-_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""How many threads numpy and scipy start, read when they are first imported."""
 
+_THREAD_LIMITS = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM")
 
 DASK_TIMEOUT_S = 10.0
 
 
-@dataclass(frozen=True)
-class _Failure:
-    """An exception on its way home: many can't be pickled whole."""
-
-    kind: type[BaseException]
-    args: tuple[Any, ...]
-    state: dict[str, Any]
-    trace: str
-
-    def error(self) -> BaseException:
-        error = self.kind.__new__(self.kind, *self.args)
-        error.args = self.args
-        error.__dict__.update(self.state)
-        error.add_note(f"in a worker process:\n{self.trace}")
-        return error
-
-
 def _guarded(function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
-    """(result or failure, process id, peak memory of that process in bytes); runs in the worker."""
+    """(result, process id, peak memory of that process in bytes); runs in the worker."""
     cv2 = sys.modules.get("cv2")
     if cv2 is not None:
         cv2.setNumThreads(1)
     try:
-        result = function(item)
+        return function(item), os.getpid(), peak_memory_bytes()
     except Exception as error:
-        result = _Failure(type(error), error.args, dict(error.__dict__), traceback.format_exc())
-    return result, os.getpid(), peak_memory_bytes()
+        error.add_note(f"in a worker process:\n{traceback.format_exc()}")
+        raise _portable(error) from None
+
+
+def _portable(error: Exception) -> Exception:
+    """The error, or what it says where it can't be pickled: it would break the pool."""
+    try:
+        pickle.loads(pickle.dumps(error))  # noqa: S301  made here
+    except Exception:
+        said = GeomosaicError(f"{type(error).__name__}: {error}")
+        said.__notes__ = error.__notes__
+        return said
+    return error
 
 
 def peak_memory_bytes() -> int:
@@ -72,13 +68,15 @@ class _Here(Executor):
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        future.set_result(function(*args, **kwargs))
+        try:
+            future.set_result(function(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
         return future
 
 
 def _start_worker() -> None:
-    """Limits a new worker to one thread and lets it die with its parent, however that dies."""
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    """Lets a new worker die with its parent, however that dies."""
     parent = multiprocessing.parent_process()
     if parent is not None:
 
@@ -100,6 +98,21 @@ class _Processes(SpawnContext):
         process = multiprocessing.get_context("spawn").Process(*args, **kwargs)
         self.started.append(process)
         return process
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """A process started in here has one thread, whatever it imports before its first task."""
+    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextmanager
@@ -159,7 +172,7 @@ class Workers:
     def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         """A future of what `result` understands."""
         try:
-            with _without_interrupts():
+            with _without_interrupts(), _one_thread_each():
                 return self._executor().submit(_guarded, function, item)
         except BrokenProcessPool as error:
             raise _died() from error
@@ -171,8 +184,6 @@ class Workers:
         except BrokenProcessPool as error:
             raise _died() from error
         self.peak_memory_bytes[pid] = max(peak, self.peak_memory_bytes.get(pid, 0))
-        if isinstance(result, _Failure):
-            raise result.error()
         return result
 
     def __enter__(self) -> Workers:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -16,6 +17,7 @@ from geomosaic.errors import FileError, GeomosaicError, OutputError
 from geomosaic.pipeline.artefacts import fingerprint_of_json
 
 _CHUNK_BYTES = 1 << 20
+_LEFTOVER = re.compile(r"\..+\.\d+\.(part(\..+)?|old)")
 _SIDECARS = (".prj", ".tfw", ".jgw", ".wld")
 _MENDS = {
     errno.ENOSPC: ("no space left on the disk", "free some or choose another output folder"),
@@ -87,6 +89,13 @@ def writing(path: Path) -> Iterator[Path]:
         _remove(temporary)
 
 
+def sweep(folder: Path) -> None:
+    """Removes what killed runs left half-written in a folder that no other run is writing to."""
+    for path in folder.iterdir():
+        if _LEFTOVER.fullmatch(path.name):
+            _remove(path)
+
+
 def disk_is_full(folder: Path) -> bool:
     """Whether less than 1 MiB is left, as after a driver's failed write."""
     try:
@@ -129,6 +138,7 @@ class FileHashes:
     def __init__(self, memory: Path | None = None) -> None:
         self._memory = memory
         self._known: dict[str, list[Any]] = {}
+        self._asked: set[str] = set()
         self._new = False
         if memory is not None:
             with suppress(OSError, ValueError):
@@ -141,6 +151,7 @@ class FileHashes:
             stat = path.stat()
             mark = [stat.st_size, stat.st_mtime_ns]
             known = self._known.get(str(path))
+            self._asked.add(str(path))
             if isinstance(known, list) and known[:2] == mark and isinstance(known[-1], str):
                 return known[-1]
             digest = blake2b(digest_size=20)
@@ -178,6 +189,11 @@ class FileHashes:
             files = sorted(p for p in path.rglob("*") if p.is_file())
             return fingerprint_of_json([[p.relative_to(path).as_posix(), self.of_file(p)] for p in files])
         return self.of_file(path)
+
+    def forget_unasked(self) -> None:
+        """Forgets the files that nobody asked for since the start."""
+        self._new = self._new or self._known.keys() != self._asked
+        self._known = {path: mark for path, mark in self._known.items() if path in self._asked}
 
     def save(self) -> None:
         """Keeps what is known for the next run."""

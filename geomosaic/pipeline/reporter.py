@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol
+
+Source = Literal["work", "cache", "recording"]
+"""Where a stage's outcome is from: it was worked out, or taken from RUN/work or from a recording."""
 
 
 class Reporter(Protocol):
@@ -17,7 +20,7 @@ class Reporter(Protocol):
     def warning(self, text: str) -> None:
         """A stage's warning."""
 
-    def stage_finished(self, seconds: float, cached: bool) -> None:
+    def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
 
 
@@ -33,5 +36,5 @@ class Silent:
     def warning(self, text: str) -> None:
         """Nothing."""
 
-    def stage_finished(self, seconds: float, cached: bool) -> None:
+    def stage_finished(self, seconds: float, source: Source) -> None:
         """Nothing."""

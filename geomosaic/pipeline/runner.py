@@ -6,19 +6,21 @@ import fcntl
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import CancelledError, GeomosaicError, OutputError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes, type_name
+from geomosaic.pipeline.artefacts import type_name
 from geomosaic.pipeline.cache import Finished, Held, StageCache, file_manifest, stage_key
-from geomosaic.pipeline.context import Context, Notes
+from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes
+from geomosaic.pipeline.given import Given
 from geomosaic.pipeline.recipe import Recipe, Step
 from geomosaic.pipeline.recorded import StageRecorder, record_again
-from geomosaic.pipeline.reporter import Reporter, Silent
+from geomosaic.pipeline.reporter import Reporter, Silent, Source
 from geomosaic.pipeline.single import check_outputs
 from geomosaic.pipeline.stage import Stage
 from geomosaic.recording.writer import Recorder
@@ -47,14 +49,16 @@ def run(
     workers: int = 1,
     dask: str | None = None,
     fixed_time: bool = False,
-    given: Mapping[int, Mapping[str, Any]] | None = None,
+    given: Mapping[int, Given] | None = None,
     reporter: Reporter | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> dict[str, Any]:
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
-    given: outputs by name of steps (by index) that are not to be run, as taken from a recording.
-    fixed_time: equal runs give equal bytes in run.mcap.
+    What the finished run did not use is then deleted from RUN/work.
+
+    given: outcomes of steps (by index) that are not to be run, as taken from a recording.
+    fixed_time: equal runs give equal bytes in run.mcap; clock times stand in run.json alone.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
     recording then ends with the error, and the folder has no run.json, but finished work stays cached.
     """
@@ -65,6 +69,7 @@ def run(
     files.make_folder(run_folder / "work")
     with _locked(run_folder), Workers(workers, dask) as team:
         (run_folder / RUN_JSON).unlink(missing_ok=True)
+        files.sweep(run_folder)
         hashes = files.FileHashes(run_folder / "work" / "hashes.json")
         try:
             with Recorder(run_folder / RECORDING, fixed_time=fixed_time) as recorder:
@@ -101,9 +106,10 @@ class _Run:
         self._cache = StageCache(run_folder, hashes)
         self._held: dict[str, Held] = {}
         self._manifests: list[dict[str, dict[str, str]]] = []
+        self._used: list[Path] = []
         self._summary: dict[str, Any] = {}
 
-    def run(self, given: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+    def run(self, given: Mapping[int, Given]) -> dict[str, Any]:
         stage = ""
         try:
             self._begin(given)
@@ -114,14 +120,14 @@ class _Run:
                 started = time.monotonic()
                 inputs = self._inputs(step.stage)
                 marks = {name: held.fingerprint for name, held in inputs.items()}
-                self._recorder.stage_started(
-                    stage, step.stage.version, step.params.model_dump(mode="json"), marks
-                )
-                finished, cached = self._step(i, step, inputs, given.get(i))
-                seconds = time.monotonic() - started
-                self._end_stage(step.stage, finished, seconds, cached)
-            self._summary["peak_memory_mb"] = round(self._peak_memory_mb(), 1)
+                version = given[i].record.version if i in given else step.stage.version
+                params = step.params.model_dump(mode="json")
+                self._recorder.stage_started(stage, version, params, marks, reads_run=not step.stage.cached)
+                finished, source = self._step(i, step, inputs, given.get(i))
+                self._end_stage(step.stage, finished, time.monotonic() - started, source)
             files.write_json(self._folder / RUN_JSON, self._summary)
+            self._cache.prune(self._used)
+            self._hashes.forget_unasked()
             return self._summary
         except KeyboardInterrupt:
             self._record_failure(stage, "stopped by the user")
@@ -132,11 +138,13 @@ class _Run:
                 raise files.output_error(error, Path(error.filename or self._folder)) from error
             raise
 
-    def _begin(self, given: Mapping[int, Any]) -> None:
+    def _begin(self, given: Mapping[int, Given]) -> None:
         manifest: dict[str, Any] = {}
         for i, step in enumerate(self._recipe.steps):
             content = {} if i in given else file_manifest(step.params, self._hashes, self._hashing)
             self._manifests.append(content)
+            if i in given:
+                manifest.update(given[i].manifest())
             for name, hashes in content.items():
                 path = str(getattr(step.params, name.partition("[")[0]))
                 manifest[f"{step.stage.id}.{name}"] = {"path": path, "files": hashes}
@@ -149,6 +157,7 @@ class _Run:
             "metrics": {},
             "timings_s": {},
             "cached_stages": [],
+            "recorded_stages": [],
             "artefacts": {},
         }
         self._recorder.begin_run(self._recipe.yaml(), self._summary["versions"], manifest)
@@ -164,24 +173,20 @@ class _Run:
         }
 
     def _step(
-        self, i: int, step: Step, inputs: Mapping[str, Held], given: Mapping[str, Any] | None
-    ) -> tuple[Finished, bool]:
+        self, i: int, step: Step, inputs: Mapping[str, Held], given: Given | None
+    ) -> tuple[Finished, Source]:
+        if given is not None:
+            for message in given.messages():
+                self._recorder.copy(*message)
+            return self._cache.keep_given(step.stage, given), "recording"
         marks = {name: held.fingerprint for name, held in inputs.items()}
         key = stage_key(step, marks, self._recipe.seed, self._manifests[i])
         spool = self._folder / "work" / step.stage.id / "calls.part"
         spool.parent.mkdir(parents=True, exist_ok=True)
-        if given is not None:
-            spool.write_bytes(b"")
-            key = "given-" + fingerprint_of_bytes(
-                b"".join(encode(given[name]) for name in step.stage.outputs)
-            )
-            return self._cache.keep(step.stage, key, given, Notes(), (), {}, spool), True
         finished = self._cache.find(step.stage, key) if step.stage.cached else None
-        if finished is not None:
+        if finished is not None and finished.calls is not None:
             record_again(finished.calls, self._recorder)
-            for warning in finished.notes.warnings:
-                self._reporter.warning(": ".join(filter(None, (warning["frame"], warning["text"]))))
-            return finished, True
+            return finished, "cache"
         recorder = StageRecorder(self._recorder, spool, step.stage.id)
         context = Context(
             self._folder,
@@ -196,7 +201,7 @@ class _Run:
             on_progress=self._reporter.progress,
             on_warning=self._reporter.warning,
             cancelled=self._cancelled,
-            summary=self._summary,
+            summary=self._timeless_summary() if self._fixed_time else self._summary,
         )
         try:
             context.check_cancelled()
@@ -204,12 +209,14 @@ class _Run:
         finally:
             recorder.close()
         check_outputs(step.stage, values)
-        return (
-            self._cache.keep(step.stage, key, values, context.notes, context.kept, self._manifests[i], spool),
-            False,
-        )
+        return self._cache.keep(step.stage, key, values, context, self._manifests[i], spool), "work"
 
-    def _end_stage(self, stage: type[Stage], finished: Finished, seconds: float, cached: bool) -> None:
+    def _timeless_summary(self) -> dict[str, Any]:
+        """The summary without what differs between equal runs."""
+        clock = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages")
+        return {name: value for name, value in self._summary.items() if name not in clock}
+
+    def _end_stage(self, stage: type[Stage], finished: Finished, seconds: float, source: Source) -> None:
         for name, held in finished.outputs.items():
             self._recorder.artefact(stage.id, name, type_name(held.type), held.fingerprint, held.data())
             self._held[name] = held
@@ -222,17 +229,22 @@ class _Run:
         self._summary["timings_s"][stage.id] = round(
             seconds + self._summary["timings_s"].get(stage.id, 0.0), 3
         )
-        if cached:
-            self._summary["cached_stages"].append(stage.id)
-        if not self._fixed_time:
-            how, peak_mb = "from the cache" if cached else "done", self._peak_memory_mb()
-            self._recorder.log(
-                "info", f"{how} in {seconds:.1f} s, peak memory {peak_mb:.0f} MB", stage=stage.id
-            )
+        self._summary["peak_memory_mb"] = peak_mb = round(self._peak_memory_mb(), 1)
+        if source != "work":
+            self._summary["cached_stages" if source == "cache" else "recorded_stages"].append(stage.id)
+            for warning in finished.notes.warnings:
+                self._reporter.warning(": ".join(filter(None, (warning["frame"], warning["text"]))))
         marks = {name: held.fingerprint for name, held in finished.outputs.items()}
-        self._recorder.stage_finished(stage.id, marks, None if self._fixed_time else seconds, cached)
+        self._recorder.stage_finished(
+            stage.id, marks, None if self._fixed_time else seconds, source != "work", asdict(finished.notes)
+        )
+        if not self._fixed_time:
+            how = {"work": "done", "cache": "from the cache", "recording": "from the recording"}[source]
+            text = f"{how} in {seconds:.1f} s, peak memory {peak_mb:.0f} MB"
+            self._recorder.log("info", text, stage=stage.id)
+        self._used += finished.used
         self._hashes.save()
-        self._reporter.stage_finished(seconds, cached)
+        self._reporter.stage_finished(seconds, source)
 
     def _peak_memory_mb(self) -> float:
         return (peak_memory_bytes() + sum(self._workers.peak_memory_bytes.values())) / 1e6

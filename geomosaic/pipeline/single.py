@@ -64,5 +64,5 @@ def run_stage(
         )
         values = stage().run(inputs or {}, params, context)
     check_outputs(stage, values)
-    reporter.stage_finished(time.monotonic() - started, False)
+    reporter.stage_finished(time.monotonic() - started, "work")
     return values, context.notes

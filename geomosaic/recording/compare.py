@@ -17,8 +17,9 @@ def compare(a: Recording, b: Recording) -> dict[str, Any]:
 
     `equal` says whether the runs did the same and came to the same: the recipe, the inputs, the stages
     with their versions, parameters and fingerprints, the moves of the frames, the warnings, and how
-    far each got. Durations, what came from the cache, and the environment don't count; the environment's
-    differences are listed. `first_stage` names the first stage that differs.
+    far each got. Durations, what came from the cache, the outputs of stages that tell of the run itself
+    (the report), and the environment don't count; the environment's differences are listed.
+    `first_stage` names the first stage that differs.
     """
     stages = _stages(a.stages, b.stages)
     out: dict[str, Any] = {
@@ -56,6 +57,7 @@ def _stages(a: list[StageRecord], b: list[StageRecord]) -> list[dict[str, Any]]:
             changes = {
                 name: _changes(getattr(left, name), getattr(right, name))
                 for name in ("version", "params", "inputs", "outputs", "finished")
+                if name != "outputs" or not (left.reads_run and right.reads_run)
             }
             if any(changes.values()):
                 out.append({"stage": left.stage_id} | {k: v for k, v in changes.items() if v})

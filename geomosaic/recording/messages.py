@@ -26,6 +26,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
     "Fingerprint": ("string name", "string fingerprint"),
     # One at a stage's start and one at its end. `seconds` is absent at the start and in a recording
     # with fixed times. `params_json` and `inputs` stand at the start, `outputs` and `notes_json` at the end.
+    # `reads_run`: the stage tells of the run itself, durations included, so its outputs differ every time.
     "StageEvent": (
         "string stage_id",
         "uint32 stage_index",
@@ -37,6 +38,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "repeated Fingerprint inputs",
         "repeated Fingerprint outputs",
         "string notes_json",
+        "bool reads_run",
     ),
     # One round of an adjustment: (left, right, east_m, north_m) are the misalignments of the pairs
     # before the moves, right minus left, NaN where unknown; (frame, move_east_m, move_north_m) the moves.

@@ -17,6 +17,7 @@ class StageRecord:
     """One stage of a run; `index` counts them in order of execution.
 
     `finished` is False where the run ended within it; seconds are None where unknown.
+    `reads_run`: it tells of the run itself, so that equal runs differ in its outputs.
     `notes` is what it added to run.json besides its artefacts.
     """
 
@@ -30,6 +31,7 @@ class StageRecord:
     cached: bool = False
     finished: bool = False
     notes: dict[str, Any] = field(default_factory=dict)
+    reads_run: bool = False
 
 
 @dataclass(frozen=True)

@@ -170,6 +170,7 @@ def _take_stage(stages: list[StageRecord], event: Any) -> None:
         inputs = {f.name: f.fingerprint for f in event.inputs}
         params = _json_object(event.params_json)
         stages.append(StageRecord(event.stage_index, event.stage_id, event.version, params, inputs))
+        stages[-1].reads_run = event.reads_run
         return
     if not stages or (stages[-1].index, stages[-1].stage_id) != (event.stage_index, event.stage_id):
         raise ValueError(f"stage {event.stage_id[:80]} ends without having begun")

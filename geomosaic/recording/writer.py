@@ -19,10 +19,12 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
 from numpy.typing import ArrayLike
 
 from geomosaic import __version__
 from geomosaic.camera.interior import Camera
+from geomosaic.errors import InputError
 from geomosaic.recording.messagefile import MessageFile
 from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, TiePoints
 
@@ -77,11 +79,21 @@ class Recorder:
         self.flush()
 
     def stage_started(
-        self, stage_id: str, version: int, params: Mapping[str, Any], input_fingerprints: Mapping[str, str]
+        self,
+        stage_id: str,
+        version: int,
+        params: Mapping[str, Any],
+        input_fingerprints: Mapping[str, str],
+        reads_run: bool = False,
     ) -> None:
-        """A stage begins; what is recorded until the next call belongs to it."""
+        """A stage begins; what is recorded until its end belongs to it.
+
+        `reads_run`: it tells of the run itself, such as durations, so equal runs differ in its outputs.
+        """
         self._stage_index += 1
-        event = StageEvent(stage_id=stage_id, stage_index=self._stage_index, version=version)
+        event = StageEvent(
+            stage_id=stage_id, stage_index=self._stage_index, version=version, reads_run=reads_run
+        )
         event.params_json = _json(params)
         for name, fingerprint in input_fingerprints.items():
             event.inputs.add(name=name, fingerprint=fingerprint)
@@ -249,8 +261,17 @@ class Recorder:
         self._file.write(f"/camera/{_topic_part(name)}", message)
 
     def copy(self, topic: str, schema: str, data: bytes) -> None:
-        """A message of another recording as it is, but for its time. See `reader.stage_messages`."""
-        self._file.write(topic, _CLASSES[schema].FromString(data))
+        """A message of another recording as it is, but for its time. See `reader.stage_messages`.
+
+        Raises InputError if it is none that a stage tells, or damaged.
+        """
+        if schema not in _CLASSES:
+            raise InputError(f"no stage tells a '{_topic_part(schema)}'", mend="replay from an earlier stage")
+        try:
+            message = _CLASSES[schema].FromString(data)
+        except DecodeError as error:
+            raise InputError(f"a {schema} is damaged", mend="replay from an earlier stage") from error
+        self._file.write(topic, message)
 
     def flush(self) -> None:
         """End the chunk and put everything on the disk."""

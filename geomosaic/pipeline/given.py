@@ -1,0 +1,109 @@
+"""Stages that are not run again: their outcome as a recording has it."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import FileError
+from geomosaic.pipeline.artefacts import decode
+from geomosaic.pipeline.context import Notes, RunFile
+from geomosaic.pipeline.files import path_within, writing
+from geomosaic.pipeline.recipe import Recipe
+from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
+from geomosaic.recording.reader import artefact_data, stage_messages
+
+
+@dataclass(frozen=True)
+class Given:
+    """A stage's outcome in a recording: its outputs, what it told, its notes, the files it read."""
+
+    recording: Recording
+    record: StageRecord
+    entries: Mapping[str, ArtefactEntry]
+    outputs: Mapping[str, Any]
+    notes: Notes
+
+    def data(self, name: str) -> bytes:
+        """An output's bytes, as they were recorded."""
+        return artefact_data(self.recording, self.entries[name])
+
+    def messages(self) -> Iterator[tuple[str, str, bytes]]:
+        """Topic, schema and bytes of all the stage told, for `Recorder.copy`."""
+        return stage_messages(self.recording, self.record.index)
+
+    def files(self) -> list[str]:
+        """Names of the files in the run folder that its outputs stand for."""
+        return [name for output in self.outputs.values() for name in _named_files(output)]
+
+    def manifest(self) -> dict[str, Any]:
+        """The stage's part of the recorded input manifest."""
+        own = f"{self.record.stage_id}."
+        return {name: files for name, files in self.recording.manifest.items() if name.startswith(own)}
+
+
+def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
+    """The recorded outcome of a recipe's step. Raises `FileError` if it isn't there, whole."""
+    stage = recipe.steps[index].stage
+    mend = f"replay with --from {stage.id} or an earlier stage"
+    record = next(
+        (s for s in recording.stages if s.index == index and s.stage_id == stage.id and s.finished), None
+    )
+    entries = {a.name: a for a in recording.artefacts if a.stage_index == index}
+    if record is None or not entries.keys() >= stage.outputs.keys():
+        problem = f"the recording has no whole outcome of stage {stage.id}"
+        raise FileError(problem, file=recording.path, mend=mend)
+    try:
+        outputs: dict[str, Any] = {
+            name: decode(artefact_data(recording, entries[name]), kind)
+            for name, kind in stage.outputs.items()
+        }
+        notes = Notes.from_plain(record.notes)
+    except FileError as error:
+        raise FileError(error.problem, file=recording.path, mend=mend) from error
+    return Given(recording, record, entries, outputs, notes)
+
+
+def bring_files(recipe: Recipe, given: Mapping[int, Given], recorded_folder: Path, run_folder: Path) -> None:
+    """Copies into a new run folder the files that given artefacts name.
+
+    A file that a later stage takes must be there (`FileError`); another is copied if it is one of the
+    run's results, and still lies there.
+    """
+    later = [step for i, step in enumerate(recipe.steps) if i not in given]
+    wanted = {name for step in later for name in (*step.stage.inputs, *step.stage.optional_inputs)}
+    for index, stage in given.items():
+        for name, artefact in stage.outputs.items():
+            for file in _named_files(artefact):
+                try:
+                    source, target = path_within(recorded_folder, file), path_within(run_folder, file)
+                except ValueError as error:
+                    raise FileError(str(error), file=recorded_folder) from error
+                if source.is_file() and (name in wanted or not file.startswith("work/")):
+                    with writing(target) as temporary:
+                        shutil.copyfile(source, temporary)
+                elif name in wanted:
+                    mend = f"replay with --from {recipe.steps[index].stage.id} or an earlier stage"
+                    raise FileError(f"the file of '{name}' is gone", file=source, mend=mend)
+
+
+def _named_files(artefact: Any) -> list[str]:
+    """Names of files in the run folder that an artefact stands for: of `RunFile`s, and below work/."""
+    if isinstance(artefact, RunFile):
+        return [artefact.name]
+    if isinstance(artefact, str):
+        return [artefact] if artefact.startswith("work/") else []
+    if dataclasses.is_dataclass(artefact):
+        return [n for f in dataclasses.fields(artefact) for n in _named_files(getattr(artefact, f.name))]
+    return [n for item in artefact for n in _named_files(item)] if isinstance(artefact, tuple) else []
+
+
+def frame_folders(given: Iterable[Given]) -> list[Path]:
+    """The folders of the frames of a given survey."""
+    surveys = [stage.outputs["survey"] for stage in given if "survey" in stage.outputs]
+    paths = [Path(frame.path) for survey in surveys for frame in getattr(survey, "frames", ())]
+    return list(dict.fromkeys(path.parent for path in paths))

@@ -1,0 +1,204 @@
+"""The whole staircase on a tiny simulated survey: equal bytes, resuming after a kill, replaying."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from test_cli_commands import COMMAND, gone
+
+from geomosaic.cli.main import main
+from geomosaic.pipeline.recipe import load_recipe
+from geomosaic.pipeline.registry import installed
+from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.runner import run
+from geomosaic.recording.reader import read_recording
+
+RECIPE = """name: tiny
+stages:
+  - {stage: survey.read, params: {frames: frames}}
+  - projection.ground
+  - placement.pos
+  - matching.sift
+  - adjustment.solve
+  - mosaic.compose
+  - export.cog
+  - export.layers
+  - export.report
+"""
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight frames in one line."""
+    folder = tmp_path_factory.mktemp("survey")
+    size = ["--width-px", "320", "--height-px", "240", "--ground-pixel-m", "0.2"]
+    assert main(["simulate", "frames", str(folder), "--lines", "1", "--frames-per-line", "8", *size]) == 0
+    (folder / "tiny.yaml").write_text(RECIPE)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def four(survey: Path) -> Path:
+    """The first four frames."""
+    folder = survey / "four"
+    folder.mkdir()
+    for i in range(1, 5):
+        os.link(survey / "frames" / f"F000{i}.jpg", folder / f"F000{i}.jpg")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(four: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of the four frames, with its durations in the report."""
+    folder = tmp_path_factory.mktemp("finished") / "RUN"
+    assert main(["mosaic", str(four), "-o", str(folder), "--workers", "1"]) == 0
+    return folder
+
+
+def files_of(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_two_runs_with_fixed_time_record_equal_bytes(four: Path, tmp_path: Path) -> None:
+    for name, workers in (("a", "1"), ("a longer name", "2")):
+        out = str(tmp_path / name)
+        assert main(["mosaic", str(four), "-o", out, "--fixed-time", "--workers", workers]) == 0
+    a, b = ((tmp_path / name / "run.mcap").read_bytes() for name in ("a", "a longer name"))
+    assert a == b and len(a) > 50_000
+    summary = json.loads((tmp_path / "a" / "run.json").read_text())
+    assert len(summary["timings_s"]) == 9 and summary["peak_memory_mb"] > 50
+
+
+def test_a_replay_without_changes_is_equal(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for start in ([], ["--from", "mosaic.compose"], ["--from", "export.report"]):
+        out = tmp_path / "-".join(["again", *start[1:]])
+        capsys.readouterr()
+        assert main(["replay", str(finished), "-o", str(out), *start, "--workers", "1"]) == 0
+        said = capsys.readouterr().err
+        assert said.count(": from the recording") == {"again": 0, "again-mosaic.compose": 5}.get(out.name, 8)
+        assert "from the cache" not in said
+        assert main(["diff", str(finished), str(out)]) == 0
+        assert capsys.readouterr().out.strip() == "the runs are equal"
+        for name in ("mosaic.tif", "positions.csv"):
+            assert (out / name).read_bytes() == (finished / name).read_bytes()
+    messages = [
+        {t.name: t.messages for t in read_recording(folder / "run.mcap").topics.values()}
+        for folder in (finished, out)
+    ]
+    assert messages[0] == messages[1]
+
+
+def test_a_replay_with_another_method_names_the_adjustment_and_the_frames(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change = ["--set", "adjustment.solve.method=chain", "--workers", "1"]
+    assert main(["replay", str(finished), "-o", str(tmp_path / "chain"), *change]) == 0
+    capsys.readouterr()
+    assert main(["diff", str(finished), str(tmp_path / "chain"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["first_stage"] == "adjustment.solve"
+    assert found["stages"][0]["params"] == {"method": ["bundle", "chain"]}
+    assert found["manifest"] == {} and found["warnings"] == []
+    (offsets,) = found["offsets"]
+    assert {f["frame"] for f in offsets["frames"]} == {f"F000{i}.jpg" for i in range(1, 5)}
+    assert 0.5 < offsets["largest_m"] < 50
+
+
+class Counts(Silent):
+    """How many results each kind of work began with."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, tuple[int, int]] = {}
+
+    def progress(self, done: int, total: int, text: str) -> None:
+        """The first word of each kind."""
+        self.found.setdefault(text, (done, total))
+
+
+def items(folder: Path) -> dict[Path, int]:
+    paths = (folder / "work" / "matching.sift" / "items").glob("*/*")
+    return {p: p.stat().st_mtime_ns for p in paths if not p.name.startswith(".")}
+
+
+@pytest.fixture
+def killed(survey: Path, tmp_path: Path) -> Iterator[Path]:
+    """The folder of a run killed with SIGKILL among the pairs."""
+    folder = tmp_path / "RUN"
+    process = subprocess.Popen(
+        [*COMMAND, "run", str(survey / "tiny.yaml"), "-o", str(folder), "--workers", "2"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        end = time.monotonic() + 60
+        while len(items(folder)) < 8 + 3:
+            assert process.poll() is None and time.monotonic() < end
+            time.sleep(0.005)
+        process.kill()
+        process.wait()
+        assert gone(process.pid, 10), "orphans"
+        yield folder
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def test_a_killed_run_is_readable_and_resumes_where_it_was(killed: Path, survey: Path) -> None:
+    recording = read_recording(killed / "run.mcap")
+    assert [s.stage_id for s in recording.stages if s.finished] == [
+        "survey.read", "projection.ground", "placement.pos",
+    ]  # fmt: skip
+    assert not recording.whole and recording.recipe_yaml.startswith("name: tiny")
+    assert not (killed / "run.json").exists()
+    before = items(killed)
+    counts = Counts()
+    summary = run(load_recipe(survey / "tiny.yaml", installed()), killed, reporter=counts)
+    assert counts.found["keypoints"] == (8, 8)
+    done, total = counts.found["pairs"]
+    assert 3 <= done < total and done == len(before) - 8
+    assert summary["cached_stages"] == ["survey.read", "projection.ground", "placement.pos"]
+    assert summary["frames"]["total"] == 8 and read_recording(killed / "run.mcap").whole
+    after = items(killed)
+    assert len(after) == 8 and after.items() <= before.items()
+    assert files_of(killed) == [
+        "layers.gpkg", "mosaic.tif", "positions.csv", "report.html",
+        "run.json", "run.mcap", "sources.tif", "work",
+    ]  # fmt: skip
+
+
+def test_pos_crs_and_ground_height_reach_their_stages(
+    four: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["mosaic", str(four), "-o", str(tmp_path / "r"), "--ground-height", "9999"]) == 2
+    assert "projection.ground: height_m = 9999" in capsys.readouterr().err
+    pos = tmp_path / "pos.csv"
+    rows = [f"F000{i}.jpg,{499_000 + 20 * i},5600000,200" for i in range(1, 5)]
+    pos.write_text("\n".join(["frame,x,y,height_ellipsoidal_m", *rows]))
+    arguments = ["mosaic", str(four), "-o", str(tmp_path / "r"), "--pos", str(pos), "--workers", "1"]
+    assert main(arguments) == 2
+    assert "--pos-crs" in capsys.readouterr().err
+    code = main([*arguments, "--pos-crs", "EPSG:32632", "--ground-height", "120.5"])
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    stages = read_recording(tmp_path / "r" / "run.mcap").stages
+    assert stages[0].params["pos_crs"] == "EPSG:32632" and stages[1].params["height_m"] == 120.5
+    summary = json.loads((tmp_path / "r" / "run.json").read_text())
+    assert summary["mosaic"]["crs"] == "EPSG:32632"
+
+
+def test_the_front_door_needs_no_numpy() -> None:
+    code = "import sys, geomosaic.cli.main; print([m for m in ('numpy', 'cv2', 'osgeo') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
