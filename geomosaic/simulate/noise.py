@@ -41,27 +41,38 @@ def lattice_noise(
 
     Args: col, row: the window's first pixel on the endless plane; shape: rows and cols.
     """
-    cols, from_cols = _cubic_weights(col, shape[1], spacing_px)
-    rows, from_rows = _cubic_weights(row, shape[0], spacing_px)
+    if spacing_px == 1:
+        cols, rows = np.arange(col, col + shape[1]), np.arange(row, row + shape[0])
+        return (hashed(seed, salt, cols[None, :], rows[:, None]) * 2.0 - 1.0).astype(np.float32)
+    cols, first_col, col_weights = _cubic_weights(col, shape[1], spacing_px)
+    rows, first_row, row_weights = _cubic_weights(row, shape[0], spacing_px)
     lattice = (hashed(seed, salt, cols[None, :], rows[:, None]) * 2.0 - 1.0).astype(np.float32)
-    return lattice if spacing_px == 1 else np.asarray(from_rows @ lattice @ from_cols.T)
+    tall = np.zeros((shape[0], cols.size), dtype=np.float32)
+    for k in range(4):
+        tall += row_weights[k][:, None] * lattice[first_row + k]
+    noise = np.zeros(shape, dtype=np.float32)
+    for k in range(4):
+        noise += col_weights[k] * tall[:, first_col + k]
+    return noise
 
 
 @lru_cache(maxsize=256)
-def _cubic_weights(start: int, count: int, spacing_px: int) -> tuple[NDArray[np.int64], Floats32]:
-    """Lattice indices that pixels start ... start + count need, and their weights (count, indices).
+def _cubic_weights(
+    start: int, count: int, spacing_px: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats32]:
+    """Lattice indices that pixels start ... start + count need, and each pixel's first and four weights.
 
-    The cubic convolution kernel of Keys 1981 with a = -0.5, at the pixels' centres.
+    The cubic convolution kernel of Keys 1981 with a = -0.5, at the pixels' centres. Not as a product of
+    matrices: BLAS would keep every core busy with waiting.
     """
-    if spacing_px == 1:
-        return np.arange(start, start + count), np.eye(0, dtype=np.float32)
     first = start // spacing_px - 2
     indices = np.arange(first, (start + count) // spacing_px + 3)
     at = (np.arange(start, start + count) + 0.5) / spacing_px - 0.5
-    d = np.abs(at[:, None] - indices)
+    left = np.floor(at).astype(np.int64) - 1
+    d = np.abs(at - (left + np.arange(4)[:, None]))
     near = (1.5 * d - 2.5) * d * d + 1.0
     far = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
-    return indices, np.where(d < 1.0, near, np.where(d < 2.0, far, 0.0)).astype(np.float32)
+    return indices, left - first, np.where(d < 1.0, near, np.where(d < 2.0, far, 0.0)).astype(np.float32)
 
 
 def fractal_noise(
