@@ -35,9 +35,8 @@ class _Map:
 
     def foot(self) -> list[str]:
         """A scale bar with its length, and north."""
-        metres = next(
-            t for t in reversed(nice_ticks(0.0, 160.0 / self.px_per_m, 2)) if t * self.px_per_m <= 170
-        )
+        longest = 170.0 / self.px_per_m
+        metres = max(t for t in nice_ticks(0.0, longest, 4) if t <= longest)
         x, y = _MARGIN, self.height - 24
         words = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
         return [
