@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -17,6 +19,7 @@ from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.telling import outline_feature, record_locations
 from geomosaic.survey.model import Survey
+from geomosaic.survey.names import some
 
 
 class PlacementPos(Stage):
@@ -74,6 +77,7 @@ class PlacementPos(Stage):
                 )
         outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
         reach_m = float(np.median(misplacement_m(poses, cameras, ground)))
+        _warn_of_control_outside(context, survey, outlines, reach_m)
         pixels = [ground_sampling_distance_m(poses[i], cameras[i], ground) for i in range(len(names))]
         placement = Placement(
             poses=poses,
@@ -92,3 +96,19 @@ class PlacementPos(Stage):
         context.metric("placement.flight_lines", max(lines) + 1)
         context.metric("placement.candidate_pairs", len(placement.pairs))
         return {"placement": placement}
+
+
+def _warn_of_control_outside(
+    context: Context, survey: Survey, outlines: Sequence[NDArray[np.float64]], reach_m: float
+) -> None:
+    """Names the control points that no frame can have seen, however wrong its position is."""
+    if not survey.control:
+        return
+    seen = shapely.union_all([shapely.Polygon(o[:, :2]).buffer(reach_m) for o in outlines if len(o) >= 3])
+    lonlat = np.array([[p.lon_deg, p.lat_deg, p.height_ellipsoidal_m] for p in survey.control])
+    at = survey.work_frame.enu_from_geodetic(*lonlat.T)
+    outside = [
+        p.name for p, x in zip(survey.control, at, strict=True) if not seen.covers(shapely.Point(x[:2]))
+    ]
+    if outside:
+        context.warn("control-outside", "", f"control points outside every frame: {some(outside)}")

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geomosaic.errors import InputError
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
@@ -29,6 +34,8 @@ ALIASES: Final[Aliases] = {
 }
 """Columns of a table of control points; a point has one line per picture it was measured in, or one."""
 
+Floats = NDArray[np.float64]
+_FAR_M: Final = 5000.0
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 
 
@@ -85,6 +92,42 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
         text = f"{path.name}: {len(strangers)} measurements in pictures that aren't here ({some(strangers)})"
         warnings.append(Warn("control-image-missing", "", text))
     return tuple(points.values()), warnings
+
+
+def check_control(
+    path: Path, points: Sequence[ControlPoint], lonlat: Floats, sizes_px: Mapping[str, tuple[int, int]]
+) -> None:
+    """Measurements lie in their pictures, and some point lies near the frames.
+
+    Args: lonlat: (n, 2) of the frames; sizes_px: width and height of each frame by name.
+    Raises: `InputError` naming the first point that is wrong.
+    """
+    for point in points:
+        for frame, col, row in point.images:
+            width, height = sizes_px[frame]
+            if not (0.0 <= col <= width and 0.0 <= row <= height):
+                raise InputError(
+                    f"point '{point.name}' is measured at {col:g}, {row:g} in {frame}, "
+                    f"which has {width} x {height} pixels",
+                    file=path,
+                    mend="count pixels of the frame as it was taken, columns first",
+                )
+    if not points:
+        return
+    at = np.array([[p.lon_deg, p.lat_deg] for p in points])
+    middle = np.broadcast_to(np.median(lonlat, axis=0), at.shape)
+    extent = np.linalg.norm(
+        mid_latitude_offset_m(*lonlat.T, *np.broadcast_to(middle[0], lonlat.shape).T), axis=1
+    )
+    away = np.linalg.norm(mid_latitude_offset_m(*at.T, *middle.T), axis=1)
+    i = int(np.argmin(away))
+    if away[i] > extent.max() + _FAR_M:
+        raise InputError(
+            f"all control points lie far from the frames, the nearest, '{points[i].name}', "
+            f"{away[i] / 1000.0:.1f} km from their middle",
+            file=path,
+            mend="check the coordinate reference system and the order of the columns",
+        )
 
 
 def _is_check(table: Table, row: Row, name: str) -> bool:

@@ -12,7 +12,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import cameras_from_file, cameras_from_headers
-from geomosaic.survey.control import read_control
+from geomosaic.survey.control import check_control, read_control
 from geomosaic.survey.elevation import read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader, read_header
@@ -72,6 +72,9 @@ def read_survey(
     if dem is not None:
         elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, names, lonlat)
     control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
+    if gcp is not None:
+        sizes = {h.path.name: (h.width_px, h.height_px) for h in headers}
+        check_control(gcp, control, lonlat, sizes)
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
     work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, heights))
