@@ -1,0 +1,41 @@
+"""Small simulated surveys, and the command line run in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from geomosaic.cli.main import main
+from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.survey import SimulatedSurvey, simulate_frames
+
+NOISE_M = 0.4
+"""Of each axis of a position."""
+
+
+def small_survey(out: Path, **plan: Any) -> SimulatedSurvey:
+    """480 x 360 frames from 50 m, pixels of 0.1 m: two lines of four unless told otherwise."""
+    usual = {"lines": 2, "frames_per_line": 4, "width_px": 480, "height_px": 360, "seed": 3}
+    noise = {"position_sd_m": NOISE_M, "height_sd_m": NOISE_M}
+    return simulate_frames(out, SurveyPlan(**{**usual, **noise, "height_above_ground_m": 50.0, **plan}))
+
+
+def geomosaic(*arguments: object) -> int:
+    """Runs a command; its output goes to this process's stdout and stderr."""
+    return main([str(a) for a in arguments])
+
+
+def mosaic(frames: Path, run: Path, *arguments: object) -> int:
+    """`geomosaic mosaic` with one worker."""
+    return geomosaic("mosaic", frames, "-o", run, "--workers", 1, *arguments)
+
+
+def summary(run: Path) -> dict[str, Any]:
+    """run.json."""
+    return json.loads((run / "run.json").read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+
+
+def warned(run: Path, code: str) -> list[str]:
+    """The frames that warnings of a code name."""
+    return [w["frame"] for w in summary(run)["warnings"] if w["code"] == code]
