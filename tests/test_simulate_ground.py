@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from geomosaic.simulate.landscape import Building, Landscape
 from geomosaic.simulate.noise import hashed, lattice_noise, spline_noise
-from geomosaic.simulate.terrain import BLOCK_PX, Ground, Relief, hills
+from geomosaic.simulate.relief import Relief, hills
+from geomosaic.simulate.terrain import BLOCK_PX, Ground
 
 COL, ROW = 6_711_800, -53_300_200
 

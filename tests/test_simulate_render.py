@@ -14,9 +14,10 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.simulate.flight import fly
 from geomosaic.simulate.landscape import Building, Landscape
 from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.relief import Relief
 from geomosaic.simulate.render import World, develop, render, sight_of
 from geomosaic.simulate.survey import world_of
-from geomosaic.simulate.terrain import Ground, Relief
+from geomosaic.simulate.terrain import Ground
 
 WORK = LocalFrame(11.3, 48.1, 520.0)
 MAP = MapProjection("EPSG:32632")

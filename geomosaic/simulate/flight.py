@@ -27,7 +27,8 @@ class Flight:
 
     lon_lat_height: (n, 3) geodetic; yaw_pitch_roll_deg: (n, 3) body angles, see `Attitude`, against the
     north and the vertical of each frame; poses: the same in the work frame; time_s: (n,) since 1970;
-    line: (n,) number of the flight line.
+    line: (n,) number of the flight line;
+    velocity_m_per_s: (n, 3) along the planned course, level, in the work frame.
     """
 
     work_frame: LocalFrame
@@ -36,6 +37,7 @@ class Flight:
     poses: Poses
     time_s: Floats
     line: NDArray[np.int64]
+    velocity_m_per_s: Floats
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,9 @@ def _planned(plan: SurveyPlan) -> Flight:
     yaw = plan.heading_deg + np.where(backward, 180.0, 0.0) + plan.wander_yaw_deg * wander[:, 3]
     attitude = np.column_stack([yaw % 360.0, plan.wander_tilt_deg * wander[:, 4:]])
     time_s = START_S + np.arange(n) * base / plan.speed_m_per_s + line * _TURN_S
-    return _flight(work_frame, geodetic, attitude, time_s, line)
+    course = heading + np.where(backward, np.pi, 0.0)
+    velocity = plan.speed_m_per_s * np.column_stack([np.sin(course), np.cos(course), np.zeros(n)])
+    return _flight(work_frame, geodetic, attitude, time_s, line, velocity)
 
 
 def paper_table() -> list[dict[str, float]]:
@@ -109,11 +113,18 @@ def _paper(plan: SurveyPlan) -> Flight:
     work_frame = LocalFrame(float(middle[0]), float(middle[1]), plan.ground_height_m)
     flown = np.linalg.norm(np.diff(work_frame.enu_from_geodetic(*geodetic.T), axis=0), axis=1)
     time_s = START_S + np.concatenate([[0.0], np.cumsum(flown / plan.speed_m_per_s)])
-    return _flight(work_frame, geodetic, attitude, time_s, np.zeros(len(table), dtype=np.int64))
+    ahead = np.gradient(work_frame.enu_from_geodetic(*geodetic.T), axis=0) * [1.0, 1.0, 0.0]
+    velocity = plan.speed_m_per_s * ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    return _flight(work_frame, geodetic, attitude, time_s, np.zeros(len(table), dtype=np.int64), velocity)
 
 
 def _flight(
-    work_frame: LocalFrame, geodetic: Floats, attitude_deg: Floats, time_s: Floats, line: NDArray[np.int64]
+    work_frame: LocalFrame,
+    geodetic: Floats,
+    attitude_deg: Floats,
+    time_s: Floats,
+    line: NDArray[np.int64],
+    velocity_m_per_s: Floats,
 ) -> Flight:
     n = len(geodetic)
     poses = Poses(
@@ -122,7 +133,7 @@ def _flight(
         np.zeros((n, 3)),
         np.zeros((n, 3)),
     )
-    return Flight(work_frame, geodetic, attitude_deg, poses, time_s, line)
+    return Flight(work_frame, geodetic, attitude_deg, poses, time_s, line, velocity_m_per_s)
 
 
 def rotations_in(work_frame: LocalFrame, geodetic: Floats, attitude_deg: Floats) -> Floats:

@@ -22,6 +22,7 @@ Colour = tuple[float, float, float]
 Span = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 CELL_M = 80.0
+COVERS: dict[str, Colour] = {"water": (58, 72, 78), "smooth_forest": (58, 74, 44)}
 _EDGE_POINTS = 9
 
 _CROPS: tuple[Colour, ...] = (
@@ -82,11 +83,16 @@ class Building:
 
 @dataclass(frozen=True)
 class Parcel:
-    """All that stands and lies on one cell. Trees: (n, 4) easting, northing, radius (m), tint in [0, 1)."""
+    """All that stands and lies on one cell. Trees: (n, 4) easting, northing, radius (m), tint in [0, 1).
+
+    cover: a key of `COVERS` where the whole cell lies under something without texture.
+    """
 
     patches: tuple[Patch, ...]
     trees: Floats
     buildings: tuple[Building, ...]
+    cover: str = ""
+    outline_m: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -101,10 +107,15 @@ class Way:
 
 @dataclass(frozen=True)
 class Landscape:
-    """The countryside of a seed. `buildings` is a factor on how many villages there are, 0 for none."""
+    """The countryside of a seed. `buildings` is a factor on how many villages there are, 0 for none.
+
+    water_share, smooth_forest_share: of all cells, how many lie under water or a canopy without texture.
+    """
 
     seed: int
     buildings: float = 1.0
+    water_share: float = 0.0
+    smooth_forest_share: float = 0.0
 
     def parcels(self, bounds_m: Bounds) -> Iterator[Parcel]:
         """Parcels that may reach into west, south, east, north."""
@@ -125,6 +136,13 @@ class Landscape:
             for b in parcel.buildings
             if west <= b.easting_m <= east and south <= b.northing_m <= north
         ]
+
+    def cover(self, i: int, j: int) -> str:
+        """What covers a cell: a key of `COVERS`, or nothing."""
+        number = self.number(i, j, 8)
+        if number < self.water_share:
+            return "water"
+        return "smooth_forest" if number < self.water_share + self.smooth_forest_share else ""
 
     def number(self, i: int, j: int, salt: int) -> float:
         """A number in [0, 1) of a cell."""
@@ -245,6 +263,8 @@ def _village(land: Landscape, i: int, j: int) -> tuple[tuple[Patch, ...], tuple[
 def _parcel(land: Landscape, i: int, j: int) -> Parcel:
     use, shade = land.number(i, j, 5), land.number(i, j, 6)
     whole = land.outline_m(i, j, (0.0, 1.0), (0.0, 1.0))
+    if cover := land.cover(i, j):
+        return Parcel((), np.empty((0, 4)), (), cover, whole)
     village = 0.3 * land.buildings
     if use < village:
         patches, buildings = _village(land, i, j)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +26,8 @@ class SurveyPlan:
 
     kind `paper` takes positions, attitudes, frame size (times `scale`), pixel and height from table 2
     of Yue et al. 2021 and ignores the flight's own numbers; its heights count from `ground_height_m`.
+    With a `dem` (ellipsoidal heights) the ground is the DEM's, and `ground_height_m` its height in the
+    survey's middle. See docs/simulation.md.
     """
 
     seed: int = 1
@@ -59,10 +62,14 @@ class SurveyPlan:
     lens_told: bool = True
     focal_error: float = 0.0
 
+    dem: Path | None = None
     relief_m: float = 0.0
     relief_wavelength_m: float = 300.0
     buildings: float = 1.0
     buildings_stand: bool = False
+    water_share: float = 0.0
+    smooth_forest_share: float = 0.0
+    moving_cars: float = 0.0
 
     position_sd_m: float = 1.5
     height_sd_m: float = 2.0
@@ -82,6 +89,7 @@ class SurveyPlan:
     exposure_sd: float = 0.0
     vignetting: float = 0.0
     blur_px: float = 0.0
+    rolling_shutter_s: float = 0.0
     pixel_noise: float = 1.0
 
     format: str = "jpeg"
@@ -108,6 +116,12 @@ class SurveyPlan:
                 raise InputError(f"{field.name} is {value}", mend="give 0 or more")
         if not (0.0 <= self.forward_overlap < 1.0 and 0.0 <= self.side_overlap < 1.0):
             raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
+        if min(self.water_share, self.smooth_forest_share, self.moving_cars, self.rolling_shutter_s) < 0.0:
+            raise InputError("a share, number or time is below 0", mend="give 0 or more")
+        if self.water_share + self.smooth_forest_share > 1.0:
+            raise InputError("water and forest cover more than all land", mend="give shares that sum to 1")
+        if self.dem is not None and self.relief_m:
+            raise InputError("both a DEM and hills are given", mend="leave one of dem and relief_m away")
         if min(self.width_px, self.height_px) < 64:
             raise InputError("frames smaller than 64 pixels", mend="give a larger width_px and height_px")
         if self.format != "jpeg" and self.pos_in != "csv":

@@ -13,9 +13,10 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
-from geomosaic.simulate.landscape import Bounds, Building
+from geomosaic.simulate.landscape import COVERS, Bounds, Building, Landscape
+from geomosaic.simulate.relief import RasterRelief, Relief
 from geomosaic.simulate.spread import in_threads
-from geomosaic.simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, Relief
+from geomosaic.simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, cover_mask
 from geomosaic.simulate.write import whole
 
 Floats = NDArray[np.float64]
@@ -116,6 +117,23 @@ def write_ortho(
     return Texture(texture, west_m, north_m, ground.pixel_m)
 
 
+def write_cover(path: Path, ortho: Path, landscape: Landscape) -> None:
+    """What covers the ortho's pixels, on its grid: 0 land, then the number of `COVERS` (1 water, ...)."""
+    with rasterio.open(ortho) as like:
+        profile = {**like.profile, "count": 1, "nodata": None}
+        t, width, height = like.transform, like.width, like.height
+    for key in ("photometric", "interleave"):
+        profile.pop(key, None)
+    with whole(path) as part, rasterio.open(part, "w", **profile) as out:
+        for top in range(0, height, BLOCK_PX):
+            band = np.zeros((min(BLOCK_PX, height - top), width), dtype=np.uint8)
+            for number, cover in enumerate(COVERS, 1):
+                mask = cover_mask(landscape, cover, t.c, t.f - top * t.a, t.a, band.shape)
+                band[mask >= 128] = number
+            out.write(band, 1, window=Window(0, top, width, len(band)))
+        out.update_tags(1, COVERS=", ".join(f"{n} {cover}" for n, cover in enumerate(COVERS, 1)))
+
+
 def square_mean(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The mean over each pixel's square of the bicubic surface through the samples (2 x 2, as `render`)."""
     mean = cv2.sepFilter2D(texture, cv2.CV_32F, _SQUARE, _SQUARE, borderType=cv2.BORDER_REPLICATE)
@@ -146,7 +164,7 @@ def _mask(ground: Ground, row: int, col: int, footprints_m: Sequence[Floats]) ->
 def write_heights(
     path: Path,
     crs: str,
-    relief: Relief,
+    relief: Relief | RasterRelief,
     bounds_m: Bounds,
     spacing_m: float,
     buildings: Sequence[Building] = (),

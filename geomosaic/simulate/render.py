@@ -14,10 +14,10 @@ from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.projection.footprint import footprint, ground_from_image
+from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.simulate.landscape import Bounds, Building
-from geomosaic.simulate.terrain import Relief
+from geomosaic.simulate.relief import RasterRelief, Relief
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -37,7 +37,7 @@ class World:
 
     work_frame: LocalFrame
     projection: MapProjection
-    relief: Relief
+    relief: Relief | RasterRelief
     buildings: tuple[Building, ...] = ()
 
     def map_from_enu(self, enu_m: Floats) -> Floats:
@@ -59,7 +59,7 @@ class World:
             return level
         lowest = GroundSurface("flat", 0.0, 0.0, 1.0, np.full((1, 1), self._lowest_up(pose)))
         outline = footprint(pose, camera, lowest)
-        spacing = min(self.relief.wavelength_m / 300.0, 2.0)
+        spacing = self.relief.mesh_m
         low, high = outline[:, :2].min(axis=0) - 20.0, outline[:, :2].max(axis=0) + 20.0
         east = np.arange(low[0], high[0] + spacing, spacing)
         north = np.arange(low[1], high[1] + spacing, spacing)
@@ -94,11 +94,20 @@ class Sight:
     """West, south, east, north of all that is seen."""
 
 
-def sight_of(camera: Camera, pose: Pose, world: World) -> Sight:
-    """Trace a frame's rays to the ground. Rays that miss it would make NaN: keep the horizon out."""
-    rows, cols = (_nodes(n) for n in (camera.height_px, camera.width_px))
+def sight_of(camera: Camera, pose: Pose, world: World, readout_m: Floats | None = None) -> Sight:
+    """Trace a frame's rays to the ground. Rays that miss it would make NaN: keep the horizon out.
+
+    readout_m: (3,) how far the camera moves while its rows are read, from the first row to the last; the
+    pose is that of the middle row.
+    """
+    step_px = float(np.clip(world.relief.detail_m * camera.focal_length_px / 4.0 / _depth_m(pose, world),
+                            4.0, _STEP_PX))  # fmt: skip
+    rows, cols = (_nodes(n, step_px) for n in (camera.height_px, camera.width_px))
     image = np.stack(np.meshgrid(cols, rows), axis=-1)
-    ground = ground_from_image(pose, camera, world.surface_under(pose, camera), image)
+    origin = np.broadcast_to(pose.position_m, (*image.shape[:2], 3))
+    if readout_m is not None:
+        origin = origin + (image[..., 1:] / camera.height_px - 0.5) * readout_m
+    ground = world.surface_under(pose, camera).intersect(origin, pose.ray_from_image(camera, image))
     ray = pose.ray_from_image(camera, image)
     at, above = (world.map_from_enu(p) for p in (ground, ground + ray / ray[..., 2:] * 10.0))
     rise = (above[..., :2] - at[..., :2]) / (above[..., 2:] - at[..., 2:])
@@ -110,9 +119,13 @@ def sight_of(camera: Camera, pose: Pose, world: World) -> Sight:
     return Sight(east, north, height, east_per_m, north_per_m, bounds)
 
 
-def _nodes(size_px: int) -> Floats:
+def _depth_m(pose: Pose, world: World) -> float:
+    return max(float(pose.position_m[2] + world.work_frame.height_ellipsoidal_m - world.relief.base_m), 1.0)
+
+
+def _nodes(size_px: int, step_px: float) -> Floats:
     """Where rays are traced: from a little outside one edge to a little outside the other."""
-    count = max(int(np.ceil((size_px + 2 * _BEYOND_PX) / _STEP_PX)), 4) + 1
+    count = max(int(np.ceil((size_px + 2 * _BEYOND_PX) / step_px)), 4) + 1
     return np.linspace(-_BEYOND_PX, size_px + _BEYOND_PX, count)
 
 
@@ -125,13 +138,14 @@ def render(
     west_m: float,
     north_m: float,
     pixel_m: float,
+    moved_px: float = 0.0,
 ) -> Floats32:
     """The frame (rows, cols, 3) before exposure and noise, each pixel the mean of 2 x 2 bicubic samples.
 
     Args: texture: a window of the ground's picture whose outer corner is west_m, north_m and which
-    covers `sight.bounds_m` with a margin of 4 pixels.
+    covers `sight.bounds_m` with a margin of 4 pixels; moved_px: how far a rolling shutter moves things.
     """
-    near = _standing(camera, pose, world)
+    near = _standing(camera, pose, world, moved_px)
     out = np.empty((camera.height_px, camera.width_px, 3), dtype=np.float32)
     cols = _samples(0, camera.width_px)
     for top in range(0, camera.height_px, _STRIP_PX):
@@ -177,7 +191,7 @@ class _Standing:
     high_px: Floats
 
 
-def _standing(camera: Camera, pose: Pose, world: World) -> list[_Standing]:
+def _standing(camera: Camera, pose: Pose, world: World, moved_px: float) -> list[_Standing]:
     """The buildings in a frame's view, the farthest from its nadir point first."""
     found = []
     for b in world.buildings:
@@ -188,7 +202,7 @@ def _standing(camera: Camera, pose: Pose, world: World) -> list[_Standing]:
         px = pose.image_from_ground(camera, enu)
         if np.isnan(px).any():
             continue
-        low, high = px.min(axis=0) - 2.0, px.max(axis=0) + 2.0
+        low, high = px.min(axis=0) - 2.0 - moved_px, px.max(axis=0) + 2.0 + moved_px
         if (high > 0.0).all() and low[0] < camera.width_px and low[1] < camera.height_px:
             distance = float(np.hypot(*(enu[:, :2].mean(axis=0) - pose.position_m[:2])))
             found.append((distance, _Standing(b, base + b.height_m, low, high)))

@@ -16,15 +16,19 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic.projection.footprint import footprint
+from geomosaic.simulate.changing import cars_at, glitter, paint_cars
 from geomosaic.simulate.flight import Flight, Observed, fly, observe, position_bias
 from geomosaic.simulate.landscape import Bounds, Landscape
 from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.rasters import Texture, write_heights, write_ortho
+from geomosaic.simulate.rasters import Texture, write_cover, write_heights, write_ortho
+from geomosaic.simulate.relief import Relief, hills, raster_height_m, raster_relief
 from geomosaic.simulate.render import Sight, World, develop, render, sight_of
 from geomosaic.simulate.spread import in_threads
-from geomosaic.simulate.terrain import Ground, hills
+from geomosaic.simulate.terrain import Ground
 from geomosaic.simulate.write import (
+    CAR_COLUMNS,
     POSITIONS_COLUMNS,
+    car_rows,
     frame_bytes,
     frame_name,
     opensfm_camera,
@@ -38,6 +42,7 @@ from geomosaic.simulate.write import (
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 _DEM_MARGIN_M = 60.0
+_DEM_REACH = 0.3
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,8 @@ class SimulatedSurvey:
     ortho: Path
     dem: Path
     dsm: Path | None
+    cover: Path | None
+    moving_cars: Path | None
     truth: Path
 
 
@@ -66,6 +73,10 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
     """
     names = [frame_name(plan, i) for i in range(plan.frames)]
     _check_folder(out, names)
+    if plan.dem is not None:
+        plan = dataclasses.replace(
+            plan, ground_height_m=raster_height_m(plan.dem, plan.lon_deg, plan.lat_deg)
+        )
     flight = fly(plan)
     observed = observe(plan, flight)
     camera, told = plan.camera(), plan.told_camera()
@@ -80,13 +91,21 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
     if paths.pos:
         write_csv(paths.pos, *pos_rows(plan, observed))
 
-    sights = [sight_of(camera, flight.poses[i], world) for i in range(plan.frames)]
+    readouts = flight.velocity_m_per_s * plan.rolling_shutter_s
+    sights = [sight_of(camera, flight.poses[i], world, readouts[i]) for i in range(plan.frames)]
     scratch = out / "truth" / ".texture.part"
     try:
         texture = _write_ground(plan, paths, scratch, camera, flight, world, sights, progress)
 
+        cars = [
+            cars_at(landscape_of(plan), plan.moving_cars, float(flight.time_s[i]), sights[i].bounds_m)
+            for i in range(plan.frames)
+        ]
+        if paths.moving_cars:
+            write_csv(paths.moving_cars, CAR_COLUMNS, car_rows(names, cars))
+
         def picture(i: int) -> bytes:
-            light = _frame(plan, camera, flight.poses[i], world, sights[i], texture, i)
+            light = _frame(plan, camera, flight.poses[i], world, sights[i], texture, cars[i], i)
             return frame_bytes(plan, told, flight, observed, i, light)
 
         for i, data in enumerate(in_threads(picture, range(plan.frames))):
@@ -102,7 +121,7 @@ def world_of(plan: SurveyPlan, flight: Flight) -> World:
     centre = flight.work_frame
     projection = MapProjection(utm_crs(centre.lon_deg, centre.lat_deg))
     level = World(centre, projection, hills(plan.seed, plan.ground_height_m, 0.0, 1.0, np.zeros((1, 2))))
-    if plan.relief_m == 0.0:
+    if plan.relief_m == 0.0 and plan.dem is None:
         return level
     camera = plan.camera()
     outlines = [
@@ -112,25 +131,45 @@ def world_of(plan: SurveyPlan, flight: Flight) -> World:
     shares = np.linspace(0.0, 1.0, 9)[:, None, None]
     inside = [o.mean(axis=0) + (o - o.mean(axis=0)) * shares for o in outlines]
     at = level.map_from_enu(np.stack(inside))[..., :2]
+    if plan.dem is not None:
+        reach = _DEM_REACH * plan.height_above_ground_m + _DEM_MARGIN_M
+        low, high = at.reshape(-1, 2).min(axis=0) - reach, at.reshape(-1, 2).max(axis=0) + reach
+        bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+        middle = centre.lon_deg, centre.lat_deg
+        raster = raster_relief(plan.dem, middle, projection, bounds, plan.pixel_m)
+        return dataclasses.replace(level, relief=raster)
     relief = hills(plan.seed, plan.ground_height_m, plan.relief_m, plan.relief_wavelength_m, at)
     return dataclasses.replace(level, relief=relief)
 
 
 def _frame(
-    plan: SurveyPlan, camera: Camera, pose: Pose, world: World, sight: Sight, texture: Texture, i: int
+    plan: SurveyPlan,
+    camera: Camera,
+    pose: Pose,
+    world: World,
+    sight: Sight,
+    texture: Texture,
+    cars: Floats,
+    i: int,
 ) -> NDArray[np.float32]:
     """One frame as it is stored, values of [0, 255]."""
     if plan.buildings_stand:
         west, south, east, north = sight.bounds_m
-        near = Landscape(plan.seed, plan.buildings).buildings_in(
-            (west - 20, south - 20, east + 20, north + 20)
-        )
+        near = landscape_of(plan).buildings_in((west - 20, south - 20, east + 20, north + 20))
         world = dataclasses.replace(world, buildings=tuple(near))
     ground, west_m, north_m = texture.window(sight.bounds_m)
-    light = render(camera, pose, world, sight, ground, west_m, north_m, plan.pixel_m)
+    glitter(ground, west_m, north_m, plan.pixel_m, landscape_of(plan), plan.rng("water", i))
+    paint_cars(ground, cars, west_m, north_m, plan.pixel_m)
+    moved_px = plan.rolling_shutter_s * plan.speed_m_per_s / plan.pixel_m
+    light = render(camera, pose, world, sight, ground, west_m, north_m, plan.pixel_m, moved_px)
     gain = exposure_gain(plan, i)
     light = develop(light, gain, plan.vignetting, plan.blur_px, plan.pixel_noise, plan.rng("pixels", i))
     return light[::-1, ::-1] if i in plan.turned_frames() else light
+
+
+def landscape_of(plan: SurveyPlan) -> Landscape:
+    """The countryside that a plan asks for."""
+    return Landscape(plan.seed, plan.buildings, plan.water_share, plan.smooth_forest_share)
 
 
 def exposure_gain(plan: SurveyPlan, i: int) -> float:
@@ -154,7 +193,7 @@ def _write_ground(
         np.column_stack([s.easting.ev(border[:, 1], border[:, 0]), s.northing.ev(border[:, 1], border[:, 0])])
         for s in sights
     ]
-    landscape = Landscape(plan.seed, plan.buildings)
+    landscape = landscape_of(plan)
     crs = world.projection.crs
     texture = write_ortho(
         paths.ortho,
@@ -165,9 +204,11 @@ def _write_ground(
         outlines,
         lambda n, of: progress(n, of, "ground"),
     )
+    if paths.cover:
+        write_cover(paths.cover, paths.ortho, landscape)
     low, high = np.min(seen, axis=0)[:2] - _DEM_MARGIN_M, np.max(seen, axis=0)[2:] + _DEM_MARGIN_M
     bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    spacing = min(plan.relief_wavelength_m / 300.0, 2.0) if plan.relief_m else 10.0
+    spacing = 10.0 if world.relief.amplitude_m == 0.0 else world.relief.mesh_m
     write_heights(paths.dem, crs, world.relief, bounds, spacing)
     if paths.dsm:
         write_heights(paths.dsm, crs, world.relief, bounds, min(spacing, 0.5), landscape.buildings_in(bounds))
@@ -185,6 +226,7 @@ def _truth(
             "line": int(flight.line[i]) + 1,
             "time_s": float(flight.time_s[i]),
             "true_yaw_pitch_roll_deg": flight.yaw_pitch_roll_deg[i].tolist(),
+            "velocity_enu_m_per_s": flight.velocity_m_per_s[i].tolist(),
             "position_error_m": observed.position_errors_m[i].tolist(),
             "yaw_pitch_roll_error_deg": observed.attitude_errors_deg[i].tolist(),
             "exposure_gain": exposure_gain(plan, i),
@@ -201,10 +243,12 @@ def _truth(
     )
     return {
         "seed": plan.seed,
-        "plan": dataclasses.asdict(plan),
+        "plan": {**dataclasses.asdict(plan), "dem": plan.dem and plan.dem.name},
         "map_crs": world.projection.crs,
         "work_frame": dataclasses.asdict(world.work_frame),
-        "relief": dataclasses.asdict(world.relief),
+        "relief": dataclasses.asdict(world.relief)
+        if isinstance(world.relief, Relief)
+        else {"base_m": world.relief.base_m, "amplitude_m": world.relief.amplitude_m},
         "camera": dataclasses.asdict(plan.camera()),
         "camera_of_turned_frames": dataclasses.asdict(plan.camera().turned(2)),
         "position_bias_m": position_bias(plan).tolist(),
@@ -228,6 +272,8 @@ def _paths(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
         ortho=truth / "ortho.tif",
         dem=truth / "dem.tif",
         dsm=truth / "dsm.tif" if plan.buildings_stand else None,
+        cover=truth / "cover.tif" if plan.water_share + plan.smooth_forest_share > 0.0 else None,
+        moving_cars=truth / "moving_cars.csv" if plan.moving_cars > 0.0 else None,
         truth=truth / "truth.json",
     )
 

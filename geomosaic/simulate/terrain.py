@@ -1,4 +1,4 @@
-"""Ground with known truth: the landscape's picture and its relief, in any window, from the seed alone.
+"""Ground with known truth: the landscape's picture and in any window, from the seed alone.
 
 The picture lives in the map CRS on a grid of square pixels aligned to its origin: world column
 `floor(easting / pixel)`, world row `floor(-northing / pixel)`, rows downward. It is made in blocks of
@@ -13,10 +13,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from geomosaic.simulate.landscape import Building, Colour, Landscape
-from geomosaic.simulate.noise import fractal_noise, spline_noise
+from geomosaic.simulate.landscape import COVERS, Building, Colour, Landscape
+from geomosaic.simulate.noise import fractal_noise
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -29,34 +29,6 @@ _SHIFT = 6
 _SUN = np.array([0.62, -0.78])
 """Where shadows fall on the map (east, north); their length is 0.8 of the height."""
 _SHADOW_PER_M = 0.8
-
-
-@dataclass(frozen=True)
-class Relief:
-    """Ellipsoidal height of the ground: level, or hills of one wavelength with smooth (C2) slopes."""
-
-    seed: int
-    base_m: float
-    amplitude_m: float = 0.0
-    wavelength_m: float = 300.0
-
-    def height_at(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Floats:
-        """Ellipsoidal height (m) at map coordinates of any shape."""
-        east, north = np.broadcast_arrays(np.asarray(easting_m, float), np.asarray(northing_m, float))
-        if self.amplitude_m == 0.0:
-            return np.full(east.shape, self.base_m)
-        node = self.wavelength_m / 2.0
-        hills = spline_noise(self.seed, 900, east / node, north / node)
-        return np.asarray(self.base_m + self.amplitude_m * (hills - 0.5))
-
-
-def hills(seed: int, mean_m: float, relief_m: float, wavelength_m: float, at_m: Floats) -> Relief:
-    """Relief whose lowest and highest ground among at_m (..., 2) are relief_m apart, mean_m between."""
-    if relief_m == 0.0:
-        return Relief(seed, mean_m)
-    raw = Relief(seed, 0.0, 1.0, wavelength_m).height_at(at_m[..., 0], at_m[..., 1])
-    amplitude = relief_m / float(raw.max() - raw.min())
-    return Relief(seed, mean_m - amplitude * float(raw.max() + raw.min()) / 2.0, amplitude, wavelength_m)
 
 
 @dataclass(frozen=True)
@@ -85,6 +57,32 @@ class Ground:
                 block = self.block(block_col, block_row)
                 out[y_0:y_1, x_0:x_1] = block[y_0 - top : y_1 - top, x_0 - left : x_1 - left]
         return out
+
+
+def cover_mask(
+    land: Landscape, cover: str, west_m: float, north_m: float, pixel_m: float, shape: tuple[int, ...]
+) -> Pixels:
+    """How much of each pixel of a window lies under a cover, 0 to 255; roads and tracks run over it.
+
+    Args: west_m, north_m: the window's outer corner; shape: its rows and cols.
+    """
+    mask = np.zeros(shape[:2], dtype=np.uint8)
+    bounds = (west_m, north_m - shape[0] * pixel_m, west_m + shape[1] * pixel_m, north_m)
+    under = [p.outline_m for p in land.parcels(bounds) if p.cover == cover and p.outline_m is not None]
+    over = [_ribbon(w.line_m, w.width_m + (2.4 if w.paved else 0.0)) for w in land.ways(bounds)]
+    for outlines, value in ((under, 255), (over if under else [], 0)):
+        for outline in outlines:
+            fill_polygon(mask, outline, west_m, north_m, pixel_m, (value, value, value))
+    return mask
+
+
+def fill_polygon(
+    image: Pixels, outline_m: Floats, west_m: float, north_m: float, pixel_m: float, paint: Colour
+) -> None:
+    """Paint a polygon (n, 2) of the map into a window of pixels, its edges smooth (in place)."""
+    px = (outline_m - [west_m, north_m]) / [pixel_m, -pixel_m] - 0.5
+    points = np.round(px * 2**_SHIFT).astype(np.int32)
+    cv2.fillPoly(image, [points], paint, lineType=cv2.LINE_AA, shift=_SHIFT)
 
 
 class _Painter:
@@ -173,6 +171,10 @@ class _Painter:
             tone += rough[..., 2] * (1.0 + 0.6 * self.middle) * np.sin(phase)
         image = colour.astype(np.float32) * tone[..., None]
         image += self.hue[..., None] * np.array([5.0, 1.0, -3.0], dtype=np.float32)
+        for cover in sorted({p.cover for p in self.parcels if p.cover}):
+            paint = np.array(COVERS[cover], dtype=np.float32)
+            mask = cover_mask(self.land, cover, self.west_m, self.north_m, self.pixel_m, image.shape[:2])
+            image += (mask / np.float32(255.0))[..., None] * (paint - image)
         return np.asarray(image, dtype=np.float32)
 
     def _shaded(self, image: Floats32) -> Floats32:
@@ -194,7 +196,7 @@ class _Painter:
         ragged *= np.clip(0.92 + 0.1 * self.middle, 0.6, 1.0)
         for w in self.ways:
             for x, y, along, _ in w.cars:
-                box = _box(x + 0.4, y - 0.5, along, 2.2, 0.95)
+                box = box_m(x + 0.4, y - 0.5, along, 2.2, 0.95)
                 part, cover = self._cover(box)
                 ragged[part] = np.maximum(ragged[part], cover)
         ragged = np.asarray(cv2.GaussianBlur(ragged, (0, 0), 0.8), dtype=np.float32)
@@ -231,9 +233,9 @@ class _Painter:
     def _cars(self, image: Floats32) -> Floats32:
         for w in self.ways:
             for x, y, along, paint in w.cars:
-                image = self._over(image, _box(x, y, along, 2.2, 0.9), paint, 0.03)
-                image = self._over(image, _box(x, y, along, 1.1, 0.75), (46, 50, 56), 0.03)
-                image = self._over(image, _box(x, y, along, 0.75, 0.72), paint, 0.03)
+                image = self._over(image, box_m(x, y, along, 2.2, 0.9), paint, 0.03)
+                image = self._over(image, box_m(x, y, along, 1.1, 0.75), (46, 50, 56), 0.03)
+                image = self._over(image, box_m(x, y, along, 0.75, 0.72), paint, 0.03)
         return image
 
     def _roofs(self, image: Floats32) -> Floats32:
@@ -280,7 +282,8 @@ def _times(colour: Colour, factor: float) -> Colour:
     return colour[0] * factor, colour[1] * factor, colour[2] * factor
 
 
-def _box(x: float, y: float, along: float, half_length: float, half_width: float) -> Floats:
+def box_m(x: float, y: float, along: float, half_length: float, half_width: float) -> Floats:
+    """The corners (4, 2) of a rectangle about a point, its long side along an angle from grid east (rad)."""
     return Building(x, y, half_length, half_width, along, 0.0, (0, 0, 0), False).outline_m()
 
 

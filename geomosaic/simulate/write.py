@@ -40,6 +40,18 @@ POSITIONS_COLUMNS = (
 )  # fmt: skip
 
 
+CAR_COLUMNS = ("frame", "easting_m", "northing_m", "grid_heading_deg")
+
+
+def car_rows(names: Sequence[str], cars: Sequence[Floats]) -> list[list[str]]:
+    """Rows of moving_cars.csv from each frame's cars (see `changing.cars_at`)."""
+    return [
+        [name, f"{x:.3f}", f"{y:.3f}", f"{(90.0 - np.degrees(along)) % 360.0:.2f}"]
+        for name, there in zip(names, cars, strict=True)
+        for x, y, along, _ in there
+    ]
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """A temporary path that gets its final name when all is written; gone if anything fails."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
@@ -19,7 +20,7 @@ class SimulateFrames(Stage):
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
     group = "Simulation"
-    version = 1
+    version = 2
     outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
 
     class Params(StageParams):
@@ -73,6 +74,9 @@ class SimulateFrames(Stage):
         focal_error: float = param(
             _PLAN.focal_error, help="share by which the told focal length is too long", ge=-0.5, le=0.5
         )
+        dem: Path | None = param(
+            _PLAN.dem, help="ground from this DEM (ellipsoidal heights), which must hold lon_deg, lat_deg"
+        )
         relief_m: float = param(
             _PLAN.relief_m, help="hills: highest minus lowest ground, 0 for flat", unit="m", ge=0, le=3000
         )
@@ -81,6 +85,15 @@ class SimulateFrames(Stage):
         )
         buildings: float = param(_PLAN.buildings, help="how many villages, 1 is usual", ge=0, le=3)
         buildings_stand: bool = param(_PLAN.buildings_stand, help="buildings rise above the ground")
+        water_share: float = param(
+            _PLAN.water_share, help="share of the land under water, other in every frame", ge=0, le=1
+        )
+        smooth_forest_share: float = param(
+            _PLAN.smooth_forest_share, help="share of the land under forest without texture", ge=0, le=1
+        )
+        moving_cars: float = param(
+            _PLAN.moving_cars, help="cars under way on each 80 m of road, on average", ge=0, le=10
+        )
         position_sd_m: float = param(
             _PLAN.position_sd_m, help="noise of the position, east and north each", unit="m", ge=0, le=500
         )
@@ -114,6 +127,9 @@ class SimulateFrames(Stage):
         )
         vignetting: float = param(_PLAN.vignetting, help="light lost in the corners", ge=0, le=0.9)
         blur_px: float = param(_PLAN.blur_px, help="blur (sd)", unit="px", ge=0, le=10)
+        rolling_shutter_s: float = param(
+            _PLAN.rolling_shutter_s, help="time from reading the first row to the last", unit="s", ge=0, le=1
+        )
         pixel_noise: float = param(_PLAN.pixel_noise, help="noise of a pixel, of 255 (sd)", ge=0, le=50)
         format: str = param(_PLAN.format, help="file format of the frames", choices=FORMATS)
         jpeg_quality: int = param(_PLAN.jpeg_quality, help="quality of JPEG frames", ge=10, le=100)

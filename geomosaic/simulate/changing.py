@@ -1,0 +1,74 @@
+"""What is different in every frame: the glitter of water, and cars under way."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.simulate.landscape import Bounds, Colour, Landscape
+from geomosaic.simulate.noise import hashed
+from geomosaic.simulate.terrain import box_m, cover_mask, fill_polygon
+
+Floats = NDArray[np.float64]
+Pixels = NDArray[np.uint8]
+_PAINTS: tuple[Colour, ...] = ((225, 225, 228), (40, 42, 46), (150, 34, 30), (44, 66, 120), (196, 180, 60))
+_LANE_M = 1.6
+_GLITTER = 9.0
+
+
+def glitter(
+    window: Pixels, west_m: float, north_m: float, pixel_m: float, land: Landscape, rng: np.random.Generator
+) -> None:
+    """Let the water of a window (rows, cols, 3) shine otherwise than in any other frame (in place)."""
+    water = cover_mask(land, "water", west_m, north_m, pixel_m, window.shape)
+    if not water.any():
+        return
+    rows, cols = water.shape
+    shine = np.zeros((rows, cols), dtype=np.float32)
+    for spacing_px in (3, 12, 200):
+        coarse = rng.standard_normal((rows // spacing_px + 2, cols // spacing_px + 2), dtype=np.float32)
+        shine += cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_CUBIC)
+    on = water > 0
+    change = (_GLITTER / np.sqrt(3.0) * shine[on] * (water[on] / np.float32(255.0)))[:, None]
+    window[on] = np.clip(np.round(window[on] + change), 0, 255).astype(np.uint8)
+
+
+def cars_at(land: Landscape, per_road: float, time_s: float, bounds_m: Bounds) -> Floats:
+    """Cars under way in the bounds: (n, 4) easting, northing, direction from grid east (rad), colour.
+
+    `per_road` cars on average on each 80 m of paved road, at 8 to 18 m/s; at the end of its piece of road
+    a car starts again.
+    """
+    found = []
+    west, south, east, north = bounds_m
+    for way in land.ways(bounds_m) if per_road > 0.0 else []:
+        if not way.paved:
+            continue
+        place = [round(float(v) * 10.0) for v in way.line_m[4]]
+        steps = np.linalg.norm(np.diff(way.line_m, axis=0), axis=1)
+        at = np.concatenate([[0.0], np.cumsum(steps)])
+        count = int(per_road + float(hashed(land.seed, 7000, *place)))
+        for k in range(count):
+            start, speed, back, colour = (
+                float(hashed(land.seed, 7001 + 4 * k + m, *place)) for m in range(4)
+            )
+            way_m = (start * at[-1] + (8.0 + 10.0 * speed) * (time_s % 86400.0)) % at[-1]
+            if back < 0.5:
+                way_m = at[-1] - way_m
+            i = min(int(np.searchsorted(at, way_m, side="right")) - 1, len(steps) - 1)
+            ahead = (way.line_m[i + 1] - way.line_m[i]) / steps[i]
+            ahead_of_car = ahead if back >= 0.5 else -ahead
+            right = np.array([ahead_of_car[1], -ahead_of_car[0]])
+            x, y = way.line_m[i] + ahead * (way_m - at[i]) + right * _LANE_M
+            if west <= x <= east and south <= y <= north:
+                found.append((x, y, np.arctan2(ahead_of_car[1], ahead_of_car[0]), colour))
+    return np.array(found).reshape(-1, 4)
+
+
+def paint_cars(window: Pixels, cars: Floats, west_m: float, north_m: float, pixel_m: float) -> None:
+    """Paint cars of `cars_at` into a window (rows, cols, 3) (in place)."""
+    for x, y, along, colour in cars:
+        paint = _PAINTS[int(colour * len(_PAINTS))]
+        for length, width, value in ((2.2, 0.9, paint), (1.1, 0.75, (46, 50, 56)), (0.75, 0.72, paint)):
+            fill_polygon(window, box_m(x, y, along, length, width), west_m, north_m, pixel_m, value)
