@@ -13,6 +13,12 @@ from geomosaic.cli.main import main
 from geomosaic.recording import Recorder
 
 
+@pytest.fixture(autouse=True)
+def _a_hundred_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever terminal the tests are run from."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 def output(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
     code = main([str(a) for a in arguments])
     said = capsys.readouterr()
@@ -145,3 +151,23 @@ def test_no_recording_is_one_line_and_exit_2(
     code, out, err = output(capsys, command[0], path, *command[1:])
     assert code == 2 and out == "" and err.count("\n") == 1
     assert str(path) in err and "give the run.mcap of a run folder" in err
+
+
+def test_tables_fit_a_hundred_columns_and_cut_no_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Recorder(tmp_path / "run.mcap") as recorder:
+        recorder.begin_run("name: x\n", {"geomosaic": "1"}, {})
+        params = {"frames": "/a/folder/with/a/long/name/" + 9 * "x", "pos": None, "ratio": 0.8}
+        recorder.stage_started("survey.read", 1, params | {f"parameter_{i}": i for i in range(9)}, {})
+        recorder.log("warning", "word " * 40)
+        recorder.stage_finished("survey.read", {"survey": "ab" * 20, "more": "cd" * 20}, 1.5, True)
+    code, out, _ = output(capsys, "inspect", tmp_path)
+    lines = out.splitlines()
+    assert code == 0 and "warning: " + "word " * 39 + "word" in out
+    assert max(len(line) for line in lines if not line.startswith(("warning", str(tmp_path)))) <= 100
+    at = next(i for i, line in enumerate(lines) if line.startswith(" survey.read"))
+    assert lines[at].split()[:4] == ["survey.read", "1", "reused", "1.50"]
+    assert "survey abababab, not recorded" in lines[at] and "\u2026" not in out
+    assert (lines[at] + lines[at + 1]).count("x") == 9
+    assert "parameter_8=8" in out and "pos" not in out

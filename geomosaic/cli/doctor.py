@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import tempfile
+import textwrap
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -147,5 +148,7 @@ def doctor(as_json: AsJson = False) -> int:
         print(json.dumps([asdict(c) for c in checks], indent=2))
     else:
         for c in checks:
-            print(f"{c.state:<8} {c.name:<19} {c.text}")
+            head = f"{c.state:<8} {c.name:<19} "
+            lines = textwrap.wrap(c.text, 100 - len(head), break_on_hyphens=False, break_long_words=False)
+            print(head + f"\n{' ' * len(head)}".join(lines))
     return 1 if any(c.state == "broken" for c in checks) else 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -143,4 +144,4 @@ def _first_stage(recipe: Recipe, start: str, sets: list[str], file: Path) -> int
 
 def _console() -> Console:
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=160)
+    return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=100)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -15,33 +16,25 @@ from geomosaic.recording.reader import printable
 def show_summary(short: dict[str, Any], console: Console) -> None:
     """Prints a `summary`."""
     state = "whole" if short["whole"] else f"not whole: {short['problem']}"
-    console.print(_text(f"{short['path']}: {state}"))
+    _line(console, f"{short['path']}: {state}")
     environment = short["environment"]
-    console.print(
-        _text(
-            ", ".join(
-                f"{name} {environment[name]}"
-                for name in ("geomosaic", "python", "platform")
-                if name in environment
-            )
-        )
-    )
-    table = Table(
-        "stage", "version", "", "seconds", "parameters", "outputs", title="stages", title_justify="left"
-    )
+    known = [name for name in ("geomosaic", "python", "platform") if name in environment]
+    _line(console, ", ".join(f"{name} {environment[name]}" for name in known))
+    table = _table("stages", "stage", "v", "", "s", "parameters", "outputs")
+    table.columns[0].no_wrap = True
     sizes = {(a["stage"], a["name"]): a["bytes"] for a in short["artefacts"]}
     for stage in short["stages"]:
-        done = "from the cache" if stage["cached"] else "done" if stage["finished"] else "unfinished"
+        done = "reused" if stage["cached"] else "done" if stage["finished"] else "unfinished"
         seconds = "" if stage["seconds"] is None else f"{stage['seconds']:.2f}"
-        params = ", ".join(f"{name}={_short(value)}" for name, value in stage["params"].items())
-        outputs = ", ".join(
-            f"{name} {mark[:8]} ({_bytes(sizes.get((stage['id'], name)))})"
+        params = [f"{name}={_short(value)}" for name, value in stage["params"].items() if value is not None]
+        outputs = [
+            f"{name} {mark[:8]}, {_bytes(sizes.get((stage['id'], name)))}"
             for name, mark in stage["outputs"].items()
-        )
+        ]
         _row(table, stage["id"], stage["version"], done, seconds, params, outputs)
     console.print(table)
     if short["rounds"]:
-        table = Table(
+        columns = (
             "stage",
             "round",
             "pairs",
@@ -49,9 +42,8 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
             "rms, m",
             "largest move, m",
             "worst pair",
-            title="rounds",
-            title_justify="left",
         )
+        table = _table("rounds", *columns)
         for r in short["rounds"]:
             worst = " - ".join(r["worst_pair"] or ())
             _row(
@@ -68,8 +60,8 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
         console.print(table)
     for warning in short["warnings"]:
         about = f"{warning['frame']}: " if warning["frame"] else ""
-        console.print(_text(f"{warning['level']}: {about}{warning['text']}"))
-    table = Table("topic", "messages", "schema", title="topics", title_justify="left")
+        _line(console, f"{warning['level']}: {about}{warning['text']}")
+    table = _table("topics", "topic", "messages", "schema")
     for topic in short["topics"]:
         _row(table, topic["topic"], topic["messages"], topic["schema"])
     console.print(table)
@@ -81,15 +73,13 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
         console.print("the runs are equal")
     else:
         first = difference["first_stage"]
-        console.print(
-            _text(f"the runs differ; first stage that differs: {first}" if first else "the runs differ")
-        )
+        _line(console, f"the runs differ; first stage that differs: {first}" if first else "the runs differ")
     if difference["whole"]:
         whole, cut = (0, 1) if difference["whole"][0] else (1, 0)
-        console.print(_text(f"only {difference['paths'][whole]} is whole, not {difference['paths'][cut]}"))
+        _line(console, f"only {difference['paths'][whole]} is whole, not {difference['paths'][cut]}")
     for line in difference["recipe"]:
-        console.print(_text(line))
-    table = Table("stage", "what", "a", "b", title="differences", title_justify="left")
+        _line(console, line)
+    table = _table("differences", "stage", "what", "a", "b")
     for name, (a, b) in difference["manifest"].items():
         _row(table, "input files", name, _short(a), _short(b))
     for stage in difference["stages"]:
@@ -98,7 +88,9 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
             _row(table, stage["stage"], "stage", *there)
         for what in ("version", "params", "inputs", "outputs", "finished"):
             for name, (a, b) in stage.get(what, {}).items():
-                _row(table, stage["stage"], f"{what} {name}".strip(), _short(a), _short(b))
+                mark = what in ("inputs", "outputs")
+                values = (_mark(a), _mark(b)) if mark else (_short(a), _short(b))
+                _row(table, stage["stage"], f"{what} {name}".strip(), *values)
     for offsets in difference["offsets"]:
         rounds_a, rounds_b = offsets["rounds"]
         _row(table, offsets["stage"], "rounds", rounds_a, rounds_b)
@@ -133,13 +125,33 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
         console.print(table)
 
 
+def _table(title: str, *columns: str) -> Table:
+    """Nothing is cut: a word longer than its column goes on in the next line."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _line(console: Console, text: str) -> None:
+    """One line, however long: it can be searched and copied."""
+    console.print(_text(text), soft_wrap=True)
+
+
 def _row(table: Table, *cells: object) -> None:
-    table.add_row(*(_text(str(cell)) for cell in cells))
+    """A row of texts; a list stands for the lines of one cell."""
+    table.add_row(
+        *("\n".join(_text(str(line)) for line in (c if isinstance(c, list) else [c])) for c in cells)
+    )
 
 
 def _text(text: str) -> str:
-    """A stranger's text as rich prints it unchanged."""
+    """A stranger's text as rich prints it unchanged, on one line."""
     return escape(printable(text))
+
+
+def _mark(fingerprint: str | None) -> str:
+    return "missing" if fingerprint is None else fingerprint[:12]
 
 
 def _short(value: Any) -> str:
