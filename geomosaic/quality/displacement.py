@@ -169,7 +169,7 @@ def _asked(level: _Level, corners: NDArray[np.int64], shifts: NDArray[np.int64],
 
 def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> list[NDArray[np.int64]]:
     """For each patch the different displacements (level pixels) of the four nearest coarse patches."""
-    if not len(found_at):
+    if not len(found_at) or not len(centres):
         return [np.zeros((1, 2), dtype=np.int64)] * len(centres)
     near = cKDTree(found_at).query(centres, k=min(4, len(found_at)))[1].reshape(len(centres), -1)
     candidates = np.rint(found[near] / scale).astype(np.int64)
