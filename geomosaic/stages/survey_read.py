@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
@@ -42,6 +43,12 @@ class SurveyRead(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
+        if context.run_folder.resolve() == params.frames.resolve():
+            raise InputError(
+                "is the folder of frames and of results at once: the mosaic would be taken for a frame",
+                file=params.frames,
+                mend="give another output folder",
+            )
         survey = read_survey(
             params.frames,
             pos=params.pos,

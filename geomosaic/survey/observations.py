@@ -21,6 +21,7 @@ from geomosaic.survey.pos import PosFile, PosRow
 Floats = NDArray[np.float64]
 _FAR_M: Final = 1000.0
 _SWAPPED_M: Final = 50_000.0
+_TOO_FAR_M: Final = 300_000.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ def observe(headers: Sequence[FrameHeader], pos: PosFile | None) -> Observations
         positions = [_position(row, p) for row, p in zip(given, own, strict=True)]
         attitudes = [_attitude(row, a) for row, a in zip(given, attitudes, strict=True)]
         rows = [*given]
+    _check_extent(headers, positions)
     warnings += _doubts(headers, positions, attitudes)
     cameras = tuple(None if row is None else row.camera for row in rows)
     return Observations(tuple(positions), tuple(attitudes), cameras, tuple(warnings))
@@ -168,6 +170,19 @@ def _against_exif(
 
 def _distances_m(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.linalg.norm(mid_latitude_offset_m(*a.T, *b.T), axis=1))
+
+
+def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> None:
+    """No survey reaches so far: `InputError` naming the frame that lies farthest out."""
+    lonlat = lonlat_of(positions)
+    away = _distances_m(lonlat, np.broadcast_to(np.median(lonlat, axis=0), lonlat.shape))
+    i = int(np.argmax(away))
+    if away[i] > _TOO_FAR_M:
+        raise InputError(
+            f"lies {away[i] / 1000.0:.0f} km from the middle of the survey",
+            file=headers[i].path,
+            mend="correct its position, or take the frame out of the folder",
+        )
 
 
 def _doubts(

@@ -94,6 +94,14 @@ def _check_range(table: Table, lonlat: Floats) -> None:
             file=table.path,
             mend="exchange the two columns or their names",
         )
+    nowhere = (lonlat == 0.0).all(axis=1)
+    if nowhere.any():
+        raise InputError(
+            f"line {table.rows[int(np.argmax(nowhere))].line}: longitude and latitude are both 0, "
+            "as written by a receiver without a fix",
+            file=table.path,
+            mend="correct them, or take the line and its frame out",
+        )
     for bad, axis, name, limit in ((lat_bad, 1, "latitude", 90), (lon_bad, 0, "longitude", 180)):
         if bad.any():
             i = int(np.argmax(bad))
