@@ -173,6 +173,68 @@ def test_a_latitude_of_95(survey: Survey, refused: Refused) -> None:
     refused(survey.mosaic(), survey.run, survey.pos, "line 4", "latitude 95", "correct it")
 
 
+def test_a_receiver_without_a_fix(survey: Survey, refused: Refused) -> None:
+    survey.change(2, lat_deg=0, lon_deg=0)
+    refused(survey.mosaic(), survey.run, survey.pos, "line 4", "both 0", "take the line")
+
+
+def test_a_frame_on_another_continent(survey: Survey, refused: Refused) -> None:
+    """Refused before the ground is made for all that lies between."""
+    survey.change(1, lat_deg=3)
+    refused(survey.mosaic(), survey.run, survey.frame(2), "km from the middle", "correct its position")
+
+
+def test_a_frame_100_km_away(survey: Survey, refused: Refused) -> None:
+    survey.change(1, lat_deg=float(survey.rows()[1]["lat_deg"]) + 0.9)
+    refused(survey.mosaic(), survey.run, "F0002.jpg", "km", "check its position")
+
+
+def test_results_among_the_frames(survey: Survey, refused: Refused) -> None:
+    """Inside the folder of frames is well; in the folder itself the next run would take the mosaic in."""
+    code = mosaic(survey.frames, survey.frames, "--pos", survey.pos, "--camera", survey.camera)
+    refused(code, survey.run, survey.frames, "another output folder")
+    assert {p.name for p in survey.frames.iterdir()} == {f"F000{i}.jpg" for i in range(1, 5)} | {
+        "run.mcap",
+        "work",
+    }
+    survey.run = survey.frames / "run"
+    assert survey.mosaic() == 0 == survey.mosaic()
+    assert summary(survey.run)["frames"]["total"] == 4
+
+
+@pytest.mark.parametrize("name", ["track.gpx", "huge.csv"])
+def test_no_pos_file_at_all(survey: Survey, refused: Refused, name: str) -> None:
+    pos = survey.run.with_name(name)
+    gpx = '<?xml version="1.0"?><gpx><trk><trkseg><trkpt lat="48.1" lon="11.3"/></trkseg></trk></gpx>'
+    pos.write_text(gpx if name == "track.gpx" else "frame,lon_deg,lat_deg\n")
+    if name == "huge.csv":
+        os.truncate(pos, 65 << 20)
+    refused(mosaic(survey.frames, survey.run, "--pos", pos), survey.run, pos)
+
+
+def test_names_with_blanks_and_umlauts_and_a_relative_path(
+    survey: Survey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "Über Öl"
+    survey.frames.rename(folder)
+    for frame in sorted(folder.iterdir()):
+        frame.rename(folder / f"Bild ü {frame.name[:-4]}.JPEG")
+    survey.write([r | {"frame": f"Bild ü {r['frame'][:-4]}.JPEG"} for r in survey.rows()])
+    monkeypatch.chdir(tmp_path)
+    run = Path("läuft hier")
+    assert mosaic(Path("Über Öl"), run, "--pos", "pos.csv", "--camera", "cameras.json", *QUICK) == 0
+    assert summary(run)["frames"]["tied"] == 4
+
+
+def test_frames_of_one_position(survey: Survey) -> None:
+    """Positions that say nothing of where the frames lie to each other; the overlaps do."""
+    first = survey.rows()[0]
+    survey.write([r | {k: first[k] for k in ("lon_deg", "lat_deg")} for r in survey.rows()])
+    assert survey.mosaic() == 0
+    assert summary(survey.run)["frames"]["tied"] == 4
+    _filled(survey, 0.8, 1.15, frames=1.9)
+
+
 def test_a_frame_twice_in_the_pos_file(survey: Survey, refused: Refused) -> None:
     survey.write([*survey.rows(), survey.rows()[1]])
     refused(survey.mosaic(), survey.run, survey.pos, "F0002.jpg", "line 3", "line 6", "remove one")
