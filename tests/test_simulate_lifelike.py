@@ -25,7 +25,7 @@ from geomosaic.simulate.landscape import Landscape
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.rasters import square_mean
 from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.render import World, sight_of
+from geomosaic.simulate.render import World, render, sight_of
 from geomosaic.simulate.survey import simulate_frames, world_of
 
 PLAN = SurveyPlan(
@@ -175,6 +175,50 @@ def test_cars_are_where_truth_says_and_nothing_else_changed(tmp_path: Path) -> N
     for col, row in px:
         cv2.circle(near, (int(col), int(row)), 32, 255, -1)
     assert changed[40:560, 40:760][near[40:560, 40:760] == 0].mean() < 0.01
+
+
+def test_a_tree_leans_away_from_the_nadir_point() -> None:
+    """A tree of 8 m at 30 m from the nadir point: its tip shows at 30 * 100 / 92 m."""
+    camera = Camera("c", 800, 600, 1000.0, 400.0, 300.0)
+    world = World(LocalFrame(11.3, 48.1, 520.0), MapProjection("EPSG:32632"), Relief(1, 520.0))
+    east_m, north_m, _ = world.map_from_enu(np.array([30.0, -6.0, 0.0]))
+    standing = dataclasses.replace(world, trees=np.array([[east_m, north_m, 3.0, 8.0]]))
+    pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
+    sight = sight_of(camera, pose, world)
+    west_m, top_m = np.floor(sight.bounds_m[0]) - 2.0, np.ceil(sight.bounds_m[3]) + 2.0
+    texture = np.zeros((700, 900, 3), np.uint8)
+    for name, radius_m in (("crown", 3.0), ("tip", 0.5)):
+        col, row = (east_m - west_m) * 10.0 - 0.5, (top_m - north_m) * 10.0 - 0.5
+        paint = (90, 90, 0) if name == "crown" else (0, 0, 255)
+        cv2.circle(texture, (round(col * 64), round(row * 64)), round(radius_m * 640), paint, -1, shift=6)
+    flat, raised = (render(camera, pose, w, sight, texture, west_m, top_m, 0.1) for w in (world, standing))
+    centres = []
+    for frame in (flat, raised):
+        rows, cols = np.nonzero(frame[..., 2] > 128)
+        centres.append((cols.mean() + 0.5, rows.mean() + 0.5))
+    assert centres[0] == pytest.approx((700.0, 360.0), abs=0.3)
+    assert centres[1] == pytest.approx((400.0 + 300.0 / 0.92, 300.0 + 60.0 / 0.92), abs=1.5)
+    z = np.linspace(0.0, 8.0, 200)
+    edge_m = ((30.0 + 3.0 * np.sqrt(1.0 - z / 8.0)) / (1.0 - z / 100.0)).max()
+    assert edge_m > 33.4
+    far = np.nonzero((raised > 40).any(axis=(0, 2)))[0].max() + 1.0
+    assert far == pytest.approx(400.0 + 10.0 * edge_m, abs=1.5), "it hides the ground behind it"
+
+
+def test_standing_trees_are_in_the_surface_model_and_not_in_the_ortho(tmp_path: Path) -> None:
+    flat = simulate_frames(tmp_path / "flat", PLAN)
+    tall = simulate_frames(tmp_path / "tall", dataclasses.replace(PLAN, trees_stand=True))
+    assert flat.ortho.read_bytes() == tall.ortho.read_bytes()
+    assert tall.dsm is not None and flat.dsm is None
+    with rasterio.open(tall.dsm) as dsm:
+        trees = Landscape(PLAN.seed).trees_in(tuple(dsm.bounds))
+        inside = (np.abs(trees[:, :2] - [np.mean(dsm.bounds[::2]), np.mean(dsm.bounds[1::2])]) < 30.0).all(
+            axis=1
+        )
+        top = np.array([v[0] for v in dsm.sample(trees[inside, :2])])
+        assert float(dsm.read(1).min()) == pytest.approx(520.0, abs=0.01)
+    assert inside.sum() > 3
+    assert (top > 520.0 + 0.9 * trees[inside, 3]).all()
 
 
 def test_cars_drive_along_their_road() -> None:

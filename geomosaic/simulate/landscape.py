@@ -22,6 +22,8 @@ Colour = tuple[float, float, float]
 Span = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 CELL_M = 80.0
+CROWN = 1.15
+"""How much farther than a tree's radius its crown is painted at most."""
 COVERS: dict[str, Colour] = {"water": (58, 72, 78), "smooth_forest": (58, 74, 44)}
 _EDGE_POINTS = 9
 
@@ -143,6 +145,12 @@ class Landscape:
         if number < self.water_share:
             return "water"
         return "smooth_forest" if number < self.water_share + self.smooth_forest_share else ""
+
+    def trees_in(self, bounds_m: Bounds) -> Floats:
+        """Trees near the bounds: (n, 4) easting, northing, radius of the crown at the ground, height."""
+        trees = np.concatenate([p.trees for p in self.parcels(bounds_m)])
+        radius, tint = trees[:, 2], trees[:, 3]
+        return np.column_stack([trees[:, :2], CROWN * radius, radius * (1.4 + tint)])
 
     def number(self, i: int, j: int, salt: int) -> float:
         """A number in [0, 1) of a cell."""

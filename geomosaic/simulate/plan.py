@@ -67,6 +67,7 @@ class SurveyPlan:
     relief_wavelength_m: float = 300.0
     buildings: float = 1.0
     buildings_stand: bool = False
+    trees_stand: bool = False
     water_share: float = 0.0
     smooth_forest_share: float = 0.0
     moving_cars: float = 0.0

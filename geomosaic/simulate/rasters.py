@@ -168,8 +168,9 @@ def write_heights(
     bounds_m: Bounds,
     spacing_m: float,
     buildings: Sequence[Building] = (),
+    trees: Floats | None = None,
 ) -> None:
-    """Ellipsoidal heights at pixel centres (float32), with the roofs of the given buildings."""
+    """Ellipsoidal heights at pixel centres (float32), with the given roofs and trees (`World.trees`)."""
     west = float(np.floor(bounds_m[0] / spacing_m)) * spacing_m
     north = float(np.ceil(bounds_m[3] / spacing_m)) * spacing_m
     cols = int(np.ceil((bounds_m[2] - west) / spacing_m))
@@ -200,4 +201,13 @@ def write_heights(
                 px = (b.outline_m() - [west, north]) / [spacing_m, -spacing_m] - [0.5, top + 0.5]
                 if px[:, 1].max() > -1 and px[:, 1].min() < n:
                     cv2.fillPoly(height, [np.round(px * 64.0).astype(np.int32)], (roof,), shift=6)
+            for x, y, radius, tall in () if trees is None else trees:
+                row, col = np.abs(north_m - y) < radius, np.abs(east_m - x) < radius
+                if row.any() and col.any():
+                    crown_at = np.s_[
+                        row.argmax() : n - row[::-1].argmax(), col.argmax() : cols - col[::-1].argmax()
+                    ]
+                    away_sq = (east_m[crown_at[1]] - x) ** 2 + ((north_m[crown_at[0]] - y) ** 2)[:, None]
+                    crown = float(relief.height_at(x, y)) + tall * (1.0 - away_sq / radius**2)
+                    height[crown_at] = np.maximum(height[crown_at], crown)
             out.write(height, 1, window=Window(0, top, cols, n))

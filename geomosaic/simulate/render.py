@@ -18,6 +18,7 @@ from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.simulate.landscape import Bounds, Building
 from geomosaic.simulate.relief import RasterRelief, Relief
+from geomosaic.simulate.trees import Tree, raise_trees
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -33,12 +34,16 @@ _WALL = np.array([176.0, 168.0, 154.0])
 
 @dataclass(frozen=True)
 class World:
-    """Where the ground lies: its relief, its buildings that stand up, and the two coordinate systems."""
+    """Where the ground lies: its relief, what stands up on it, and the two coordinate systems.
+
+    trees: (n, 4) as `Landscape.trees_in`: paraboloids of this radius at the ground and this height.
+    """
 
     work_frame: LocalFrame
     projection: MapProjection
     relief: Relief | RasterRelief
     buildings: tuple[Building, ...] = ()
+    trees: Floats | None = None
 
     def map_from_enu(self, enu_m: Floats) -> Floats:
         """Easting, northing, ellipsoidal height (..., 3) of points in the work frame."""
@@ -146,13 +151,21 @@ def render(
     covers `sight.bounds_m` with a margin of 4 pixels; moved_px: how far a rolling shutter moves things.
     """
     near = _standing(camera, pose, world, moved_px)
+    trees = standing_trees(camera, pose, world, moved_px)
     out = np.empty((camera.height_px, camera.width_px, 3), dtype=np.float32)
     cols = _samples(0, camera.width_px)
     for top in range(0, camera.height_px, _STRIP_PX):
         bottom = min(top + _STRIP_PX, camera.height_px)
         rows = _samples(top, bottom)
         east, north = (_dense(s, top, bottom, camera.width_px) for s in (sight.easting, sight.northing))
-        walls = _raise_buildings(near, sight, rows, cols, east, north)
+        ground = (east.copy(), north.copy()) if trees else (east, north)
+        top_m = np.full(east.shape if near and trees else (1, 1), -np.inf)
+        walls = _raise_buildings(near, sight, rows, cols, east, north, top_m)
+        if trees:
+            others = (sight.height, sight.east_per_m, sight.north_per_m)
+            rays = (*ground, *(_dense(s, top, bottom, camera.width_px) for s in others))
+            for window, hit in raise_trees(trees, rays, rows, cols, east, north, top_m):
+                _hide(walls, window, hit)
         x = ((east - west_m) / pixel_m - 0.5).astype(np.float32)
         y = ((north_m - north) / pixel_m - 0.5).astype(np.float32)
         seen = cv2.remap(texture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -209,16 +222,42 @@ def _standing(camera: Camera, pose: Pose, world: World, moved_px: float) -> list
     return [s for _, s in sorted(found, key=lambda pair: -pair[0])]
 
 
+def standing_trees(camera: Camera, pose: Pose, world: World, moved_px: float) -> list[Tree]:
+    """The trees in a frame's view."""
+    if world.trees is None or not len(world.trees):
+        return []
+    x, y, radius, height = world.trees.T
+    base = world.relief.height_at(x, y)
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    square = world.trees[:, None, :2] + 1.3 * radius[:, None, None] * signs
+    around = np.concatenate([square, square], axis=1)
+    levels = np.repeat(np.stack([base - 0.5 * radius, base + height], axis=1), 4, axis=1)
+    px = pose.image_from_ground(camera, world.enu_from_map(around[..., 0], around[..., 1], levels))
+    low, high = px.min(axis=1) - 2.0 - moved_px, px.max(axis=1) + 2.0 + moved_px
+    seen = (high > 0.0).all(axis=1) & (low < [camera.width_px, camera.height_px]).all(axis=1)
+    return [
+        Tree(float(x[i]), float(y[i]), float(radius[i]), float(height[i]), float(base[i]), low[i], high[i])
+        for i in np.flatnonzero(seen)
+    ]
+
+
 _Wall = tuple[tuple[slice, slice], NDArray[np.bool_], Pixels]
 
 
 def _raise_buildings(
-    standing: Sequence[_Standing], sight: Sight, rows: Floats, cols: Floats, east: Floats, north: Floats
+    standing: Sequence[_Standing],
+    sight: Sight,
+    rows: Floats,
+    cols: Floats,
+    east: Floats,
+    north: Floats,
+    top_m: Floats,
 ) -> list[_Wall]:
     """Stand the buildings up in a strip of samples: each ray is cut with each prism in its box.
 
     Where a ray meets a roof first, east and north are moved there in place; where it meets a wall, a
-    patch of wall colour is returned (window, hit, colour). Later buildings hide earlier ones.
+    patch of wall colour is returned (window, hit, colour). Later buildings hide earlier ones. top_m gets
+    the heights where rays end on them, if it has the samples' shape.
     """
     walls: list[_Wall] = []
     for s in standing:
@@ -244,6 +283,8 @@ def _raise_buildings(
         on_roof, on_wall = hit & (enter <= 0.0), hit & (enter > 0.0)
         for name, plane in ((0, east), (1, north)):
             plane[window] = np.where(on_roof, roof[..., name], plane[window])
+        if top_m.shape == east.shape:
+            top_m[window] = np.where(hit, s.roof_m - np.maximum(enter, 0.0) * drop, top_m[window])
         _hide(walls, window, on_roof)
         if on_wall.any():
             walls.append((window, on_wall, _wall_colour(b, from_roof, step, enters, enter, drop)))

@@ -157,6 +157,8 @@ def _frame(
         west, south, east, north = sight.bounds_m
         near = landscape_of(plan).buildings_in((west - 20, south - 20, east + 20, north + 20))
         world = dataclasses.replace(world, buildings=tuple(near))
+    if plan.trees_stand:
+        world = dataclasses.replace(world, trees=landscape_of(plan).trees_in(sight.bounds_m))
     ground, west_m, north_m = texture.window(sight.bounds_m)
     glitter(ground, west_m, north_m, plan.pixel_m, landscape_of(plan), plan.rng("water", i))
     paint_cars(ground, cars, west_m, north_m, plan.pixel_m)
@@ -211,7 +213,9 @@ def _write_ground(
     spacing = 10.0 if world.relief.amplitude_m == 0.0 else world.relief.mesh_m
     write_heights(paths.dem, crs, world.relief, bounds, spacing)
     if paths.dsm:
-        write_heights(paths.dsm, crs, world.relief, bounds, min(spacing, 0.5), landscape.buildings_in(bounds))
+        roofs = landscape.buildings_in(bounds) if plan.buildings_stand else ()
+        trees = landscape.trees_in(bounds) if plan.trees_stand else None
+        write_heights(paths.dsm, crs, world.relief, bounds, min(spacing, 0.5), roofs, trees)
     return texture
 
 
@@ -271,7 +275,7 @@ def _paths(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
         positions=truth / "positions.csv",
         ortho=truth / "ortho.tif",
         dem=truth / "dem.tif",
-        dsm=truth / "dsm.tif" if plan.buildings_stand else None,
+        dsm=truth / "dsm.tif" if plan.buildings_stand or plan.trees_stand else None,
         cover=truth / "cover.tif" if plan.water_share + plan.smooth_forest_share > 0.0 else None,
         moving_cars=truth / "moving_cars.csv" if plan.moving_cars > 0.0 else None,
         truth=truth / "truth.json",

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.landscape import COVERS, Building, Colour, Landscape
+from geomosaic.simulate.landscape import COVERS, CROWN, Building, Colour, Landscape
 from geomosaic.simulate.noise import fractal_noise
 
 Floats = NDArray[np.float64]
@@ -209,7 +209,7 @@ class _Painter:
         height = np.full((self.size, self.size), -1.0, dtype=np.float32)
         tints = np.zeros((self.size, self.size), dtype=np.float32)
         for (x, y), (radius, tint) in zip(self._px(self.trees[:, :2]), self.trees[:, 2:], strict=True):
-            r = radius / self.pixel_m * 1.15
+            r = radius / self.pixel_m * CROWN
             x_0, x_1 = max(int(x - r), 0), min(int(x + r) + 2, self.size)
             y_0, y_1 = max(int(y - r), 0), min(int(y + r) + 2, self.size)
             if x_0 >= x_1 or y_0 >= y_1:
