@@ -336,6 +336,7 @@ def test_the_stage_writes_the_survey_into_its_folder(tmp_path: Path) -> None:
     )
     outputs = SimulateFrames().run({}, SimulateFrames.Params(**SMALL), context)
     assert outputs["truth_file"].name == "truth/truth.json"
+    assert json.loads((tmp_path / "out" / "truth" / "truth.json").read_text())["seed"] == 3
     assert done[-1] == (3, 3, "frames")
     kept = {str(p.relative_to(tmp_path / "out")) for p in context.kept}
     assert kept == {*contents(tmp_path / "out")} - {"truth/cameras.json"}

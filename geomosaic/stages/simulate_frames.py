@@ -138,8 +138,7 @@ class SimulateFrames(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Write the survey; what is wrong with it on purpose is in truth.json, not in warnings."""
-        seed = int(context.rng("survey").integers(2**31))
-        plan = SurveyPlan(seed=seed, **params.model_dump())
+        plan = SurveyPlan(seed=context.seed, **params.model_dump())
         paths = simulate_frames(context.run_folder, plan, context.progress)
         for path in dataclasses.astuple(paths):
             if path is not None and path.is_file():
