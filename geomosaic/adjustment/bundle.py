@@ -31,12 +31,14 @@ _GROUPS = ("image", "horizontal", "vertical", "tilt", "yaw")
 class Terrain:
     """Tie points lie on this surface, but for one level that is common to all of them.
 
-    sd_m: of a point from the surface; what stands up (trees, roofs) is outweighed by Cauchy's function.
-    level_sd_m: of the surface as a whole.
+    sd_share: how far a point lies off the surface, as a share of the frames' mean height above it; what
+    stands up (trees, roofs) is outweighed by Cauchy's function. A deviation in metres would be smaller
+    than it is for a block that shrinks, and so make every block shrink. level_sd_m: of the surface as a
+    whole.
     """
 
     ground: GroundSurface
-    sd_m: float
+    sd_share: float
     level_sd_m: float
 
 
@@ -172,7 +174,8 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
     )
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
     if priors.terrain is not None:
-        miss = _terrain_miss(priors.terrain, state) / priors.terrain.sd_m
+        sd_m = priors.terrain.sd_share * _height_m(priors.terrain, state)
+        miss = _terrain_miss(priors.terrain, state) / sd_m
         total += float((_CAUCHY**2 * np.log1p((miss / _CAUCHY) ** 2)).sum())
         total += (state.level / priors.terrain.level_sd_m) ** 2
     return total
@@ -180,17 +183,27 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
 
 def _terrain_miss(terrain: Terrain, state: _State) -> Floats:
     """Surface plus level minus point, along the vertical, (p,)."""
-    return np.asarray(
-        terrain.ground.up_at(state.points[:, 0], state.points[:, 1]) + state.level - state.points[:, 2]
-    )
+    surface = terrain.ground.up_at(state.points[:, 0], state.points[:, 1])
+    return np.asarray(surface + state.level - state.points[:, 2])
+
+
+def _height_m(terrain: Terrain, state: _State) -> float:
+    """Mean height of the frames above the surface and its level."""
+    surface = terrain.ground.up_at(state.positions[:, 0], state.positions[:, 1])
+    return max(float((state.positions[:, 2] - surface).mean()) - state.level, 1.0)
 
 
 def _add_terrain(n: Normals, terrain: Terrain | None, state: _State) -> Normals:
-    """Each point's equation: up minus slope times place minus level, observed as the surface says."""
+    """Each point's equation: up minus slope times place minus level, observed as the surface says.
+
+    Since the deviation grows with the flying height, the cost has a slope along it: it lifts the frames
+    and lowers the level by just what the misses would gain if the block shrank.
+    """
     if terrain is None:
         return replace(n, level=1.0)
-    miss = _terrain_miss(terrain, state)
-    weight = _robust(miss / terrain.sd_m) / terrain.sd_m**2
+    miss, height = _terrain_miss(terrain, state), _height_m(terrain, state)
+    sd_m = terrain.sd_share * height
+    weight = _robust(miss / sd_m) / sd_m**2
     step, (e, u) = terrain.ground.spacing_m, state.points[:, :2].T
     at = terrain.ground.up_at
     normal = np.column_stack(
@@ -202,12 +215,14 @@ def _add_terrain(n: Normals, terrain: Terrain | None, state: _State) -> Normals:
     )
     n.points[:] += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
     n.point_side[:] += (weight * miss)[:, None] * normal
+    lift = float((weight * miss**2).sum()) / height
+    n.pose_side[:, 2] += lift / len(state.positions)
     level_weight = 1.0 / terrain.level_sd_m**2
     return replace(
         n,
         level_point=-weight[:, None] * normal,
         level=float(weight.sum()) + level_weight,
-        level_side=-float((weight * miss).sum()) - level_weight * state.level,
+        level_side=-float((weight * miss).sum()) - level_weight * state.level - lift,
     )
 
 

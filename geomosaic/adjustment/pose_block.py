@@ -66,12 +66,14 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         interior_sd=np.stack([interior_deviations(c) for c in cameras]),
         points_m=points,
         points_sd_m=_point_deviations(block, points),
-        terrain=Terrain(block.ground, _DEM_SD_M, _DEM_LEVEL_SD_M) if block.ground.kind == "dem" else None,
+        terrain=Terrain(block.ground, _DEM_SD_M / _height_m(block), _DEM_LEVEL_SD_M)
+        if block.ground.kind == "dem"
+        else None,
     )
     bundle = solve_bundle(kept, camera_of, priors, start)
     ground = _ground(block, settings, bundle)
     if ground.kind == "flat":
-        flat = Terrain(ground, _least_relief_m(block), _UNKNOWN_LEVEL_SD_M)
+        flat = Terrain(ground, _least_relief_m(block) / _height_m(block), _UNKNOWN_LEVEL_SD_M)
         bundle = solve_bundle(kept, camera_of, replace(priors, terrain=flat), bundle.poses, again=bundle)
         ground = _flat_ground(ground, bundle)
     net = offset_net(block)
@@ -136,8 +138,11 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
 
 def _point_deviations(block: Block, points: Floats) -> Floats:
     """Tie points are free; all together, no further from the start than a flying height."""
-    height = float(np.median(heights_above_ground_m(block.poses, block.ground)))
-    return np.full((len(points), 3), height * np.sqrt(len(points)))
+    return np.full((len(points), 3), _height_m(block) * np.sqrt(len(points)))
+
+
+def _height_m(block: Block) -> float:
+    return float(np.median(heights_above_ground_m(block.poses, block.ground)))
 
 
 def _view(block: Block) -> float:
@@ -165,10 +170,8 @@ def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
     points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
     if settings.ground == "flat" or len(points) < 50:
         return flat
-    height = float(np.median(heights_above_ground_m(bundle.poses, flat)))
-    surface = tie_surface(
-        points, sd, points[:, :2].min(axis=0), points[:, :2].max(axis=0), stiffness_m=0.002 * height
-    )
+    stiffness_m = 0.002 * float(np.median(heights_above_ground_m(bundle.poses, flat)))
+    surface = tie_surface(points, sd, points[:, :2].min(axis=0), points[:, :2].max(axis=0), stiffness_m)
     if settings.ground == "tie_surface":
         return surface
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
