@@ -52,8 +52,8 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
     if inside.size == 0:
         return np.zeros(one.shape, np.uint8)
     low, high = np.percentile(inside[:: max(1, inside.size // 200_000)].astype(np.float32), [0.5, 99.5])
-    if one.dtype == np.uint8 and high - low >= 85.0:
-        return np.ascontiguousarray(one)
+    if pixels.dtype == np.uint8 and high - low >= 85.0:
+        return np.ascontiguousarray(np.rint(one).astype(np.uint8))
     scaled = (one.astype(np.float32) - low) * (255.0 / max(high - low, 1e-6))
     return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
 

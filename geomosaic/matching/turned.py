@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
+from geomosaic.placement.graph import connected_parts
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 
@@ -34,22 +36,41 @@ def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_na
 def turned_frames(n: int, costs_m: list[tuple[int, int, Floats]], cap_m: float) -> dict[int, int]:
     """Quarter turns (1 to 3, counter-clockwise on the ground) of frames that need them.
 
-    Minimises the sum over pairs of the misalignment, each capped, plus half a cap for every turned
-    frame, by coordinate descent from the pairs' own votes: where the evidence is level, a frame
-    counts as it was tagged.
+    Minimises the sum over pairs of the misalignment, each capped, plus a quarter of it for every turned
+    frame, by coordinate descent from the pairs' own votes; then groups of neighbours that gain less
+    by their turns than those cost go back together. So where the evidence is level, a frame counts as
+    it was tagged.
 
     Args: costs_m: (left, right, (4, 4) costs) per pair. cap_m: beyond this a pair says no more.
     """
     capped = [(a, b, np.minimum(c, cap_m)) for a, b, c in costs_m]
+    turn = _descent(n, capped, _votes(n, capped), cap_m / 4.0)
+    links = [(a, b) for a, b, _ in capped if turn[a] and turn[b]]
+    for group in connected_parts(n, links):
+        back = turn.copy()
+        back[group] = 0
+        if _total(capped, back, cap_m / 4.0) < _total(capped, turn, cap_m / 4.0):
+            turn = back
+    turn = _descent(n, capped, turn, cap_m / 4.0)
+    return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
+
+
+def _votes(n: int, costs: list[tuple[int, int, Floats]]) -> Ints:
+    """The turn that each frame's pairs would best like, weighed by how much they gain."""
     votes = np.zeros((n, 4))
-    for a, b, c in capped:
+    for a, b, c in costs:
         i, j = np.unravel_index(int(c.argmin()), c.shape)
         weight = float(c[0, 0] - c[i, j])
         votes[a, i] += weight
         votes[b, j] += weight
-    turn = np.where(votes.max(axis=1) > 0.0, votes.argmax(axis=1), 0)
+    return np.asarray(np.where(votes.max(axis=1) > 0.0, votes.argmax(axis=1), 0))
+
+
+def _descent(n: int, costs: list[tuple[int, int, Floats]], start: Ints, fee_m: float) -> Ints:
+    """Each frame in turn takes what is best beside its neighbours' present turns, until none changes."""
+    turn = start.copy()
     mine: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
-    for a, b, c in capped:
+    for a, b, c in costs:
         mine[a].append((b, c))
         mine[b].append((a, c.T))
     for _ in range(20):
@@ -58,11 +79,15 @@ def turned_frames(n: int, costs_m: list[tuple[int, int, Floats]], cap_m: float) 
             if not mine[frame]:
                 continue
             cost = np.sum([c[:, turn[other]] for other, c in mine[frame]], axis=0)
-            cost[1:] += cap_m / 2.0
+            cost[1:] += fee_m
             turn[frame] = int(cost.argmin())
         if np.array_equal(turn, before):
             break
-    return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
+    return turn
+
+
+def _total(costs: list[tuple[int, int, Floats]], turn: Ints, fee_m: float) -> float:
+    return float(sum(c[turn[a], turn[b]] for a, b, c in costs)) + fee_m * int(np.count_nonzero(turn))
 
 
 def righted(poses: Poses, turns: dict[int, int]) -> Poses:
