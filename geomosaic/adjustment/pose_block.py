@@ -32,7 +32,9 @@ _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
 _DEM_SD_M = 1.0
 _DEM_LEVEL_SD_M = 2.0
-_UNKNOWN_LEVEL_SD_M = 1e3
+_ANY_RELIEF = 0.3
+_LEVEL_SD_SHARE = 0.04
+_LEAST_LEVEL_SD_M = 2.0
 _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 
@@ -66,14 +68,12 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         interior_sd=np.stack([interior_deviations(c) for c in cameras]),
         points_m=points,
         points_sd_m=_point_deviations(block, points),
-        terrain=Terrain(block.ground, _DEM_SD_M / _height_m(block), _DEM_LEVEL_SD_M)
-        if block.ground.kind == "dem"
-        else None,
+        terrain=_believed_terrain(block),
     )
     bundle = solve_bundle(kept, camera_of, priors, start)
     ground = _ground(block, settings, bundle)
     if ground.kind == "flat":
-        flat = Terrain(ground, _least_relief_m(block) / _height_m(block), _UNKNOWN_LEVEL_SD_M)
+        flat = replace(_believed_terrain(block), sd_share=_least_relief_m(block) / _height_m(block))
         bundle = solve_bundle(kept, camera_of, replace(priors, terrain=flat), bundle.poses, again=bundle)
         ground = _flat_ground(ground, bundle)
     net = offset_net(block)
@@ -139,6 +139,14 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
 def _point_deviations(block: Block, points: Floats) -> Floats:
     """Tie points are free; all together, no further from the start than a flying height."""
     return np.full((len(points), 3), _height_m(block) * np.sqrt(len(points)))
+
+
+def _believed_terrain(block: Block) -> Terrain:
+    """A DEM binds the points; what POS says of the ground's height only tells their common level."""
+    height = _height_m(block)
+    if block.ground.kind == "dem":
+        return Terrain(block.ground, _DEM_SD_M / height, _DEM_LEVEL_SD_M)
+    return Terrain(block.ground, _ANY_RELIEF, max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M))
 
 
 def _height_m(block: Block) -> float:
