@@ -5,6 +5,7 @@ STAMP := .venv/.setup-done
 IMAGES ?=
 OUT ?= out/demo
 WORKERS ?= 2
+DATA ?= ../shared
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -34,6 +35,15 @@ layers: setup ## import-linter: data walks one way
 unit: setup ## pytest, two workers
 	.venv/bin/pytest -n $(WORKERS) --dist loadfile
 
+bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)
+	$(PY) tools/bench_paper.py --out out/bench-paper
+
+bench-accuracy: setup ## accuracy on simulated surveys against their truth (about an hour)
+	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
+
+bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
+	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
+
 format: setup ## rewrite the code's layout
 	.venv/bin/ruff check --fix geomosaic tests tools
 	.venv/bin/ruff format geomosaic tests tools
@@ -41,4 +51,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-real format clean
