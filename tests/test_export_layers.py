@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from mosaic_scenes import CAMERA, CRS, GSD_M, HOME, make_survey
 from osgeo import ogr
 from osgeo_utils.samples import validate_gpkg
@@ -16,6 +18,8 @@ from osgeo_utils.samples import validate_gpkg
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
+from geomosaic.export import layers
+from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import COLUMNS, write_positions
@@ -199,6 +203,74 @@ def test_equal_data_give_equal_bytes(package, tmp_path):
     path, arguments = package
     write_layers(tmp_path / "again.gpkg", *arguments)
     assert (tmp_path / "again.gpkg").read_bytes() == path.read_bytes()
+
+
+def test_of_too_many_tie_points_every_pair_keeps_its_share_and_the_layer_says_so(
+    package, tmp_path, monkeypatch
+):
+    _, arguments = package
+    monkeypatch.setattr(layers, "MOST_TIE_POINTS", 4)
+    write_layers(tmp_path / "thin.gpkg", *arguments)
+    dataset = ogr.Open(str(tmp_path / "thin.gpkg"))
+    for name in ("tie_points", "residuals"):
+        layer = dataset.GetLayer(name)
+        assert [f["left_frame"] for f in layer] == ["frame 00.tif"] * 2 + ["frame 02.tif"] * 2
+        assert layer.GetMetadataItem("DESCRIPTION").endswith(": 4 of 6, evenly thinned")
+    whole = ogr.Open(str(package[0]))
+    assert whole.GetLayer("tie_points").GetMetadataItem("DESCRIPTION") == "Tie points on the ground"
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    """20,000 points, every hundredth unknown: a spatial index of three levels."""
+    path = tmp_path_factory.mktemp("many") / "many.gpkg"
+    at = np.random.default_rng(3).uniform(0.0, 300.0, (20_000, 2)) + [553_000.0, 5_231_000.0]
+    at[:40] = at[0]
+    points = [None if i % 100 == 7 else p for i, p in enumerate(shapely.points(at))]
+    with writing_geopackage(path, CRS, None) as package:
+        package.add_layer("points", "Some", "Point", points, {"number": np.arange(20_000)})
+    at[7::100] = np.nan
+    return path, at
+
+
+def test_the_spatial_index_is_whole_and_finds_what_lies_there(many):
+    path, at = many
+    with sqlite3.connect(path) as db:
+        assert db.execute("SELECT rtreecheck('main', 'rtree_points_geom')").fetchone() == ("ok",)
+        (root,) = db.execute("SELECT data FROM rtree_points_geom_node WHERE nodeno = 1").fetchone()
+        assert root[:2] == b"\x00\x02"
+        for west, east, south, north in ((553_100, 553_101.5, 5_231_050, 5_231_290), (0, 1, 2, 3)):
+            found = db.execute(
+                "SELECT id - 1 FROM rtree_points_geom WHERE maxx >= ? AND minx <= ? AND maxy >= ? AND miny <= ?",
+                (west, east, south, north),
+            ).fetchall()
+            inside = (at > [west, south]).all(axis=1) & (at < [east, north]).all(axis=1)
+            near = (at > [west - 0.1, south - 1]).all(axis=1) & (at < [east + 0.1, north + 1]).all(axis=1)
+            assert set(np.flatnonzero(inside)) <= {i for (i,) in found} <= set(np.flatnonzero(near))
+    dataset = ogr.Open(str(path))
+    layer = dataset.GetLayer("points")
+    assert (layer.GetFeatureCount(), layer.GetFeature(8).GetGeometryRef()) == (20_000, None)
+    assert layer.GetExtent() == pytest.approx(
+        (*np.nanmin(at, 0)[:1], *np.nanmax(at, 0)[:1], *np.nanmin(at, 0)[1:], *np.nanmax(at, 0)[1:]), abs=1e-6
+    )
+
+
+def test_a_gis_may_edit_the_layer(many, tmp_path):
+    """The triggers that keep index and count are there."""
+    path = shutil.copy(many[0], tmp_path / "edited.gpkg")
+    dataset = ogr.Open(str(path), 1)
+    layer = dataset.GetLayer("points")
+    feature = ogr.Feature(layer.GetLayerDefn())
+    feature.SetGeometry(ogr.CreateGeometryFromWkt("POINT (553900.5 5231900.25)"))
+    layer.CreateFeature(feature)
+    layer.DeleteFeature(1)
+    del feature, layer, dataset
+    dataset = ogr.Open(str(path))
+    layer = dataset.GetLayer("points")
+    layer_count = layer.GetFeatureCount()
+    layer.SetSpatialFilterRect(553_800, 5_231_800, 554_000, 5_232_000)
+    assert (layer_count, [f.GetFID() for f in layer]) == (20_000, [20_001])
+    validate_gpkg.check(str(path), abort_at_first_error=True)
 
 
 def test_names_are_data(package, tmp_path):

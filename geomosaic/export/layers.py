@@ -21,6 +21,8 @@ from geomosaic.projection.footprint import footprint, ground_from_image, ground_
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
+MOST_TIE_POINTS = 200_000
+"""Of more the layers show an even share: a map can't show them, and a GIS opens the file slowly."""
 
 
 def write_layers(
@@ -31,7 +33,8 @@ def write_layers(
     frames: the adjusted projection centres with their orientation. footprints: what each frame sees of the
     ground. nadir_points: the ground below where the POS put each frame, before the adjustment. tie_points:
     midway between where its two frames put each; residuals: lines from where the left frame puts it to where
-    the right one does, true to scale. seamlines: where each frame is the heaviest in the mosaic.
+    the right one does, true to scale; both show at most 200,000, as their description says. seamlines: where
+    each frame is the heaviest in the mosaic.
     Raises: `OSError` if the file can't be written.
     """
     adjusted_orientation = orientations(survey, placement.poses, adjusted)
@@ -101,9 +104,11 @@ class _Layers:
         for frame in np.unique(left):
             left_m[left == frame] = self._ground(frame, left_px[left == frame])
         hit = np.isfinite(left_m).all(axis=1) & np.isfinite(shift).all(axis=1)
-        left, right, left_px, right_px = left[hit], right[hit], left_px[hit], right_px[hit]
-        left_map = self._map_from_work(left_m[hit])
-        right_map = self._map_from_work(left_m[hit] + np.pad(shift[hit], ((0, 0), (0, 1))))
+        shown = _evenly(np.flatnonzero(hit), MOST_TIE_POINTS)
+        thinned = f": {len(shown):,} of {hit.sum():,}, evenly thinned" if len(shown) < hit.sum() else ""
+        left, right, left_px, right_px = left[shown], right[shown], left_px[shown], right_px[shown]
+        left_map = self._map_from_work(left_m[shown])
+        right_map = self._map_from_work(left_m[shown] + np.pad(shift[shown], ((0, 0), (0, 1))))
         residual = right_map - left_map
         length = np.linalg.norm(residual, axis=1)
         fields = {
@@ -122,8 +127,11 @@ class _Layers:
         }
         middle = shapely.points((left_map + right_map) / 2.0)
         lines = shapely.linestrings(np.stack([left_map, right_map], axis=1))
-        self.package.add_layer("tie_points", "Tie points on the ground", "Point", middle, {**fields, **place})
-        self.package.add_layer("residuals", "From left to right frame's place", "LineString", lines, fields)
+        for name, text, kind, shapes, columns in (
+            ("tie_points", "Tie points on the ground", "Point", middle, {**fields, **place}),
+            ("residuals", "From left to right frame's place", "LineString", lines, fields),
+        ):
+            self.package.add_layer(name, text + thinned, kind, shapes, columns)
 
     def _joined_ties(self) -> tuple[NDArray[Any], NDArray[Any], Floats, Floats, Floats]:
         """All pairs in one: left and right frame, their pixels, and right minus left on the ground."""
@@ -188,6 +196,11 @@ class _Layers:
         for names, values in groups.items():
             fields.update(zip(names.split(), values.T, strict=True))
         return {**fields, "moved_m": o.moved_m, "turned_deg": o.turned_deg}
+
+
+def _evenly(indices: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most so many of them, evenly over their order, so that every pair of frames keeps its share."""
+    return indices if len(indices) <= most else indices[np.arange(most) * len(indices) // most]
 
 
 def _utc(time_s: float | None) -> str:
