@@ -75,7 +75,9 @@ OBLIQUE = [
 
 
 @pytest.mark.parametrize(("flown", "adjusted"), OBLIQUE)
-def test_two_published_attitudes_of_one_frame_agree(flown: tuple[float, ...], adjusted: tuple[float, ...]) -> None:
+def test_two_published_attitudes_of_one_frame_agree(
+    flown: tuple[float, ...], adjusted: tuple[float, ...]
+) -> None:
     roll, pitch, yaw = deg(*flown)
     a = Rotation.from_yaw_pitch_roll(yaw, pitch, roll)
     b = Rotation.from_omega_phi_kappa(*deg(*adjusted))

@@ -77,7 +77,13 @@ def test_enu_of_a_published_point() -> None:
     assert enu == pytest.approx([-189013.869, -128642.040, -4220.171], abs=2e-3)
 
 
-@given(st.floats(-179, 179), st.floats(-80, 80), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-100, 5000))
+@given(
+    st.floats(-179, 179),
+    st.floats(-80, 80),
+    st.floats(-0.1, 0.1),
+    st.floats(-0.1, 0.1),
+    st.floats(-100, 5000),
+)
 def test_enu_there_and_back(lon: float, lat: float, d_lon: float, d_lat: float, height: float) -> None:
     frame = LocalFrame(lon, lat, 120.0)
     back = frame.geodetic_from_enu(frame.enu_from_geodetic(lon + d_lon, lat + d_lat, height))
@@ -89,7 +95,9 @@ def test_local_axes_turn_with_the_meridians() -> None:
     frame = LocalFrame(10.0, 60.0, 0.0)
     lon, lat, _ = GEOD.fwd(10.0, 60.0, 90.0, 1000.0)
     north = frame.enu_from_local_rotation(lon, lat)[:, 1]
-    assert float(np.arctan2(north[0], north[1])) == pytest.approx(-1000.0 * np.tan(np.radians(60)) / 6394000, rel=2e-3)
+    assert float(np.arctan2(north[0], north[1])) == pytest.approx(
+        -1000.0 * np.tan(np.radians(60)) / 6394000, rel=2e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -102,7 +110,9 @@ def test_utm_zones(lon: float, lat: float, crs: str) -> None:
 
 def test_utm_of_a_published_point() -> None:
     """The CN Tower, 43°38'33.24"N 79°23'13.7"W, is 17T 630084 4833438 (Wikipedia, UTM)."""
-    en = MapProjection("EPSG:32617").map_from_geodetic(-(79 + 23 / 60 + 13.7 / 3600), 43 + 38 / 60 + 33.24 / 3600)
+    en = MapProjection("EPSG:32617").map_from_geodetic(
+        -(79 + 23 / 60 + 13.7 / 3600), 43 + 38 / 60 + 33.24 / 3600
+    )
     assert en == pytest.approx([630084.0, 4833438.0], abs=1.0)
 
 

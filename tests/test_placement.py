@@ -16,7 +16,8 @@ from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.runner import run
 from geomosaic.placement.graph import connected_parts, flight_lines, overlapping_pairs
-from geomosaic.placement.prior import FORMULAS, courses_deg, frame_heights_m, ground_height_m, prior_poses
+from geomosaic.placement.heights import frame_heights_m, ground_height_m
+from geomosaic.placement.prior import FORMULAS, courses_deg, prior_poses
 from geomosaic.placement.reach import half_extent_m, misplacement_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.positions import read_poses

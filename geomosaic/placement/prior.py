@@ -11,7 +11,8 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.survey.model import Frame, Survey
+from geomosaic.placement.heights import or_nan
+from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 UNKNOWN_YAW_SD_DEG = 180.0
@@ -52,37 +53,6 @@ ATTITUDES: dict[str, Callable[[Floats, Floats, Floats], Rotation]] = {
 }
 
 
-def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floats:
-    """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
-
-    Heights above the ground count from the take-off point, whose height is taken as the median of the
-    ground below the frames. They are believed before an absolute height of worse than 3 m.
-
-    Args: ground_heights_m (n,) ellipsoidal heights of the ground below the frames.
-    """
-    absolute = np.array([_or_nan(f.position.height_ellipsoidal_m) for f in frames])
-    above = np.array([_or_nan(f.position.height_above_ground_m) for f in frames])
-    weak = np.array([f.position.sd_vertical_m > 3.0 for f in frames]) | np.isnan(absolute)
-    relative = np.isfinite(above)
-    if not relative.any():
-        return absolute
-    return np.where(weak & relative, np.median(ground_heights_m[relative]) + above, absolute)
-
-
-def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
-    """The flat ground's ellipsoidal height: the median of absolute minus relative heights."""
-    both = [
-        p.height_ellipsoidal_m - p.height_above_ground_m
-        for p in (f.position for f in frames)
-        if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
-    ]
-    return float(np.median(both)) if both else None
-
-
-def _or_nan(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
 def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
     """True course over ground at each frame (n,), from its neighbours in the same flight line."""
     n = len(positions_m)
@@ -116,7 +86,7 @@ def prior_poses(
         [[f.position.lon_deg, f.position.lat_deg, h] for f, h in zip(frames, heights_m, strict=True)]
     )
     positions, work_from_local = FORMULAS[formula](survey.work_frame, llh)
-    yaw = np.array([_or_nan(f.attitude.yaw_deg) for f in frames])
+    yaw = np.array([or_nan(f.attitude.yaw_deg) for f in frames])
     sd_yaw = np.array([f.attitude.sd_yaw_deg for f in frames])
     unknown = np.isnan(yaw)
     course = courses_deg(positions, lines)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from geomosaic.matching.features import Features, grey, reduction_for, sift_features
+from geomosaic.matching.features import reduction_for
 from geomosaic.matching.match import PairJob, match_pair
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.search import CHECKS
@@ -19,15 +19,8 @@ from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import Frame, Survey
-from geomosaic.survey.pixels import read_pixels
-
-
-def frame_features(frame: Frame, longest_px: int, most: int, band: int | None) -> Features:
-    """Decodes a frame once, reduced, and takes its keypoints."""
-    reduction = reduction_for(frame.width_px, frame.height_px, longest_px)
-    pixels, valid = read_pixels(frame, reduction)
-    return sift_features(grey(pixels, valid, band), valid, reduction, most)
+from geomosaic.stages.keypoints import frame_features
+from geomosaic.survey.model import Survey
 
 
 class MatchingSift(Stage):

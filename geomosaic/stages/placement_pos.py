@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import flight_lines, overlapping_pairs
+from geomosaic.placement.heights import frame_heights_m
 from geomosaic.placement.model import Placement
-from geomosaic.placement.prior import ATTITUDES, FORMULAS, frame_heights_m, prior_poses
+from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface

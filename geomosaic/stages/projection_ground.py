@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -10,16 +11,26 @@ from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.matching.features import reduction_for
+from geomosaic.matching.flying_height import flying_height_m
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
-from geomosaic.placement.prior import frame_heights_m, ground_height_m
+from geomosaic.placement.heights import (
+    frame_heights_m,
+    ground_height_m,
+    neighbours,
+    with_heights_above_ground,
+)
 from geomosaic.placement.reach import half_extent_m
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.relief import relief
+from geomosaic.stages.keypoints import frame_features
 from geomosaic.survey.dem import dem_crs, read_heights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _MOST_FLAT_REACH = 3.0
+_PAIRS = 16
+_LONGEST_PX = 1500
 
 
 class ProjectionGround(Stage):
@@ -28,9 +39,9 @@ class ProjectionGround(Stage):
     id = "projection.ground"
     display_name = "Make the ground surface"
     group = "Projection"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
-    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface}
+    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "survey": Survey}
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -48,23 +59,46 @@ class ProjectionGround(Stage):
         survey: Survey = inputs["survey"]
         height = params.height_m if params.height_m != "auto" else ground_height_m(survey.frames)
         if survey.elevation is None and height is None:
-            raise InputError(
-                "how high the frames flew above the ground is unknown",
-                file=survey.frames[0].path,
-                mend="give --dem, or the ground's height with --set projection.ground.height_m=METRES",
-            )
+            survey, height = self._from_pictures(survey, context)
         positions = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
         enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
-        if survey.elevation is None:
-            top = frame_heights_m(survey.frames, np.full(len(enu), float(height or 0.0)))
-            reach = self._reach_m(survey, top - float(height or 0.0))
-            ground = flat_ground(survey.work_frame, float(height or 0.0), float(np.abs(enu).max()) + reach)
-            context.recorder.log("info", f"flat ground at {height:.2f} m above the ellipsoid")
-        else:
+        if survey.elevation is not None:
             ground = self._dem(survey, enu)
             context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
+        else:
+            level = float(height or 0.0)
+            top = frame_heights_m(survey.frames, np.full(len(enu), level))
+            reach = self._reach_m(survey, top - level)
+            ground = flat_ground(survey.work_frame, level, float(np.abs(enu).max()) + reach)
+            context.recorder.log("info", f"flat ground at {level:.2f} m above the ellipsoid")
         context.metric("ground.kind", ground.kind)
-        return {"ground": ground}
+        return {"ground": ground, "survey": survey}
+
+    @staticmethod
+    def _from_pictures(survey: Survey, context: Context) -> tuple[Survey, float]:
+        """The flying height from how far the pictures of neighbours shift, where nothing else says it."""
+        frames, pairs = survey.frames, neighbours(survey.frames, _PAIRS)
+        used = sorted({i for pair in pairs for i in pair[:2]})
+        take = partial(frame_features, longest_px=_LONGEST_PX, most=3000, band=None)
+        found = context.map("keypoints for the flying height", take, [frames[i] for i in used])
+        features = dict(zip(used, found, strict=True))
+        heights = []
+        for a, b, base_m in pairs:
+            tolerance = 3.0 * reduction_for(frames[a].width_px, frames[a].height_px, _LONGEST_PX)
+            cameras = survey.camera_of(a), survey.camera_of(b)
+            heights.append(flying_height_m(features[a], features[b], *cameras, base_m, tolerance))
+        if not np.isfinite(heights).any():
+            raise InputError(
+                "how high the frames flew above the ground is unknown, and their pictures don't tell",
+                file=frames[0].path,
+                mend="give --dem, or the ground's height with --ground-height METRES",
+            )
+        above = float(np.nanmedian(heights))
+        told, level = with_heights_above_ground(survey, above)
+        context.warn(
+            "height-estimated", "", f"flying height taken from the pictures: {above:.0f} m above the ground"
+        )
+        return told, level
 
     @staticmethod
     def _reach_m(survey: Survey, heights_above_m: Floats) -> float:

@@ -15,6 +15,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
+from geomosaic.quality.rasters import open_raster
 from geomosaic.survey.model import Survey
 
 _LITTLE = 0.5
@@ -43,6 +44,11 @@ class QualityCompare(Stage):
         search_px: int = param(128, help="longest displacement looked for", unit="px", ge=1, le=4096)
         min_correlation: float = param(0.5, help="weakest match that counts", ge=0.0, le=1.0)
         match_tone: bool = param(False, help="bring the mosaic's brightness to the reference's before SSIM")
+
+    @classmethod
+    def check(cls, params: Params) -> None:
+        """The reference is a raster with a place on the map."""
+        open_raster(params.reference).close()
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Compares, tells the figures, and warns where too little could be measured."""

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
-from geomosaic.survey.read import read_survey
+from geomosaic.survey.read import check_survey_files, read_survey
 
 _THUMBNAILS = 200
 
@@ -41,14 +40,22 @@ class SurveyRead(Stage):
         pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
         attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)
 
+    @classmethod
+    def check(cls, params: Params) -> None:
+        """The frames' names and every file beside them, but for what only the frames' headers tell."""
+        check_survey_files(
+            params.frames,
+            pos=params.pos,
+            camera=params.camera,
+            dem=params.dem,
+            gcp=params.gcp,
+            crs=params.crs,
+            pos_crs=params.pos_crs,
+            attitude_convention=params.attitude_convention,
+        )
+
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
-        if context.run_folder.resolve() == params.frames.resolve():
-            raise InputError(
-                "is the folder of frames and of results at once: the mosaic would be taken for a frame",
-                file=params.frames,
-                mend="give another output folder",
-            )
         survey = read_survey(
             params.frames,
             pos=params.pos,

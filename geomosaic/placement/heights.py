@@ -1,0 +1,78 @@
+"""Heights of frames and of flat ground, from whatever POS tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import Geod
+
+from geomosaic.survey.model import Frame, Survey
+
+Floats = NDArray[np.float64]
+_ESTIMATED_SD_SHARE = 0.1
+
+
+def or_nan(value: float | None) -> float:
+    """The value, or NaN for what is unknown."""
+    return np.nan if value is None else value
+
+
+def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floats:
+    """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
+
+    Heights above the ground count from the take-off point, whose height is taken as the median of the
+    ground below the frames. They are believed before an absolute height of worse than 3 m.
+
+    Args: ground_heights_m (n,) ellipsoidal heights of the ground below the frames.
+    """
+    absolute = np.array([or_nan(f.position.height_ellipsoidal_m) for f in frames])
+    above = np.array([or_nan(f.position.height_above_ground_m) for f in frames])
+    weak = np.array([f.position.sd_vertical_m > 3.0 for f in frames]) | np.isnan(absolute)
+    relative = np.isfinite(above)
+    if not relative.any():
+        return absolute
+    return np.where(weak & relative, np.median(ground_heights_m[relative]) + above, absolute)
+
+
+def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
+    """The flat ground's ellipsoidal height: the median of absolute minus relative heights."""
+    both = [
+        p.height_ellipsoidal_m - p.height_above_ground_m
+        for p in (f.position for f in frames)
+        if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
+    ]
+    return float(np.median(both)) if both else None
+
+
+def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
+    """Up to `most` pairs of frames next to each other in time, spread over the flight: indices and
+    horizontal distance in metres; pairs closer than a tenth of the median are left out."""
+    at = np.array([[f.position.lon_deg, f.position.lat_deg] for f in frames])
+    if len(at) < 2:
+        return []
+    _, _, base_m = Geod(ellps="WGS84").inv(*at[:-1].T, *at[1:].T)
+    apart = np.flatnonzero(base_m > 0.1 * np.median(base_m))
+    apart = apart[np.asarray(base_m)[apart] < 3.0 * np.median(base_m)]
+    chosen = apart[np.unique(np.linspace(0, len(apart) - 1, min(most, len(apart))).astype(np.intp))]
+    return [(int(i), int(i) + 1, float(base_m[i])) for i in chosen]
+
+
+def with_heights_above_ground(survey: Survey, above_m: float) -> tuple[Survey, float]:
+    """The survey flown above_m over flat ground, and that ground's ellipsoidal height.
+
+    Absolute heights that are known stay, and put the ground below their median; else the ground is at 0
+    and every frame at above_m, to a tenth of it.
+    """
+    absolute = np.array([or_nan(f.position.height_ellipsoidal_m) for f in survey.frames])
+    level = float(np.nanmedian(absolute)) - above_m if np.isfinite(absolute).any() else 0.0
+    sd_m = _ESTIMATED_SD_SHARE * above_m
+    frames = tuple(
+        f
+        if f.position.height_ellipsoidal_m is not None
+        else replace(f, position=replace(f.position, height_above_ground_m=above_m, sd_vertical_m=sd_m))
+        for f in survey.frames
+    )
+    return replace(survey, frames=frames), level
