@@ -1,0 +1,51 @@
+"""Surveys without any height above the ground: it is taken from the pictures, and said."""
+
+from pathlib import Path
+
+import pytest
+from small_surveys import mosaic, small_survey, summary, warned
+
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.placement.heights import neighbours, with_heights_above_ground
+from geomosaic.survey.model import Attitude, Frame, Position, Survey
+
+
+def _survey(heights: list[float | None]) -> Survey:
+    """Frames 0.0005 degrees of latitude (55.6 m) apart; the third hangs 2 m behind the second."""
+    lat = [48.0, 48.0005, 48.00052, 48.001]
+    frames = tuple(
+        Frame(
+            f"{i}.jpg", f"/{i}.jpg", 640, 480, 3, "uint8", "camera",
+            Position(11.0, y, h, None, 1.5, 2.0, "test"), Attitude(None, None, None, 3.0, 3.0, "test"),
+        )
+        for i, (y, h) in enumerate(zip(lat, heights, strict=True))
+    )  # fmt: skip
+    return Survey(frames, (), LocalFrame(11.0, 48.0, 0.0), "EPSG:32632")
+
+
+def test_neighbours_are_apart() -> None:
+    pairs = neighbours(_survey([None] * 4).frames, 10)
+    assert [(a, b) for a, b, _ in pairs] == [(0, 1), (2, 3)]
+    assert pairs[0][2] == pytest.approx(55.6, abs=0.1)
+
+
+def test_known_heights_stay_and_put_the_ground_below() -> None:
+    told, level = with_heights_above_ground(_survey([610.0, 612.0, None, 608.0]), 110.0)
+    assert level == pytest.approx(500.0)
+    assert [f.position.height_above_ground_m for f in told.frames] == [None, None, 110.0, None]
+
+
+def test_without_any_height_the_ground_is_at_zero() -> None:
+    told, level = with_heights_above_ground(_survey([None] * 4), 110.0)
+    assert level == 0.0 and told.frames[0].position.height_above_ground_m == 110.0
+    assert told.frames[0].position.sd_vertical_m == pytest.approx(11.0)
+
+
+def test_a_survey_without_heights_becomes_a_mosaic(tmp_path: Path) -> None:
+    survey = small_survey(tmp_path / "survey", height_told=False)
+    run = tmp_path / "run"
+    assert mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera) == 0
+    assert warned(run, "height-estimated")
+    assert summary(run)["frames"]["tied"] == 8
+    true_pixel_m = 0.1
+    assert summary(run)["mosaic"]["gsd_m"] == pytest.approx(true_pixel_m, rel=0.3)
