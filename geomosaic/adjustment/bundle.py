@@ -10,36 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.collinearity import INTERIOR, exp_turn, interior_of, log_turn, project
-from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
+from geomosaic.adjustment.normal import Normals, Reduced, build_normals, reduce_normals
+from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
+from geomosaic.adjustment.terrain import Terrain, add_terrain, surface_share, terrain_cost
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_CAUCHY = 3.0
+Bools = NDArray[np.bool_]
+MEASURED_SD_PX = 0.5
+"""Of a control or check point measured by hand in a picture: about half a pixel."""
 _LEAST_SIGMA_PX = 0.02
 _ROUGH, _FINE = 1e-3, 1e-5
 _PRIOR_FACTORS = (0.1, 10.0)
 _STEPS_BETWEEN = 2
 _DAMPING = 1e-9
-_GROUPS = ("image", "horizontal", "vertical", "tilt", "yaw")
-
-
-@dataclass(frozen=True)
-class Terrain:
-    """Tie points lie on this surface, but for one level that is common to all of them.
-
-    sd_share: how far a point lies off the surface, as a share of the frames' mean height above it; what
-    stands up (trees, roofs) is outweighed by Cauchy's function. A deviation in metres would be smaller
-    than it is for a block that shrinks, and so make every block shrink. level_sd_m: of the surface as a
-    whole.
-    """
-
-    ground: GroundSurface
-    sd_share: float
-    level_sd_m: float
+_GROUPS = ("horizontal", "vertical", "tilt", "yaw")
+_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of residuals (2,) with a deviation of 1 each
 
 
 @dataclass(frozen=True)
@@ -47,9 +36,9 @@ class Priors:
     """What is believed before the pictures speak, with standard deviations.
 
     interior_sd (c, 8) in the order of INTERIOR. points_m, points_sd_m (p, 3): for control points
-    their own; for tie points the ground below, weakly. terrain: a surface that tie points lie on, if one
-    is known. trust (f, 6): factors of the pose priors'
-    weights, 1 but for tags that lie; set by the solver.
+    their own; for tie points the ground below, weakly. control (p,): which points are control, measured
+    by hand and not bound to the terrain. terrain: a surface that tie points lie on, if one is known.
+    trust (f, 6): factors of the pose priors' weights, 1 but for tags that lie; set by the solver.
     """
 
     poses: Poses
@@ -57,6 +46,7 @@ class Priors:
     interior_sd: Floats
     points_m: Floats
     points_sd_m: Floats
+    control: Bools
     terrain: Terrain | None = None
     trust: Floats | None = None
 
@@ -68,7 +58,8 @@ class Bundle:
     points_sd_m: (p, 3), as if poses and cameras were known.
     pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 8).
     interior_correlation: (8c, 8c). residual_px: (m, 2) observed minus computed. weight: (m,) robust
-    weights, 1 for a good observation. sigma: estimated deviation over stated deviation per group.
+    weights, 1 for a good observation. sigma_px: estimated deviation of a tie point's image coordinate.
+    sigma: estimated deviation over stated deviation per group. reduced: the last normal equations.
     """
 
     poses: Poses
@@ -83,6 +74,7 @@ class Bundle:
     sigma_px: float
     sigma: dict[str, float]
     iterations: int
+    reduced: Reduced
 
 
 @dataclass
@@ -109,7 +101,10 @@ def solve_bundle(
     Minimises sum rho(|residual| / sigma_px) + the priors' squares (positions, attitudes, interior
     orientation, points). After every convergence the groups' variance factors (image, horizontal and
     vertical position, tilt, yaw) are estimated anew from residuals and redundancy (Förstner 1979), so a
-    wrongly stated deviation does no harm; two or three rounds settle them.
+    wrongly stated deviation does no harm; two or three rounds settle them. Hand-measured image
+    coordinates have their stated deviation; as long as most of them miss by more, since the block is not
+    yet where control wants it, they count by their median miss, so that control pulls as one and a
+    blunder stays outvoted.
 
     Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
         lenses and points to go on from.
@@ -121,9 +116,12 @@ def solve_bundle(
         np.stack([interior_of(c) for c in (again.cameras if again else priors.cameras)]),
         again.points_m if again else priors.points_m,
     )
-    image, *_ = _projected(tracks, camera_of, state)
-    apart = float(np.nanmedian(np.linalg.norm(tracks.image_px - image, axis=1)))
-    sigma = dict.fromkeys(_GROUPS, 1.0) | {"image": max(sigma_px, apart)}
+    length = _lengths_px(tracks, camera_of, state)
+    control = priors.control[tracks.point]
+    sigma = dict.fromkeys(_GROUPS, 1.0) | {
+        "image": max(sigma_px, _median(length[~control])),
+        "control": max(MEASURED_SD_PX, _median(length[control])),
+    }
     iterations, settled = 0, False
     for _ in range(12):
         priors = replace(priors, trust=_trust(priors, state, sigma))
@@ -156,16 +154,9 @@ def _pose_miss(priors: Priors, state: _State) -> Floats:
     return np.column_stack([priors.poses.positions_m - state.positions, turn])
 
 
-def _robust(standardised: Floats) -> Floats:
-    """Cauchy weights of standardised residual lengths."""
-    return np.asarray(1.0 / (1.0 + (standardised / _CAUCHY) ** 2))
-
-
 def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]) -> float:
-    image, *_ = _projected(tracks, camera_of, state)
-    length = np.linalg.norm(tracks.image_px - image, axis=1) / sigma["image"]
-    length = np.where(np.isfinite(length), length, 1e6)
-    total = float((_CAUCHY**2 * np.log1p((length / _CAUCHY) ** 2)).sum())
+    length = _lengths_px(tracks, camera_of, state) / _image_sd_px(tracks, priors, sigma)
+    total = cauchy_cost(np.where(np.isfinite(length), length, 1e6))
     total += float((_trust_of(priors) * (_pose_miss(priors, state) / _pose_sd(priors, sigma)) ** 2).sum())
     total += float(
         (
@@ -174,56 +165,15 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
     )
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
     if priors.terrain is not None:
-        sd_m = priors.terrain.sd_share * _height_m(priors.terrain, state)
-        miss = _terrain_miss(priors.terrain, state) / sd_m
-        total += float((_CAUCHY**2 * np.log1p((miss / _CAUCHY) ** 2)).sum())
-        total += (state.level / priors.terrain.level_sd_m) ** 2
+        total += terrain_cost(
+            priors.terrain,
+            ~priors.control,
+            state.points,
+            state.positions,
+            _frame_share(tracks, state),
+            state.level,
+        )
     return total
-
-
-def _terrain_miss(terrain: Terrain, state: _State) -> Floats:
-    """Surface plus level minus point, along the vertical, (p,)."""
-    surface = terrain.ground.up_at(state.points[:, 0], state.points[:, 1])
-    return np.asarray(surface + state.level - state.points[:, 2])
-
-
-def _height_m(terrain: Terrain, state: _State) -> float:
-    """Mean height of the frames above the surface and its level."""
-    surface = terrain.ground.up_at(state.positions[:, 0], state.positions[:, 1])
-    return max(float((state.positions[:, 2] - surface).mean()) - state.level, 1.0)
-
-
-def _add_terrain(n: Normals, terrain: Terrain | None, state: _State) -> Normals:
-    """Each point's equation: up minus slope times place minus level, observed as the surface says.
-
-    Since the deviation grows with the flying height, the cost has a slope along it: it lifts the frames
-    and lowers the level by just what the misses would gain if the block shrank.
-    """
-    if terrain is None:
-        return replace(n, level=1.0)
-    miss, height = _terrain_miss(terrain, state), _height_m(terrain, state)
-    sd_m = terrain.sd_share * height
-    weight = _robust(miss / sd_m) / sd_m**2
-    step, (e, u) = terrain.ground.spacing_m, state.points[:, :2].T
-    at = terrain.ground.up_at
-    normal = np.column_stack(
-        [
-            (at(e - step / 2, u) - at(e + step / 2, u)) / step,
-            (at(e, u - step / 2) - at(e, u + step / 2)) / step,
-            np.ones(len(e)),
-        ]
-    )
-    n.points[:] += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
-    n.point_side[:] += (weight * miss)[:, None] * normal
-    lift = float((weight * miss**2).sum()) / height
-    n.pose_side[:, 2] += lift / len(state.positions)
-    level_weight = 1.0 / terrain.level_sd_m**2
-    return replace(
-        n,
-        level_point=-weight[:, None] * normal,
-        level=float(weight.sum()) + level_weight,
-        level_side=-float((weight * miss).sum()) - level_weight * state.level - lift,
-    )
 
 
 def _trust(priors: Priors, state: _State, sigma: dict[str, float]) -> Floats:
@@ -235,7 +185,7 @@ def _trust(priors: Priors, state: _State, sigma: dict[str, float]) -> Floats:
     miss = _pose_miss(priors, state) / _pose_sd(priors, sigma)
     length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
     bulk = np.maximum(1.0, np.median(length, axis=0) / 1.5)
-    return np.repeat(_robust(length / bulk), 3, axis=1)
+    return np.repeat(cauchy_weight(length / bulk), 3, axis=1)
 
 
 def _trust_of(priors: Priors) -> Floats:
@@ -251,6 +201,27 @@ def _projected(tracks: Tracks, camera_of: Ints, state: _State) -> tuple[Floats, 
     )
 
 
+def _lengths_px(tracks: Tracks, camera_of: Ints, state: _State) -> Floats:
+    """Lengths of the image residuals, (m,); NaN behind the camera."""
+    return np.asarray(np.linalg.norm(tracks.image_px - _projected(tracks, camera_of, state)[0], axis=1))
+
+
+def _image_sd_px(tracks: Tracks, priors: Priors, sigma: dict[str, float]) -> Floats:
+    """Present deviation of each observation, (m,): hand-measured control apart from tie points."""
+    return np.where(priors.control[tracks.point], sigma["control"], sigma["image"])
+
+
+def _median(lengths_px: Floats) -> float:
+    """Median of what is known, else 0."""
+    known = lengths_px[np.isfinite(lengths_px)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _frame_share(tracks: Tracks, state: _State) -> Floats:
+    """Each frame's share of the observations, (f,)."""
+    return np.bincount(tracks.frame, minlength=len(state.positions)) / max(len(tracks.frame), 1)
+
+
 def _normals(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]
 ) -> Normals:
@@ -258,7 +229,8 @@ def _normals(
     residual = tracks.image_px - image
     seen = np.asarray(np.isfinite(residual).all(axis=1))
     residual = np.where(seen[:, None], residual, 0.0)
-    weight = _robust(np.linalg.norm(residual, axis=1) / sigma["image"]) / sigma["image"] ** 2
+    sd_px = _image_sd_px(tracks, priors, sigma)
+    weight = cauchy_weight(np.linalg.norm(residual, axis=1) / sd_px) / sd_px**2
     weight = np.where(seen, weight, 0.0)
     clean = [np.where(seen[:, None, None], a, 0.0) for a in (by_pose, by_interior, by_point)]
     counts = (len(state.positions), len(state.interior), len(state.points))
@@ -274,7 +246,10 @@ def _normals(
         i = np.arange(block.shape[-1])
         block[:, i, i] += w
         side += w * m
-    return _add_terrain(n, priors.terrain, state)
+    if priors.terrain is None:
+        return replace(n, level=1.0)
+    share = _frame_share(tracks, state)
+    return add_terrain(n, priors.terrain, ~priors.control, state.points, state.positions, share, state.level)
 
 
 def _converge(
@@ -324,35 +299,38 @@ def _variance_components(
     largest of the priors'. The priors' factors wait until the image's has settled: before, they would
     take up what the poses haven't yet."""
     n = _normals(tracks, camera_of, priors, state, sigma)
-    covariance, interior_covariance, _ = reduce_normals(n).covariance()
+    reduced = reduce_normals(n)
+    covariance, interior_covariance, _ = reduced.covariance()
     miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
     weight = _trust_of(priors)
     share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
-    image, *_ = _projected(tracks, camera_of, state)
-    length_sq = np.nan_to_num(((tracks.image_px - image) ** 2).sum(axis=1) / sigma["image"] ** 2, nan=1e12)
-    robust = _robust(np.sqrt(length_sq))
-    used = robust * length_sq
-    prior_share = float(share.sum()) + float(
-        (np.diagonal(interior_covariance, axis1=1, axis2=2) / priors.interior_sd**2).sum()
-    )
-    bound = 0.0 if priors.terrain is None else float(len(state.points))
-    unknowns = 6 * len(state.positions) + state.interior.size - prior_share + 3 * len(state.points) - bound
-    redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
-    changes = [0.0]
-    before = sigma["image"]
-    sigma["image"] = max(before * float(np.sqrt(used.sum() / redundancy)), _LEAST_SIGMA_PX)
-    image_changed = float(abs(np.log(sigma["image"] / before)))
+    control = priors.control[tracks.point]
+    length_px = _lengths_px(tracks, camera_of, state)
+    before = sigma["image"], sigma["control"]
+    if not control.all():
+        length = np.nan_to_num(length_px[~control] / sigma["image"], nan=1e6)
+        robust = cauchy_weight(length)
+        settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
+        settled += float((np.diagonal(interior_covariance, axis1=1, axis2=2) / priors.interior_sd**2).sum())
+        unknowns = 6 * len(state.positions) + state.interior.size + 3 * int((~priors.control).sum()) - settled
+        redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
+        sigma["image"] *= float(np.sqrt((robust * length**2).sum() / redundancy))
+        sigma["image"] = max(sigma["image"], _LEAST_SIGMA_PX)
+    sigma["control"] = max(MEASURED_SD_PX, _median(length_px[control]) / _MEDIAN_LENGTH)
+    after = sigma["image"], sigma["control"]
+    image_changed = float(np.abs(np.log(np.divide(after, before))).max())
     if image_only:
         return image_changed, 0.0
+    changes = [0.0]
     for group, columns in (("horizontal", [0, 1]), ("vertical", [2]), ("tilt", [3, 4]), ("yaw", [5])):
         known = np.asarray(np.isfinite(sd[:, columns]))
         r = float((weight[:, columns] - share[:, columns])[known].sum())
         if r < 3.0:
             continue
         total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[known].sum())
-        before = sigma[group]
-        sigma[group] = float(np.clip(before * np.sqrt(total / r), *_PRIOR_FACTORS))
-        changes.append(float(abs(np.log(sigma[group] / before))))
+        factor = sigma[group]
+        sigma[group] = float(np.clip(factor * np.sqrt(total / r), *_PRIOR_FACTORS))
+        changes.append(float(abs(np.log(sigma[group] / factor))))
     return image_changed, max(changes)
 
 
@@ -375,10 +353,13 @@ def _finish(
         interior_sd=np.sqrt(np.diagonal(interior_covariance, axis1=1, axis2=2)),
         interior_correlation=full / spread[:, None] / spread,
         residual_px=residual,
-        weight=np.nan_to_num(_robust(np.linalg.norm(residual, axis=1) / sigma["image"])),
+        weight=np.nan_to_num(
+            cauchy_weight(np.linalg.norm(residual, axis=1) / _image_sd_px(tracks, priors, sigma))
+        ),
         sigma_px=sigma["image"],
-        sigma={g: s for g, s in sigma.items() if g != "image"},
+        sigma={g: sigma[g] for g in _GROUPS},
         iterations=iterations,
+        reduced=reduced,
     )
 
 

@@ -17,12 +17,42 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class GroundControl:
+    """A control point in the work frame; `check` points are never used in a solve.
+
+    enu_m, sd_m (3,). observations: frame index, col and row of each picture it was measured in.
+    """
+
+    name: str
+    enu_m: Floats
+    sd_m: Floats
+    check: bool
+    observations: tuple[tuple[int, float, float], ...]
+
+
+@dataclass(frozen=True)
+class ControlResidual:
+    """How far a control or check point lies from where the adjusted pictures put it.
+
+    check: it took no part in the solve. pictures: in how many it was measured. residual_m: surveyed minus
+    found, east, north and up. sd_m: standard deviation of that, of both; for a point that took part, more
+    than it is, since the solve has come to meet it.
+    """
+
+    name: str
+    check: bool
+    pictures: int
+    residual_m: Floats
+    sd_m: Floats
+
+
+@dataclass(frozen=True)
 class Block:
     """A survey ready to be adjusted: where the frames are believed to be, and what ties them.
 
     `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
     number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
-    poses, cameras and tie points are those of the pictures as they lie in the files.
+    poses, cameras, tie points and control are those of the pictures as they lie in the files.
     """
 
     names: tuple[str, ...]
@@ -34,6 +64,7 @@ class Block:
     lines: tuple[int, ...]
     ground_pixel_m: float
     turned: tuple[int, ...] = ()
+    control: tuple[GroundControl, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,7 +99,8 @@ class Adjusted:
 
     residuals_m: per pair of `Block.ties.pairs` (k, 2): where the right frame puts each tie point on
     the ground minus where the left one does, east and north, after the adjustment. ground: the surface
-    that goes with the poses: the block's own, unless the method estimates it.
+    that goes with the poses: the block's own, unless the method estimates it. control: of the block's
+    control and check points that were measured in pictures.
     """
 
     poses: Poses
@@ -79,3 +111,4 @@ class Adjusted:
     ground: GroundSurface
     warnings: tuple[Warn, ...] = ()
     figures: dict[str, float] = field(default_factory=dict)
+    control: tuple[ControlResidual, ...] = ()

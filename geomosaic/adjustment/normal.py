@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from geomosaic.errors import NotSolvableError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _DENSE_UNKNOWNS = 2400
+_UNDETERMINED = "the block does not determine the poses of its frames"
 
 
 @dataclass(frozen=True)
@@ -107,10 +109,13 @@ class Reduced:
     points_inverse: Floats
     normals: Normals
 
+    @cached_property
+    def _solver(self) -> _Solver:
+        return _Solver(self.poses)
+
     def solve(self) -> tuple[Floats, Floats, Floats, float]:
         """Corrections of poses (f, 6), interiors (c, 8), points (p, 3) and the ground's level."""
-        solver = _Solver(self.poses)
-        y = solver(np.column_stack([self.border, self.pose_side]))
+        y = self._solver(np.column_stack([self.border, self.pose_side]))
         corner = self.shared - self.border.T @ y[:, :-1]
         shared = _spd_solve(corner, self.shared_side - self.border.T @ y[:, -1])
         pose = y[:, -1] - y[:, :-1] @ shared
@@ -128,21 +133,31 @@ class Reduced:
         """Covariances for unit weight: poses (f, 6, 6), cameras (c, 8, 8), and the correlations between
         poses and cameras are in them; the third is the full matrix of camera unknowns (8c, 8c)."""
         f, size = self.poses.shape[0] // 6, self.poses.shape[0]
-        solver = _Solver(self.poses)
-        y = solver(self.border)
+        y = self._solver(self.border)
         corner: Floats = np.asarray(np.linalg.inv(self.shared - self.border.T @ y), dtype=np.float64)
         blocks = np.empty((f, 6, 6))
         for start in range(0, size, 600):
             stop = min(start + 600, size)
             unit = np.zeros((size, stop - start))
             unit[np.arange(start, stop), np.arange(stop - start)] = 1.0
-            columns = solver(unit) + y @ (corner @ (y.T @ unit))
+            columns = self._solver(unit) + y @ (corner @ (y.T @ unit))
             for k in range(start // 6, stop // 6):
                 blocks[k] = columns[6 * k : 6 * k + 6, 6 * k - start : 6 * k - start + 6]
         corner = corner[:-1, :-1]
         c = len(corner) // 8
         cameras = np.stack([corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] for k in range(c)])
         return blocks, cameras, corner
+
+    def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
+        """Covariance (q, q) for unit weight of q quantities that depend on poses, cameras and level.
+
+        Args: derivatives by_pose (6f, q), by_shared (8c + 1, q): cameras, then the level.
+        """
+        solved = self._solver(np.column_stack([self.border, by_pose]))
+        y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
+        rest = by_shared - y.T @ by_pose
+        corner = self.shared - self.border.T @ y
+        return np.asarray(by_pose.T @ alone + rest.T @ np.linalg.solve(corner, rest))
 
 
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
@@ -197,13 +212,15 @@ class _Solver:
     def __init__(self, matrix: csc_matrix) -> None:
         diagonal = matrix.diagonal()
         if not np.all(diagonal > 0.0):
-            raise NotSolvableError("the block does not determine the poses of its frames")
+            raise NotSolvableError(_UNDETERMINED)
         self._scale = 1.0 / np.sqrt(diagonal)
         size = matrix.shape[0]
         if size <= _DENSE_UNKNOWNS:
-            self._dense = cho_factor(
-                matrix.toarray() * self._scale[:, None] * self._scale, overwrite_a=True, check_finite=False
-            )
+            scaled = matrix.toarray() * self._scale[:, None] * self._scale
+            try:
+                self._dense = cho_factor(scaled, overwrite_a=True, check_finite=False)
+            except np.linalg.LinAlgError as error:
+                raise NotSolvableError(_UNDETERMINED) from error
             self._sparse = None
         else:
             scaled = matrix.multiply(self._scale[:, None]).multiply(self._scale).tocsc()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.control import Spread, control_residuals, control_warnings
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
@@ -36,11 +37,13 @@ def settled(
     ground: GroundSurface | None = None,
     warnings: tuple[Warn, ...] = (),
     figures: dict[str, float] | None = None,
+    spread: Spread | None = None,
 ) -> Adjusted:
     """The outcome for poses found by any method: `tied` are frames with tie points, the others are
-    `placed` by POS alone."""
+    `placed` by POS alone. spread: see `control_residuals`; given by methods that used control."""
     cameras, ground = cameras or block.cameras, ground or block.ground
     tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)}
+    control = control_residuals(block, poses, cameras, ground, spread)
     return Adjusted(
         poses=poses,
         cameras=cameras,
@@ -48,6 +51,7 @@ def settled(
         rounds=rounds,
         residuals_m=residuals_m(block, poses, cameras, ground),
         ground=ground,
-        warnings=warnings,
+        warnings=(*warnings, *control_warnings(control)),
         figures=figures or {},
+        control=control,
     )

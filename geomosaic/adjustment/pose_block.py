@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle import Bundle, Priors, Terrain, solve_bundle
+from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
+from geomosaic.adjustment.chain import fit_similarity
 from geomosaic.adjustment.collinearity import INTERIOR, log_turn
+from geomosaic.adjustment.control import spread_of, with_control
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.similarity_block import similarity_block
 from geomosaic.adjustment.surface import level_m, tie_surface
+from geomosaic.adjustment.terrain import Terrain
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
@@ -37,13 +40,16 @@ _LEVEL_SD_SHARE = 0.04
 _LEAST_LEVEL_SD_M = 2.0
 _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
+_SCALE_IN_DOUBT = 4.0
+_SHIFT_IN_DOUBT = 5.0
+_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
 
 
 def pose_block(block: Block, settings: Settings) -> Adjusted:
     """Every frame's six pose parameters, the lenses and the tie points' ground at once.
 
     POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
-    deviations are estimated again from the residuals. Frames without tie points keep their POS.
+    deviations are estimated again from the residuals. Frames without tie or control points keep their POS.
     """
     return as_filed(_solve(as_taken(block), settings), block)
 
@@ -54,7 +60,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         np.array([[c.width_px, c.height_px] for c in block.cameras]),
         settings.observations_per_frame,
     )
-    if not tracks.points:
+    if not tracks.points and all(c.check for c in block.control):
         still = np.zeros((len(block.names), 2))
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
     start = start_poses(block)
@@ -62,20 +68,25 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     number = {c.name: k for k, c in enumerate(cameras)}
     camera_of = np.array([number[c.name] for c in block.cameras])
     points, kept = _points_on_ground(block, start, tracks)
+    ties = len(points)
     priors = Priors(
         poses=block.poses,
         cameras=cameras,
         interior_sd=np.stack([interior_deviations(c) for c in cameras]),
         points_m=points,
         points_sd_m=_point_deviations(block, points),
+        control=np.zeros(ties, dtype=bool),
         terrain=_believed_terrain(block),
     )
-    bundle = solve_bundle(kept, camera_of, priors, start)
-    ground = _ground(block, settings, bundle)
-    if ground.kind == "flat":
-        flat = replace(_believed_terrain(block), sd_share=_least_relief_m(block) / _height_m(block))
-        bundle = solve_bundle(kept, camera_of, replace(priors, terrain=flat), bundle.poses, again=bundle)
-        ground = _flat_ground(ground, bundle)
+    seen, priors = with_control(kept, priors, block.control)
+    solved = solve_bundle(seen, camera_of, priors, start)
+    ground = _ground(block, settings, _of_ties(solved, kept)) if ties else block.ground
+    if ties and ground.kind != "tie_surface":
+        off_m = _off_ground_m(block, ground, _of_ties(solved, kept))
+        near = replace(_believed_terrain(block), sd_share=off_m / _height_m(block))
+        solved = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
+        ground = _levelled(ground, _of_ties(solved, kept))
+    bundle = _of_ties(solved, kept)
     net = offset_net(block)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
@@ -85,8 +96,21 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         (first,),
         cameras=tuple(bundle.cameras[k] for k in camera_of),
         ground=ground,
-        warnings=tuple(_lies(block, bundle.poses)),
+        warnings=(*_lies(block, bundle.poses), *_doubts(block, bundle.poses, np.unique(seen.frame))),
         figures=_figures(bundle, kept),
+        spread=spread_of(bundle, camera_of),
+    )
+
+
+def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
+    """The solution without what it says of control points, which come last."""
+    p, m = ties.points, len(ties.frame)
+    return replace(
+        bundle,
+        points_m=bundle.points_m[:p],
+        points_sd_m=bundle.points_sd_m[:p],
+        residual_px=bundle.residual_px[:m],
+        weight=bundle.weight[:m],
     )
 
 
@@ -146,7 +170,8 @@ def _believed_terrain(block: Block) -> Terrain:
     height = _height_m(block)
     if block.ground.kind == "dem":
         return Terrain(block.ground, _DEM_SD_M / height, _DEM_LEVEL_SD_M)
-    return Terrain(block.ground, _ANY_RELIEF, max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M))
+    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
+    return Terrain(block.ground, _ANY_RELIEF, float(level_sd_m))
 
 
 def _height_m(block: Block) -> float:
@@ -163,8 +188,18 @@ def _least_relief_m(block: Block) -> float:
     return 0.5 * block.ground_pixel_m / _view(block)
 
 
-def _flat_ground(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
-    """The ground's own shape at the level of the points."""
+def _off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle) -> float:
+    """How far points lie off the ground: as the first solve found it on a DEM; flat is flat."""
+    if ground.kind == "flat":
+        return _least_relief_m(block)
+    off = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
+    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    return float(np.clip(spread, 0.5 * _least_relief_m(block), _DEM_SD_M))
+
+
+def _levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
+    """The ground's own shape at the level of the points: the frames' heights are theirs, also over a DEM
+    of another datum."""
     above = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
     return replace(ground, up_m=ground.up_m + level_m(above, bundle.points_sd_m[:, 2]))
 
@@ -173,7 +208,7 @@ def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
     """A DEM stays; else flat at the points' own level, or their surface where relief shows."""
     if block.ground.kind == "dem":
         return block.ground
-    flat = _flat_ground(block.ground, bundle)
+    flat = _levelled(block.ground, bundle)
     well = bundle.points_sd_m[:, 2] < 3.0 * np.median(bundle.points_sd_m[:, 2])
     points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
     if settings.ground == "flat" or len(points) < 50:
@@ -219,14 +254,46 @@ def _lies(block: Block, poses: Poses) -> list[Warn]:
     ]
 
 
+def _doubts(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
+    """What only the positions as a whole can say against the block: its scale, and its place.
+
+    The best similarity from the adjusted to the given positions of the frames `seen` in the block. Its
+    scale's standard deviation is that of a position over the root of the squared extent; a position's is
+    the stated one, or what the similarity leaves, whichever is larger. A shift of all frames beyond five
+    stated deviations is what control in another datum does.
+    """
+    given, found = block.poses.positions_m[seen, :2], poses.positions_m[seen, :2]
+    stated_m = float(np.median(block.poses.positions_sd_m[seen, :2]))
+    out = []
+    shift_m = float(np.linalg.norm(np.median(given - found, axis=0)))
+    if shift_m > _SHIFT_IN_DOUBT * stated_m:
+        text = f"all positions lie {shift_m:.1f} m off; check their datum, and that of control points"
+        out.append(Warn("positions-shifted", "", text))
+    extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
+    if len(seen) < 3 or extent_m == 0.0:
+        return out
+    turn, shift = fit_similarity(found, given)
+    left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
+    position_sd_m = max(stated_m, float(np.median(np.abs(left))) / _MEDIAN_LENGTH)
+    off, sd = 1.0 - abs(turn), position_sd_m / extent_m
+    if abs(off) > _SCALE_IN_DOUBT * sd:
+        text = (
+            f"the block is {abs(off) * 100.0:.2f} % {'larger' if off > 0.0 else 'smaller'} than its "
+            f"frames' positions say (standard deviation {sd * 100.0:.2f} %); the mosaic's scale is in "
+            "doubt: check the focal length, the flying height and the positions"
+        )
+        out.append(Warn("scale-doubtful", "", text))
+    return out
+
+
 def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
-    length = np.linalg.norm(bundle.residual_px, axis=1)
-    figures = {
-        "sigma_px": bundle.sigma_px,
-        "reprojection_mean_px": float(np.nanmean(length[bundle.weight > 0.1])),
-        "tracks": float(tracks.points),
-        "observations": float(len(tracks.frame)),
-        "track_length_mean": float(tracks.lengths.mean()),
-        "iterations": float(bundle.iterations),
-    }
+    figures = {"sigma_px": bundle.sigma_px, "iterations": float(bundle.iterations)}
+    if tracks.points:
+        length = np.linalg.norm(bundle.residual_px, axis=1)
+        figures |= {
+            "reprojection_mean_px": float(np.nanmean(length[bundle.weight > 0.1])),
+            "tracks": float(tracks.points),
+            "observations": float(len(tracks.frame)),
+            "track_length_mean": float(tracks.lengths.mean()),
+        }
     return figures | {f"sigma_{group}": value for group, value in bundle.sigma.items()}

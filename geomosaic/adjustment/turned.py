@@ -28,12 +28,22 @@ def _turned_poses(poses: Poses, frames: list[int]) -> Poses:
 
 
 def as_taken(block: Block) -> Block:
-    """The block with half-turned pictures turned back: poses, cameras and tie points."""
+    """The block with half-turned pictures turned back: poses, cameras, tie points and control."""
     frames = _half_turned(block)
     if not frames:
         return block
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(block.cameras))
     size = np.array([[c.width_px, c.height_px] for c in cameras], dtype=np.float64)
+    control = tuple(
+        replace(
+            p,
+            observations=tuple(
+                (i, float(size[i, 0]) - col, float(size[i, 1]) - row) if i in frames else (i, col, row)
+                for i, col, row in p.observations
+            ),
+        )
+        for p in block.control
+    )
     pairs = tuple(
         replace(
             t,
@@ -48,6 +58,7 @@ def as_taken(block: Block) -> Block:
         poses=_turned_poses(block.poses, frames),
         ties=TiePoints(pairs, block.ties.untied),
         turned=(),
+        control=control,
     )
 
 

@@ -1,0 +1,95 @@
+"""Blocks of frames with known truth and stated noise, without pictures, for the tests of the bundle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.adjustment.collinearity import exp_turn
+from geomosaic.adjustment.model import Block
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.projection.ground import GroundSurface
+
+POSITION_SD_M = np.array([1.5, 1.5, 2.0])
+TURN_SD_RAD = np.radians([0.3, 0.3, 1.0])
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A block with noise and the poses it was flown with."""
+
+    block: Block
+    truth: Poses
+    rng: np.random.Generator
+
+    def seen(self, ground_m: np.ndarray, noise_px: float = 0.0) -> list[tuple[int, float, float]]:
+        """Frame, col and row of every picture of a ground point (3,), with noise."""
+        out = []
+        for i, camera in enumerate(self.block.cameras):
+            col, row = self.truth[i].image_from_ground(camera, ground_m) + self.rng.normal(0, noise_px, 2)
+            if 0.0 < col < camera.width_px and 0.0 < row < camera.height_px:
+                out.append((i, float(col), float(row)))
+        return out
+
+
+def level(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Land at zero."""
+    return np.zeros(np.broadcast(east, north).shape)
+
+
+def hills(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Hills of 15 m, a seventh of the flying height."""
+    return 7.5 * np.sin(east / 23.0 + 0.4) * np.cos(north / 31.0)
+
+
+def fly(
+    seed: int,
+    lines: int = 3,
+    per_line: int = 6,
+    *,
+    noise_px: float = 0.3,
+    points: int = 900,
+    relief=level,  # type: ignore[no-untyped-def]
+    ground: GroundSurface | None = None,
+    position_sd_m: np.ndarray = POSITION_SD_M,
+) -> Flown:
+    """Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
+    rng = np.random.default_rng(seed)
+    n = lines * per_line
+    camera = Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02)
+    at = np.array([[40.0 * (i // per_line), 18.0 * (i % per_line), 100.0] for i in range(n)])
+    truth = Poses(
+        at + rng.normal(0, [1.0, 1.0, 0.5], (n, 3)),
+        Rotation.from_yaw_pitch_roll(*rng.normal(0, np.radians([2.0, 1.0, 1.0]), (n, 3)).T).matrix,
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+    )
+    low, high = at[:, :2].min(axis=0) - [35.0, 25.0], at[:, :2].max(axis=0) + [35.0, 25.0]
+    plan = rng.uniform(low, high, (points, 2))
+    land = np.column_stack([plan, relief(*plan.T)])
+    seen = [truth[i].image_from_ground(camera, land) for i in range(n)]
+    inside = [np.all((px > 5.0) & (px < [795.0, 595.0]), axis=1) for px in seen]
+    measured = [px + rng.normal(0, noise_px, px.shape) for px in seen]
+    ties = []
+    for i in range(n):
+        for j in range(i + 1, n):
+            both = np.flatnonzero(inside[i] & inside[j])
+            if len(both) >= 12:
+                number = both.astype(np.int32)
+                ties.append(TiePair(i, j, measured[i][both], measured[j][both], number, number))
+    poses = Poses(
+        truth.positions_m + rng.normal(0, position_sd_m, (n, 3)),
+        exp_turn(rng.normal(0, TURN_SD_RAD, (n, 3))) @ truth.rotations,
+        np.tile(position_sd_m, (n, 1)),
+        np.tile(TURN_SD_RAD, (n, 1)),
+    )
+    flat = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
+    block = Block(
+        tuple(f"{i:03d}.jpg" for i in range(n)), (camera,) * n, poses, ground or flat, TiePoints(tuple(ties)),
+        tuple(range(n)), tuple(i // per_line for i in range(n)), 0.1,
+    )  # fmt: skip
+    return Flown(block, truth, rng)
