@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from geomosaic.adjustment.methods import METHODS
@@ -26,6 +28,7 @@ def test_there_is_one_recipe_for_each_method_and_the_paper() -> None:
 
 @pytest.mark.parametrize("name", [*METHODS, "paper"])
 def test_a_recipe_is_whole(name: str, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((8, 8), np.uint8))
     recipe = load(name, tmp_path)
     recipe.check_files()
     assert recipe.description and "\n" not in recipe.description
