@@ -191,25 +191,57 @@ def test_a_frame_100_km_away(survey: Survey, refused: Refused) -> None:
 
 def test_results_among_the_frames(survey: Survey, refused: Refused) -> None:
     """Inside the folder of frames is well; in the folder itself the next run would take the mosaic in."""
-    code = mosaic(survey.frames, survey.frames, "--pos", survey.pos, "--camera", survey.camera)
-    refused(code, survey.run, survey.frames, "another output folder")
-    assert {p.name for p in survey.frames.iterdir()} == {f"F000{i}.jpg" for i in range(1, 5)} | {
-        "run.mcap",
-        "work",
-    }
+    before = {p.name for p in survey.frames.iterdir()}
+    (survey.frames.parent / "link").symlink_to(survey.frames)
+    for output in (survey.frames, survey.frames.parent / "link", survey.frames / "deeper" / ".."):
+        code = mosaic(survey.frames, output, "--pos", survey.pos, "--camera", survey.camera)
+        refused(code, survey.run, survey.frames, "another output folder")
+        assert {p.name for p in survey.frames.iterdir()} == before
     survey.run = survey.frames / "run"
     assert survey.mosaic() == 0 == survey.mosaic()
     assert summary(survey.run)["frames"]["total"] == 4
 
 
-@pytest.mark.parametrize("name", ["track.gpx", "huge.csv"])
-def test_no_pos_file_at_all(survey: Survey, refused: Refused, name: str) -> None:
-    pos = survey.run.with_name(name)
-    gpx = '<?xml version="1.0"?><gpx><trk><trkseg><trkpt lat="48.1" lon="11.3"/></trkseg></trk></gpx>'
-    pos.write_text(gpx if name == "track.gpx" else "frame,lon_deg,lat_deg\n")
+def test_frames_in_the_cache(survey: Survey, refused: Refused) -> None:
+    """RUN/work is tidied at the end of a run: frames there would be deleted."""
+    frames = survey.run / "work" / "frames"
+    frames.parent.mkdir(parents=True)
+    survey.frames.rename(frames)
+    refused(mosaic(frames, survey.run), survey.run, frames, "another output folder")
+    assert len(list(frames.iterdir())) == 4
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "content", "words"),
+    [
+        ("--pos", "track.gpx", '<?xml version="1.0"?>\n<gpx><trk><trkseg/></trk></gpx>', "a GPX track"),
+        ("--pos", "a.csv", "\ufeff<kml xmlns='http://www.opengis.net/kml/2.2'/>", "a KML file"),
+        ("--pos", "a.json", '{"type": "FeatureCollection", "features": []}', "a GeoJSON file"),
+        ("--pos", "a.txt", '[{"frame": "F0001.jpg"}]', "a JSON file"),
+        ("--pos", "a.xlsx", "PK\x03\x04\0\0", "an archive or a spreadsheet"),
+        ("--pos", "huge.csv", "frame,lon_deg,lat_deg\n", "too large"),
+        ("--pos", "folder", None, "is a folder"),
+        ("--gcp", "folder", None, "is a folder"),
+        ("--camera", "folder", None, "is a folder"),
+        ("--camera", "c.yaml", "a: [1\n", "c.yaml"),
+        ("--dem", "dem.tif", "no raster", "no raster that GDAL reads"),
+        ("--reference", "true.tif", "no raster", "not a raster"),
+        ("--reference", "folder", None, "not a raster"),
+        ("--crs", "EPSG:99999999", None, "99999999"),
+    ],
+)
+def test_files_of_another_kind_are_named_before_anything_is_made(
+    survey: Survey, refused: Refused, option: str, name: str, content: str | None, words: str
+) -> None:
+    file = survey.run.with_name(name)
+    if name == "folder":
+        file.mkdir()
+    elif content is not None:
+        file.write_text(content)
     if name == "huge.csv":
-        os.truncate(pos, 65 << 20)
-    refused(mosaic(survey.frames, survey.run, "--pos", pos), survey.run, pos)
+        os.truncate(file, 65 << 20)
+    refused(mosaic(survey.frames, survey.run, option, file if file.exists() else name), survey.run, words)
+    assert not survey.run.exists()
 
 
 def test_names_with_blanks_and_umlauts_and_a_relative_path(

@@ -326,6 +326,7 @@ def test_a_stage_s_error_comes_home_whole(workers: int, toys: Toys) -> None:
     recording = read_recording(toys.run_folder / "run.mcap")
     assert recording.warnings[-1].text.startswith("UnknownNameError: unknown number '13'")
     assert [s.finished for s in recording.stages] == [True, False]
+    assert not [p for p in toys.run_folder.rglob("*") if p.name == "calls.part"]
 
 
 class PickyError(Exception):
@@ -456,6 +457,14 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(toys: Toys, sma
     toys.done()
     run(toys.recipe(), folder)
     assert toys.done() == ["write", "tell"]
+
+
+@pytest.mark.parametrize("ballast_kb", range(4000, 4096, 12))
+def test_a_full_disk_is_told_alike_whoever_notices(toys: Toys, small_disk: Path, ballast_kb: int) -> None:
+    """The recorder, the cache or a stage, by how much is left."""
+    (small_disk / "ballast").write_bytes(bytes(ballast_kb << 10))
+    with pytest.raises(OutputError, match="no space left on the disk; free some or choose another output"):
+        run(toys.recipe("toy.write.megabytes=1"), small_disk / "run")
 
 
 def test_cancelling_stops_between_items(toys: Toys) -> None:

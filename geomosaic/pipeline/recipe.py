@@ -55,13 +55,33 @@ class Recipe:
         """`plain` as YAML: a recipe again."""
         return yaml.safe_dump(self.plain(), sort_keys=False, allow_unicode=True)
 
-    def check_files(self, skip: Collection[int] = ()) -> None:
-        """`FileError` for the first file parameter that names nothing; steps in `skip` aren't asked."""
-        for i, step in enumerate(self.steps):
-            for name, path in file_values(step.params).items() if i not in skip else ():
+    def check_files(self, skip: Collection[int] = (), run_folder: Path | None = None) -> None:
+        """`InputError` for the first file that can't be what a stage wants; steps in `skip` aren't asked.
+
+        Files must be there, apart from the results if `run_folder` is given, and pass `Stage.check`.
+        """
+        steps = [step for i, step in enumerate(self.steps) if i not in skip]
+        for step in steps:
+            for name, path in file_values(step.params).items():
                 if not path.exists():
                     mend = f"give an existing one for {step.stage.id}.{name}"
                     raise FileError("no such file or folder", file=path, mend=mend)
+                if run_folder is not None:
+                    _check_apart(path.resolve(), run_folder.resolve(), path)
+        for step in steps:
+            step.stage.check(step.params)
+
+
+def _check_apart(path: Path, run_folder: Path, given: Path) -> None:
+    """No folder is read and written to at once, and nothing is read where the cache is tidied."""
+    mend = "give another output folder"
+    if path == run_folder:
+        problem = "would be read and written at once, and results be taken for frames"
+        raise InputError(problem, file=given, mend=mend)
+    if path == run_folder / "work" or run_folder / "work" in path.parents:
+        raise InputError(
+            f"lies in the run's cache {run_folder / 'work'}, which is tidied", file=given, mend=mend
+        )
 
 
 class _Loader(yaml.SafeLoader):

@@ -42,6 +42,19 @@ def _locked(run_folder: Path) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _in_one_wording(run_folder: Path) -> Iterator[None]:
+    """A disk that takes no more is told alike, whether a stage, the cache or the recorder noticed it."""
+    try:
+        yield
+    except OSError as error:
+        cause = error.__cause__ if isinstance(error, OutputError) else error
+        if cause is None or not files.is_output_error(cause):
+            raise
+        file = error.file if isinstance(error, OutputError) else error.filename
+        raise files.output_error(cause, Path(file or run_folder)) from cause
+
+
 def run(
     recipe: Recipe,
     run_folder: Path,
@@ -63,11 +76,11 @@ def run(
     recording then ends with the error, and the folder has no run.json, but finished work stays cached.
     """
     given = given or {}
-    recipe.check_files(skip=given.keys())
+    recipe.check_files(skip=given.keys(), run_folder=run_folder)
     run_folder = run_folder.absolute()
     files.make_folder(run_folder)
     files.make_folder(run_folder / "work")
-    with _locked(run_folder), Workers(workers, dask) as team:
+    with _locked(run_folder), _in_one_wording(run_folder), Workers(workers, dask) as team:
         (run_folder / RUN_JSON).unlink(missing_ok=True)
         files.sweep(run_folder)
         hashes = files.FileHashes(run_folder / "work" / "hashes.json")
@@ -134,8 +147,6 @@ class _Run:
             raise CancelledError from None
         except Exception as error:
             self._record_failure(stage, f"{type(error).__name__}: {error}")
-            if files.is_output_error(error):
-                raise files.output_error(error, Path(error.filename or self._folder)) from error
             raise
 
     def _begin(self, given: Mapping[int, Given]) -> None:
@@ -206,9 +217,12 @@ class _Run:
         try:
             context.check_cancelled()
             values = step.stage().run({name: h.value() for name, h in inputs.items()}, step.params, context)
-        finally:
+            check_outputs(step.stage, values)
+        except BaseException:
             recorder.close()
-        check_outputs(step.stage, values)
+            spool.unlink(missing_ok=True)
+            raise
+        recorder.close()
         return self._cache.keep(step.stage, key, values, context, self._manifests[i], spool), "work"
 
     def _timeless_summary(self) -> dict[str, Any]:

@@ -54,6 +54,14 @@ class Stage(ABC):
     cached: ClassVar[bool] = True
     Params: ClassVar[type[StageParams]] = StageParams
 
+    @classmethod
+    def check(cls, params: Any) -> None:
+        """Raises `InputError` for what can be seen to be wrong before any stage runs; reads headers at most.
+
+        Every file and folder that `params` names is there when it is asked.
+        """
+        return
+
     @abstractmethod
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """The outputs by name. Everything it tells or writes goes by way of `context`."""

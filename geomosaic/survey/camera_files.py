@@ -48,6 +48,8 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
 
 
 def _load(path: Path) -> Any:
+    if path.is_dir():
+        raise FileError("is a folder, no camera file", file=path, mend=_MEND)
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise FileError("is too large for a camera file", file=path, mend="is it the right file?")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import rasterio
@@ -50,6 +51,13 @@ def dem_crs(elevation: ElevationModel) -> str:
         return str(source.crs.to_wkt())
 
 
+def check_north_up(source: rasterio.DatasetReader, path: str | Path) -> None:
+    """`FileError` for a raster that is turned or upside down."""
+    t = source.transform
+    if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
+        raise FileError("the DEM is not north-up", file=path, mend="warp it with gdalwarp first")
+
+
 def read_heights(elevation: ElevationModel, bounds: tuple[float, float, float, float]) -> HeightRaster:
     """The DEM's first band inside bounds (west, south, east, north in its own CRS), a pixel wider.
 
@@ -57,11 +65,8 @@ def read_heights(elevation: ElevationModel, bounds: tuple[float, float, float, f
     lies inside the bounds, or it is not north-up.
     """
     with rasterio.open(elevation.path) as source:
+        check_north_up(source, elevation.path)
         t = source.transform
-        if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
-            raise FileError(
-                "the DEM is not north-up", file=elevation.path, mend="warp it with gdalwarp first"
-            )
         wanted = from_bounds(*bounds, transform=t)
         row_0, row_1 = np.clip(
             [np.floor(wanted.row_off) - 1, np.ceil(wanted.row_off + wanted.height) + 1], 0, source.height

@@ -17,7 +17,7 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.survey.dem import read_heights
+from geomosaic.survey.dem import check_north_up, read_heights
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
@@ -38,15 +38,7 @@ def read_elevation(
     grid, or not covering the frames, saying by how much.
     """
     path = path.absolute()
-    with _open(path) as dem:
-        if dem.crs is None:
-            mend = "assign its coordinate reference system (gdal_edit.py -a_srs EPSG:n)"
-            raise InputError("the DEM has no coordinate reference system", file=path, mend=mend)
-        if (dem.units[0] or "").lower() not in _METRES:
-            raise InputError(
-                f"the DEM's heights are in {dem.units[0]}", file=path, mend="convert them to metres"
-            )
-        crs, bounds = CRS.from_wkt(dem.crs.to_wkt()), dem.bounds
+    crs, bounds = check_dem(path)
     model, warnings = _with_datum(path, offset_m, crs, np.median(lonlat, axis=0))
     xy = MapProjection(crs.to_wkt()).map_from_geodetic(*lonlat.T)
     _check_cover(path, crs, bounds, frame_names, lonlat, xy)
@@ -60,6 +52,23 @@ def read_elevation(
         text = f"{path.name}: no height under {len(gaps)} frames ({', '.join(gaps[:3])})"
         warnings.append(Warn("dem-gaps", "", text))
     return model, heights, warnings
+
+
+def check_dem(path: Path) -> tuple[CRS, Any]:
+    """The CRS of a DEM and its bounds in it, from its header.
+
+    Raises: `FileError` for what is no raster or not north-up, `InputError` without a CRS or in feet.
+    """
+    with _open(path) as dem:
+        if dem.crs is None:
+            mend = "assign its coordinate reference system (gdal_edit.py -a_srs EPSG:n)"
+            raise InputError("the DEM has no coordinate reference system", file=path, mend=mend)
+        if (dem.units[0] or "").lower() not in _METRES:
+            raise InputError(
+                f"the DEM's heights are in {dem.units[0]}", file=path, mend="convert them to metres"
+            )
+        check_north_up(dem, path)
+        return CRS.from_wkt(dem.crs.to_wkt()), dem.bounds
 
 
 def _open(path: Path) -> Any:

@@ -13,7 +13,7 @@ from geomosaic.geodesy.mapcrs import map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import cameras_from_file, cameras_from_headers
 from geomosaic.survey.control import check_control, read_control
-from geomosaic.survey.elevation import read_elevation
+from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic.survey.model import Frame, Position, Survey, Warn
@@ -23,6 +23,31 @@ from geomosaic.survey.pos import read_pos
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
+
+
+def check_survey_files(
+    folder: Path,
+    *,
+    pos: Path | None = None,
+    camera: Path | None = None,
+    dem: Path | None = None,
+    gcp: Path | None = None,
+    crs: str = "auto",
+    pos_crs: str | None = None,
+    attitude_convention: str = "auto",
+) -> None:
+    """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
+    if crs != "auto":
+        map_crs(crs)
+    files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
+    if pos is not None:
+        read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
+    if camera is not None:
+        read_cameras(camera)
+    if dem is not None:
+        check_dem(dem)
+    if gcp is not None:
+        read_control(gcp, FrameNames(file.name for file in files))
 
 
 def read_survey(

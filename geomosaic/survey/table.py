@@ -27,6 +27,16 @@ _UNITS: Final = {
     **dict.fromkeys(("ft", "feet"), 0.3048),
     **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
 }
+_WANTED: Final = "give a table as text (CSV) with a line per frame or point, as docs/inputs.md has it"
+_OTHER_KINDS: Final = (
+    (rb"<.*<gpx\b|<gpx\b", "a GPX track"),
+    (rb"<.*<kml\b|<kml\b", "a KML file"),
+    (rb"<", "a file of tags (XML or HTML)"),
+    (rb"[{\[].*\"FeatureCollection\"", "a GeoJSON file"),
+    (rb"\{|\[\s*[{\[\"]", "a JSON file"),
+    (rb"PK\x03\x04", "an archive or a spreadsheet"),
+    (rb"\xff\xd8\xff|II\*\x00|MM\x00\*|\x89PNG", "a picture"),
+)
 _UNKNOWN: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--"})
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
@@ -87,7 +97,12 @@ class Line:
 
 
 def read_lines(path: Path) -> list[Line]:
-    """Lines with content of a text file: UTF-8 or UTF-16 with or without a mark, else Latin-1."""
+    """Lines with content of a text file: UTF-8 or UTF-16 with or without a mark, else Latin-1.
+
+    Raises: `FileError`, saying what it is instead of a table.
+    """
+    if path.is_dir():
+        raise FileError("is a folder, no table", file=path, mend=_WANTED)
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise FileError("is too large for a table (64 MB)", file=path, mend="is it the right file?")
@@ -98,12 +113,14 @@ def read_lines(path: Path) -> list[Line]:
         raise
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path) from error
+    if kind := _other_kind(data[:4096]):
+        raise FileError(f"is {kind}, no table", file=path, mend=_WANTED)
     try:
         text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
     if "\x00" in text:
-        raise FileError("is no text file", file=path, mend="give a table as text (CSV)")
+        raise FileError("is no text file", file=path, mend=_WANTED)
     lines = []
     for number, raw in enumerate(text.splitlines(), start=1):
         stripped = raw.strip()
@@ -111,6 +128,13 @@ def read_lines(path: Path) -> list[Line]:
         if bare:
             lines.append(Line(number, bare, bare != stripped))
     return lines
+
+
+def _other_kind(start: bytes) -> str | None:
+    """What a file is that is often taken for a table, by its first bytes."""
+    bare = start.removeprefix(b"\xef\xbb\xbf").lstrip()
+    found = (kind for mark, kind in _OTHER_KINDS if re.match(mark, bare, re.DOTALL | re.IGNORECASE))
+    return next(found, None)
 
 
 def crs_of_line(text: str) -> CRS | None:
