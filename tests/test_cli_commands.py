@@ -107,6 +107,35 @@ def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
     assert "[2/5] Raise to a power: unchanged, from the cache" in err
 
 
+@pytest.mark.parametrize(("output", "code"), [("stdout", 141), ("stderr", 0)])
+def test_a_closed_pipe_is_no_fault(output: str, code: int, desk: Desk) -> None:
+    """`geomosaic run ... | head`, and the same of stderr: the work is done all the same."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    other = {"stdout": "stderr", "stderr": "stdout"}[output]
+    process = subprocess.run(
+        [*COMMAND, "run", "toy.yaml", "-o", "run", "--workers", "1"],
+        cwd=desk.folder,
+        env=desk.environment,
+        text=True,
+        timeout=60,
+        **{output: writer, other: subprocess.PIPE},
+    )
+    os.close(writer)
+    heard = getattr(process, other)
+    assert process.returncode == code, heard
+    assert "Traceback" not in heard and "geomosaic:" not in heard and len(heard.splitlines()) >= 3
+    assert json.loads((desk.folder / "run" / "run.json").read_text())["frames"]["total"] == 4
+
+
+def test_a_failure_that_nobody_hears_keeps_its_exit_code(desk: Desk) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    arguments = [*COMMAND, "stages", "nothing"]
+    assert subprocess.run(arguments, env=desk.environment, stderr=writer, timeout=60).returncode == 2
+    os.close(writer)
+
+
 def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
     ours, theirs = os.openpty()
     arguments = ["run", "toy.yaml", "-o", "run", "--workers", "1", "--set", "toy.power.delay_s=0.3"]

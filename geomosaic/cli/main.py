@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 import typer
 
@@ -71,15 +72,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     try:
         result = typer.main.get_command(build_app(argv))(argv, prog_name="geomosaic", standalone_mode=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except GeomosaicError as error:
         return _fail(str(error), error.exit_code, error)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("stopped", CancelledError.exit_code)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    except (BrokenPipeError, SystemExit) as error:
+        if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
+            raise  # click turns a closed pipe into SystemExit
+        return _unheard()
     except Exception as error:
         usage = getattr(error, "format_message", None)
         if usage is not None and usage().startswith("Usage:"):
@@ -99,8 +102,19 @@ def _fail(text: str, exit_code: int, error: Exception | None = None) -> int:
 
         traceback.print_exception(error)
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
-    print(f"geomosaic: {line}", file=sys.stderr)
+    if sys.stderr is not None:
+        with suppress(BrokenPipeError):
+            print(f"geomosaic: {line}", file=sys.stderr, flush=True)
     return exit_code
+
+
+def _unheard() -> int:
+    """Whoever read the output is gone (`| head`): ends as a program does that the signal SIGPIPE ends."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.__stdout__, sys.__stderr__):
+        if stream is not None:
+            os.dup2(nowhere, stream.fileno())
+    return 128 + 13
 
 
 if __name__ == "__main__":

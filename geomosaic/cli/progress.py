@@ -28,15 +28,22 @@ def _how(seconds: float, source: Source) -> str:
 
 
 class Lines:
-    """One line when a stage begins, ends or warns, and one every ten seconds in between."""
+    """One line when a stage begins, ends or warns, and one every ten seconds in between.
 
-    def __init__(self, stream: TextIO) -> None:
+    When the reader of a pipe goes away, the run goes on unheard.
+    """
+
+    def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
         self._name = ""
         self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
 
     def _line(self, text: str) -> None:
-        print(printable(text), file=self._stream, flush=True)
+        if self._stream is not None:
+            try:
+                print(printable(text), file=self._stream, flush=True)
+            except BrokenPipeError:
+                self._stream = None
         self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
 
     def stage_started(self, index: int, total: int, name: str) -> None:
@@ -102,7 +109,7 @@ class Bar:
 def progress() -> Iterator[Reporter]:
     """The reporter that suits stderr."""
     console = Console(stderr=True)
-    if not console.is_terminal:
+    if sys.stderr is None or not console.is_terminal:
         yield Lines(sys.stderr)
         return
     columns = (
