@@ -65,7 +65,7 @@ def test_the_page_is_whole_and_says_what_a_surveyor_asks(html):
     for wanted in (
         "Mosaic of 12 frames", "11 of 12", "2024-06-10", "EPSG:32632", "error sharing", "8 rounds",
         "no tie points", "tied to no other frame", "absolute RMSE", "jump, 99 %", "SSIM", "DJI_0012.JPG",
-        "focal length", "1000.00", "CCIR", "geomosaic replay run.mcap", "nadir point", "11.0 s",
+        "focal length", "1000.00", "CCIR", "geomosaic replay run.mcap", "nadir point", "time taken", "11.0 s",
     ):  # fmt: skip
         assert wanted in words, wanted
     assert words.index("no tie points") < words.index("The mosaic")
@@ -118,6 +118,7 @@ def test_the_plain_run_without_reference_rounds_or_ties(run):
     words = " ".join(page.words.split())
     assert "No warnings." in words and "No pair of frames is tied" in words
     assert "Accuracy against the reference" not in words
+    assert "time taken" not in words and "Time" not in words
     assert not re.search(r"\bnan\b", words)
 
 

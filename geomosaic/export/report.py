@@ -137,12 +137,12 @@ def _facts(
     crs = CRS.from_user_input(mosaic.grid.crs)
     code = crs.to_authority()
     count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
-    seconds = sum(float(v) for v in summary.get("timings_s", {}).values())
+    timings = summary.get("timings_s", {})
     memory = summary.get("peak_memory_mb")
     area = (covered_m2 / 1e4, "ha") if covered_m2 < 1e7 else (covered_m2 / 1e6, "km²")
     method = str(summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
     rejected = f"{count['placed']} placed by POS alone, {count['rejected']} rejected"
-    return [
+    facts = [
         ("frames tied", f"{count['tied']} of {len(survey.frames)}", rejected),
         ("taken", *_taken(survey)),
         ("ground pixel", _length(mosaic.grid.gsd_m), f"{mosaic.grid.width_px} × {mosaic.grid.height_px} px"),
@@ -150,9 +150,12 @@ def _facts(
         ("map", ":".join(code) if code else crs.name, crs.name if code else ""),
         ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + _plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
-        ("time taken", _duration(seconds), f"peak memory {memory:.0f} MB" if memory else ""),
     ]
 
+    if timings:
+        note = f"peak memory {memory:.0f} MB" if memory else ""
+        facts.append(("time taken", _duration(sum(map(float, timings.values()))), note))
+    return facts
 
 def _adjustment_note(adjusted: Adjusted) -> str:
     rounds = _plural(len(adjusted.rounds), "round") + ", " if adjusted.rounds else ""
