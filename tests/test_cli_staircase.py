@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -196,6 +197,28 @@ def test_pos_crs_and_ground_height_reach_their_stages(
     assert stages[0].params["pos_crs"] == "EPSG:32632" and stages[1].params["height_m"] == 120.5
     summary = json.loads((tmp_path / "r" / "run.json").read_text())
     assert summary["mosaic"]["crs"] == "EPSG:32632"
+
+
+def test_a_run_ends_with_how_well_the_frames_agree_and_how_true_the_map_is(
+    survey: Path, four: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["mosaic", str(four), "-o", str(tmp_path / "r"), "--workers", "1"]
+    ortho = survey / "truth" / "ortho.tif"
+    assert main([*arguments, "--adjust", "bundle", "--reference", str(ortho)]) == 0
+    said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    metrics = json.loads((tmp_path / "r" / "run.json").read_text())["metrics"]
+    agreement = re.fullmatch(r"(\d\.\d\d) px mean reprojection error", said["agreement"])
+    assert agreement and float(agreement[1]) == pytest.approx(
+        metrics["adjustment"]["reprojection_mean_px"], abs=0.006
+    )
+    accuracy = re.fullmatch(
+        r"([\d.]+) m RMSE, 90 % within ([\d.]+) m, at (\d+) places of the reference", said["accuracy"]
+    )
+    quality = metrics["quality"]
+    wanted = [quality["absolute_rmse_m"], quality["ce90_m"], quality["measured"]]
+    assert accuracy and [float(x) for x in accuracy.groups()] == pytest.approx(wanted, rel=0.01)
+    assert main([*arguments, "--adjust", "error_sharing"]) == 0
+    assert not {"agreement", "accuracy"} & {s.split()[0] for s in capsys.readouterr().out.splitlines()}
 
 
 def test_the_front_door_needs_no_numpy() -> None:

@@ -174,5 +174,23 @@ def execute(
     frames = summary.get("frames")
     if isinstance(frames, dict):
         print("frames     " + ", ".join(f"{count} {name}" for name, count in frames.items()))
+    for line in _figures(summary["metrics"]):
+        print(line)
     if summary["warnings"]:
         print(f"warnings   {len(summary['warnings'])}, see above and run.json")
+
+
+def _figures(metrics: Mapping[str, Any]) -> list[str]:
+    """How well the frames agree and how true the map is, as far as it was measured."""
+    lines = []
+    reprojection_px = metrics.get("adjustment", {}).get("reprojection_mean_px")
+    if reprojection_px is not None:
+        lines.append(f"agreement  {reprojection_px:.2f} px mean reprojection error")
+    quality = metrics.get("quality", {})
+    rmse_m, ce90_m = quality.get("absolute_rmse_m"), quality.get("ce90_m")
+    if rmse_m is not None and ce90_m is not None:
+        lines.append(
+            f"accuracy   {rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, "
+            f"at {quality['measured']} places of the reference"
+        )
+    return lines
