@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.camera.interior import Camera
 
@@ -78,16 +79,6 @@ def exp_turn(turn_rad: Floats) -> Floats:
 
 
 def log_turn(rotations: Floats) -> Floats:
-    """Rotation vectors (n, 3) of rotation matrices (n, 3, 3)."""
-    cos = np.clip((np.trace(rotations, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
-    angle = np.arccos(cos)
-    skew = np.stack(
-        [
-            rotations[:, 2, 1] - rotations[:, 1, 2],
-            rotations[:, 0, 2] - rotations[:, 2, 0],
-            rotations[:, 1, 0] - rotations[:, 0, 1],
-        ],
-        axis=1,
-    )
-    scale = np.where(angle > 1e-7, angle / np.maximum(2.0 * np.sin(angle), 1e-12), 0.5)
-    return np.asarray(skew * scale[:, None])
+    """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), lengths of 0 to pi. By way of quaternions,
+    since the matrix's own skew part vanishes at half a turn."""
+    return np.asarray(Turn.from_matrix(rotations).as_rotvec())

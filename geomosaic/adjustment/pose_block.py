@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
 from geomosaic.adjustment.chain import fit_similarity
 from geomosaic.adjustment.collinearity import INTERIOR, log_turn
-from geomosaic.adjustment.control import spread_of, with_control
+from geomosaic.adjustment.control import control_residuals, spread_of, with_control
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.outcome import settled
@@ -42,6 +42,7 @@ _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 _SCALE_IN_DOUBT = 4.0
 _SHIFT_IN_DOUBT = 5.0
+_DATUM_IN_DOUBT = 3.0
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
 
 
@@ -78,8 +79,12 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         control=np.zeros(ties, dtype=bool),
         terrain=_believed_terrain(block),
     )
+    free = solve_bundle(kept, camera_of, priors, start) if ties else None
     seen, priors = with_control(kept, priors, block.control)
-    solved = solve_bundle(seen, camera_of, priors, start)
+    if free is not None and seen is kept:
+        solved = free
+    else:
+        priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
     ground = _ground(block, settings, _of_ties(solved, kept)) if ties else block.ground
     if ties and ground.kind != "tie_surface":
         off_m = _off_ground_m(block, ground, _of_ties(solved, kept))
@@ -100,6 +105,37 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         figures=_figures(bundle, kept),
         spread=spread_of(bundle, camera_of),
     )
+
+
+def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
+    """Median of control minus what the poses make of it, (3,); and whether that is another datum: three
+    points or more agree on what the positions' deviations can't explain."""
+    used = replace(block, control=tuple(c for c in block.control if not c.check))
+    off = np.array([c.residual_m for c in control_residuals(used, poses, cameras, block.ground)])
+    if not len(off):
+        return np.zeros(3), False
+    shift = np.median(off, axis=0)
+    beyond = np.abs(shift) > _DATUM_IN_DOUBT * np.median(block.poses.positions_sd_m, axis=0)
+    return shift, bool(len(off) >= 3 and beyond.any())
+
+
+def _held_by_control(
+    block: Block, seen: Tracks, camera_of: NDArray[np.intp], priors: Priors, start: Poses, free: Bundle | None
+) -> tuple[Priors, Bundle]:
+    """The solution with control points, begun from the free one shifted onto them.
+
+    So each point is judged against the others, not against positions that may be off in common (a height
+    of another datum), and these are shifted along where control says so.
+    """
+    lenses, poses = (free.cameras, free.poses) if free else (priors.cameras, start)
+    shift, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in camera_of))
+    start = replace(poses, positions_m=poses.positions_m + shift)
+    if datum:
+        priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + shift))
+    if free is not None:
+        points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
+        free = replace(free, points_m=points)
+    return priors, solve_bundle(seen, camera_of, priors, start, again=free)
 
 
 def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
@@ -214,7 +250,8 @@ def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
     if settings.ground == "flat" or len(points) < 50:
         return flat
     stiffness_m = 0.002 * float(np.median(heights_above_ground_m(bundle.poses, flat)))
-    surface = tie_surface(points, sd, points[:, :2].min(axis=0), points[:, :2].max(axis=0), stiffness_m)
+    low_m, high_m = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    surface = tie_surface(points, sd, low_m, high_m, stiffness_m, 25.0 * stiffness_m)
     if settings.ground == "tie_surface":
         return surface
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
@@ -262,20 +299,25 @@ def _doubts(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
     the stated one, or what the similarity leaves, whichever is larger. A shift of all frames beyond five
     stated deviations is what control in another datum does.
     """
-    given, found = block.poses.positions_m[seen, :2], poses.positions_m[seen, :2]
-    stated_m = float(np.median(block.poses.positions_sd_m[seen, :2]))
+    stated = block.poses.positions_sd_m[seen]
+    shift_m = np.median(block.poses.positions_m[seen] - poses.positions_m[seen], axis=0)
     out = []
-    shift_m = float(np.linalg.norm(np.median(given - found, axis=0)))
-    if shift_m > _SHIFT_IN_DOUBT * stated_m:
-        text = f"all positions lie {shift_m:.1f} m off; check their datum, and that of control points"
+    if np.any(np.abs(shift_m) > _SHIFT_IN_DOUBT * np.median(stated, axis=0)):
+        east, north, up = shift_m
+        text = (
+            f"the positions lie {east:+.1f} m east, {north:+.1f} m north and {up:+.1f} m up of where the "
+            "adjustment puts the frames; check their datum and height system, and those of control points"
+        )
         out.append(Warn("positions-shifted", "", text))
+    given, found = block.poses.positions_m[seen, :2], poses.positions_m[seen, :2]
+    stated_m = float(np.median(stated[:, :2]))
     extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
     if len(seen) < 3 or extent_m == 0.0:
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
     position_sd_m = max(stated_m, float(np.median(np.abs(left))) / _MEDIAN_LENGTH)
-    off, sd = 1.0 - abs(turn), position_sd_m / extent_m
+    off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
     if abs(off) > _SCALE_IN_DOUBT * sd:
         text = (
             f"the block is {abs(off) * 100.0:.2f} % {'larger' if off > 0.0 else 'smaller'} than its "

@@ -25,12 +25,18 @@ def level_m(up_m: Floats, sd_m: Floats) -> float:
 
 
 def tie_surface(
-    points_m: Floats, sd_up_m: Floats, low_m: Floats, high_m: Floats, stiffness_m: float
+    points_m: Floats,
+    sd_up_m: Floats,
+    low_m: Floats,
+    high_m: Floats,
+    stiffness_m: float,
+    stiff_spacing_m: float,
 ) -> GroundSurface:
     """Robust smoothing surface through tie points.
 
     Minimises sum rho((up - surface) / sd) over the points plus the squared second differences of the
-    nodes over stiffness_m, what one node may bend in the mean against its neighbours. The grid has
+    nodes over what one node may bend in the mean against its neighbours: stiffness_m, and where nodes lie
+    further apart than stiff_spacing_m more with their distance squared, as one curvature does. The grid has
     about one node to three points; rho is Cauchy's, so that single trees, poles and wrong matches don't
     pull the ground.
 
@@ -40,6 +46,7 @@ def tie_surface(
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
     spacing = max(spacing, float(np.sqrt(np.prod(extent) / _MOST_NODES)))
+    stiffness_m *= max(spacing / stiff_spacing_m, 1.0) ** 2
     cols, rows = (np.ceil(extent / spacing).astype(int) + 1).tolist()
     at = np.clip((points_m[:, :2] - low_m) / spacing, 0.0, [cols - 1.001, rows - 1.001])
     j, i = np.floor(at).astype(np.intp).T

@@ -98,6 +98,7 @@ def render_report(
         frames=rows[:_MOST_ROWS],
         frames_left_out=max(0, len(rows) - _MOST_ROWS),
         status_words=_STATUS,
+        control=parts.control_tables(adjusted),
         cameras=parts.camera_rows(survey, adjusted),
         timings=svg(_timings(summary)),
         recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
@@ -151,11 +152,11 @@ def _facts(
         ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + _plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
     ]
-
     if timings:
         note = f"peak memory {memory:.0f} MB" if memory else ""
         facts.append(("time taken", _duration(sum(map(float, timings.values()))), note))
     return facts
+
 
 def _adjustment_note(adjusted: Adjusted) -> str:
     rounds = _plural(len(adjusted.rounds), "round") + ", " if adjusted.rounds else ""

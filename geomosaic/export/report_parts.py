@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.camera.interior import Camera
 from geomosaic.export.map_plots import network_map, vector_map
 from geomosaic.export.plots import Axis, Series, histogram, line_plot
@@ -19,6 +19,7 @@ from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint
 from geomosaic.quality.compare import Comparison
+from geomosaic.quality.control import ControlFigures, control_figures
 from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.survey.model import Survey
 
@@ -154,6 +155,17 @@ def worst_pairs(survey: Survey, pairs: PairMisalignments) -> list[dict[str, obje
         for i in order
         if np.isfinite(pairs.rms_m[i])
     ]
+
+
+def control_tables(adjusted: Adjusted) -> list[tuple[str, ControlFigures, list[ControlResidual]]]:
+    """Check points, then control points: title, figures, the points, the worst first."""
+    out = []
+    for title, check in (("Check points", True), ("Control points", False)):
+        points = [c for c in adjusted.control if c.check == check]
+        if points:
+            points.sort(key=lambda c: -float(np.linalg.norm(c.residual_m)))
+            out.append((title, control_figures(np.stack([c.residual_m for c in points])), points))
+    return out
 
 
 def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tuple[str, str, str]]]]:

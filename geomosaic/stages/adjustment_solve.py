@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, ClassVar
 
 import numpy as np
 
+from geomosaic.adjustment.control import ground_control
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.matching.model import TiePoints
@@ -14,6 +16,7 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.control import control_figures
 from geomosaic.stages.telling import record_adjusted
 from geomosaic.survey.model import Survey
 
@@ -24,7 +27,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
@@ -66,16 +69,19 @@ class AdjustmentSolve(Stage):
             lines=placement.lines,
             ground_pixel_m=placement.ground_pixel_m,
             turned=placement.turned,
+            control=ground_control(survey),
         )
         adjusted = METHODS[params.method](
             block, Settings(params.epsilon_px, params.max_rounds, params.ground)
         )
+        held = {i for c in block.control if not c.check for i, _, _ in c.observations}
         parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
             context.warn(
                 "no-tie-points",
                 block.names[frame],
-                "tied to no other frame; placed by its position and attitude",
+                "tied to no other frame; placed by its position and attitude"
+                + (" and by control points" if params.method == "bundle" and frame in held else ""),
             )
         large = [part for part in parts if len(part) > 1]
         for part in large[1:]:
@@ -95,8 +101,17 @@ class AdjustmentSolve(Stage):
         )
         for warning in adjusted.warnings:
             context.warn(warning.code, warning.frame, warning.text)
+        _tell_control(context, adjusted)
         for name, value in adjusted.figures.items():
             context.metric(f"adjustment.{name}", value)
         context.metric("ground.kind", adjusted.ground.kind)
         record_adjusted(context, survey, block, adjusted)
         return {"adjusted": adjusted, "ground": adjusted.ground}
+
+
+def _tell_control(context: Context, adjusted: Adjusted) -> None:
+    """Figures of control and of check points apart."""
+    for kind, check in (("control", False), ("check", True)):
+        off_m = [c.residual_m for c in adjusted.control if c.check == check]
+        if off_m:
+            context.metric(f"adjustment.{kind}", asdict(control_figures(np.stack(off_m))))
