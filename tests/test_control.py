@@ -1,0 +1,233 @@
+"""Control and check points: what they do to a block, what is said of them, and from file to report."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from adjustment_blocks import Flown, fly, hills, level
+from pyproj import Transformer
+from small_surveys import mosaic, small_survey, summary
+
+from geomosaic.adjustment.control import control_residuals
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, GroundControl, Settings
+from geomosaic.adjustment.turned import as_taken
+from geomosaic.matching.model import TiePoints
+from geomosaic.quality.control import control_figures
+from geomosaic.quality.positions import read_poses
+from geomosaic.survey.read import read_survey
+
+SD_M = np.array([0.02, 0.02, 0.02])
+CORNERS = np.array([[-15.0, -10.0], [95.0, -10.0], [95.0, 100.0], [-15.0, 100.0], [40.0, 45.0]])
+Relief = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def surveyed(
+    flown: Flown, plan_m: np.ndarray, relief: Relief = level, *, check: bool = False, noise_px: float = 0.5
+) -> tuple[GroundControl, ...]:
+    """Points of 2 cm, measured to half a pixel in every frame that sees them."""
+    out = []
+    for k, (east, north) in enumerate(plan_m):
+        at = np.array([east, north, float(relief(east, north))])
+        seen = tuple(flown.seen(at, noise_px))
+        given = at + flown.rng.normal(0, SD_M)
+        out.append(GroundControl(f"{'CHK' if check else 'GCP'}-{k}", given, SD_M, check, seen))
+    return tuple(p for p in out if p.observations)
+
+
+def checks(flown: Flown, relief: Relief = level) -> tuple[GroundControl, ...]:
+    plan = flown.rng.uniform([-15.0, -10.0], [95.0, 100.0], (30, 2))
+    return surveyed(flown, plan, relief, check=True)
+
+
+def adjusted_with(flown: Flown, control: tuple[GroundControl, ...], method: str = "bundle") -> Adjusted:
+    return METHODS[method](replace(flown.block, control=control), Settings())
+
+
+def residuals(adjusted: Adjusted, *, check: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and their deviations, (n, 3) each."""
+    some = [c for c in adjusted.control if c.check == check]
+    return np.array([c.residual_m for c in some]), np.array([c.sd_m for c in some])
+
+
+def rms(values: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
+
+
+def test_figures_by_hand() -> None:
+    """East 3, -1; north 4, 0; up -2, 6: lengths 5 and 1, their 0.9 quantile 1 + 0.9 * 4."""
+    f = control_figures(np.array([[3.0, 4.0, -2.0], [-1.0, 0.0, 6.0]]))
+    assert (f.n, f.rmse_east_m, f.rmse_north_m) == (2, pytest.approx(5**0.5), pytest.approx(8**0.5))
+    assert (f.rmse_up_m, f.rmse_horizontal_m) == (pytest.approx(20**0.5), pytest.approx(13**0.5))
+    assert (f.ce90_m, f.le90_m) == (pytest.approx(4.6), pytest.approx(5.6))
+
+
+def test_residual_is_surveyed_minus_found() -> None:
+    """True poses, exact pixels: a point surveyed 0.3 m too far east, 0.2 m too far south and 0.5 m too
+    high says just that; seen once, it is found on the ground."""
+    flown = fly(0)
+    at = np.array([33.0, 40.0, 0.0])
+    wrong = at + [0.3, -0.2, 0.5]
+    seen = tuple(flown.seen(at))
+    many = GroundControl("many", wrong, SD_M, True, seen)
+    once = GroundControl("once", wrong, SD_M, True, seen[:1])
+    behind = GroundControl("behind", wrong, SD_M, True, ())
+    block = replace(flown.block, poses=flown.truth, control=(many, once))
+    found = control_residuals(block, flown.truth, block.cameras, block.ground)
+    assert [f.name for f in found] == ["many", "once"] and behind.observations == ()
+    assert found[0].pictures == len(seen) > 3
+    for f in found:
+        assert f.residual_m == pytest.approx([0.3, -0.2, 0.5], abs=1e-6)
+    pixel = 0.5 * 0.1 / np.sqrt(len(seen))
+    assert found[0].sd_m[0] == pytest.approx(np.hypot(pixel, 0.02), rel=0.3)
+    assert found[1].sd_m[2] >= 0.5
+
+
+@pytest.mark.parametrize(("relief", "seed"), [(level, 0), (hills, 10)])
+def test_five_points_of_two_centimetres(relief: Relief, seed: int) -> None:
+    """From POS alone to control: check points fall from decimetres to below 0.05 m, and in both cases
+    (and for one, two and three points) their errors are as large as stated: 30 points of 4 blocks each,
+    which share the errors of their block, so that the whole ones are only good to a half."""
+    off: dict[int, list[np.ndarray]] = {0: [], 1: [], 2: [], 3: [], 5: []}
+    share: dict[int, list[np.ndarray]] = {n: [] for n in off}
+    for block in range(4):
+        flown = fly(seed + block, points=300, relief=relief)
+        judges, control = checks(flown, relief), surveyed(flown, CORNERS, relief)
+        for n in off:
+            adjusted = adjusted_with(flown, (*control[:n], *judges))
+            assert not [w for w in adjusted.warnings if "disagrees" in w.code]
+            found, sd = residuals(adjusted, check=True)
+            assert len(found) == len(judges) and len(residuals(adjusted, check=False)[0]) == n
+            off[n].append(found)
+            share[n].append(found / sd)
+    horizontal = {n: float(np.hypot(*rms(np.concatenate(v))[:2])) for n, v in off.items()}
+    assert 0.25 < horizontal[0] < 1.0
+    assert horizontal[0] > horizontal[1] > horizontal[2] > horizontal[5]
+    # A check point's own error: 0.5 px of 0.1 m in some 5 pictures, and its 0.02 m.
+    noise = np.hypot(0.022, 0.02)
+    block_only = np.sqrt(np.maximum(rms(np.concatenate(off[5]))[:2] ** 2 - noise**2, 0.0))
+    assert np.all(block_only < 0.05)
+    assert np.all(rms(np.concatenate(share[5])) == pytest.approx(1.0, abs=0.2))
+    assert np.all(rms(np.concatenate(share[3])) == pytest.approx(1.0, abs=0.4))
+    assert all(0.4 < v < 1.8 for n in (0, 1, 2) for v in rms(np.concatenate(share[n])))
+
+
+def test_a_blunder_is_named_and_outvoted() -> None:
+    flown = fly(3)
+    control = list(surveyed(flown, CORNERS))
+    control[2] = replace(control[2], enu_m=control[2].enu_m + [3.0, -4.0, 0.0])
+    adjusted = adjusted_with(flown, (*control, *checks(flown)))
+    texts = [w.text for w in adjusted.warnings if w.code == "control-disagrees"]
+    assert len(texts) == 1 and "'GCP-2' lies" in texts[0]
+    off = next(c.residual_m for c in adjusted.control if c.name == "GCP-2")
+    assert off == pytest.approx([3.0, -4.0, 0.0], abs=0.6)
+    assert np.all(rms(residuals(adjusted, check=True)[0])[:2] < 0.09)
+    assert not [w for w in adjusted.warnings if w.code == "check-disagrees"]
+
+
+def test_check_points_change_nothing() -> None:
+    """Not by a bit: also a check point that is 7 m wrong, which is named."""
+    flown = fly(4)
+    control = surveyed(flown, CORNERS)
+    wrong = replace(checks(flown)[0], enu_m=np.array([20.0, 30.0, 7.0]))
+    alone, judged = adjusted_with(flown, control), adjusted_with(flown, (wrong, *control))
+    assert np.array_equal(alone.poses.positions_m, judged.poses.positions_m)
+    assert [w.code for w in judged.warnings] == ["check-disagrees"] and not alone.warnings
+
+
+def test_control_in_another_datum_is_named() -> None:
+    """All points 30 m west: the block follows them, since they say centimetres, but not without a word."""
+    flown = fly(5)
+    moved = tuple(replace(c, enu_m=c.enu_m - [30.0, 0.0, 0.0]) for c in surveyed(flown, CORNERS))
+    adjusted = adjusted_with(flown, moved)
+    assert "positions-shifted" in [w.code for w in adjusted.warnings]
+    shift = np.median(adjusted.poses.positions_m - flown.truth.positions_m, axis=0)
+    assert shift[0] == pytest.approx(-30.0, abs=0.5)
+
+
+def test_control_places_frames_without_ties() -> None:
+    """No tie points at all: the frames that see control are laid on it, the others keep their POS."""
+    flown = fly(6, 1, 4)
+    plan = np.array([[-25.0, -15.0], [25.0, -12.0], [-22.0, 16.0], [20.0, 14.0], [3.0, 1.0]])
+    first = tuple(
+        replace(c, observations=tuple(o for o in c.observations if o[0] == 0))
+        for c in surveyed(flown, plan, noise_px=0.2)
+    )
+    bare = replace(flown, block=replace(flown.block, ties=TiePoints(())))
+    adjusted = adjusted_with(bare, first)
+    assert adjusted.status == ("placed",) * 4
+    assert adjusted.poses.positions_m[1:] == pytest.approx(flown.block.poses.positions_m[1:], abs=1e-6)
+    hit = [c.residual_m[:2] for c in adjusted.control]
+    assert np.abs(hit).max() < 0.1 and len(hit) == 5
+    before = [c.residual_m[:2] for c in adjusted_with(bare, first, "none").control]
+    assert np.abs(before).max() > 0.5
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - {"bundle"}))
+def test_other_methods_only_judge_by_it(method: str) -> None:
+    flown = fly(7)
+    control = (*surveyed(flown, CORNERS), *checks(flown))
+    adjusted = adjusted_with(flown, control, method)
+    assert len(adjusted.control) == len(control) and all(c.check for c in adjusted.control)
+    assert np.array_equal(
+        adjusted.poses.positions_m, METHODS[method](flown.block, Settings()).poses.positions_m
+    )
+    found, sd = residuals(adjusted, check=True)
+    assert 0.2 < np.hypot(*rms(found)[:2]) < 8.0 and np.all(sd[:, :2] > 0.1)
+
+
+def test_half_turned_pictures_turn_their_measurements() -> None:
+    """800 x 600 pixels: 123, 45 of a picture in its file was taken at 677, 555."""
+    flown = fly(8, 1, 3)
+    point = GroundControl("GCP", np.zeros(3), SD_M, False, ((0, 123.0, 45.0), (2, 123.0, 45.0)))
+    block = replace(flown.block, control=(point,), turned=(0, 0, 2))
+    assert as_taken(block).control[0].observations == ((0, 123.0, 45.0), (2, 677.0, 555.0))
+    flown = fly(9, points=400)
+    taken = replace(flown.block, control=surveyed(flown, CORNERS))
+    filed = replace(as_taken(replace(taken, turned=(0, 2) * 9)), turned=(0, 2) * 9)
+    assert filed.control[0].observations != taken.control[0].observations
+    straight, righted = (METHODS["bundle"](b, Settings()) for b in (taken, filed))
+    for a, b in zip(straight.control, righted.control, strict=True):
+        assert a.residual_m == pytest.approx(b.residual_m, abs=1e-5)
+
+
+def test_from_the_file_to_the_report(tmp_path: Path) -> None:
+    """A simulated survey with positions of 0.4 m; points on its true ground, placed in its frames by its
+    true poses. Five hold it, six judge; one of the five is 5 m wrong."""
+    flown = small_survey(tmp_path / "survey")
+    read = read_survey(flown.frames, pos=flown.pos, camera=flown.camera)
+    true = read_poses(flown.positions, [f.name for f in read.frames], read.work_frame)
+    share = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [0.5, 0.5], [0.2, 0.5], [0.5, 0.1], [0.8, 0.4],
+        [0.4, 0.8], [0.1, 0.3], [0.7, 0.7]])  # fmt: skip
+    low, high = true.positions_m.min(axis=0)[:2] + 2.0, true.positions_m.max(axis=0)[:2] - 2.0
+    plan = np.column_stack([low + share * (high - low), np.zeros(11)])
+    lon, lat, _ = read.work_frame.geodetic_from_enu(plan).T
+    with rasterio.open(flown.dem) as dem:
+        place = Transformer.from_crs("EPSG:4979", dem.crs, always_xy=True).transform(lon, lat)
+        height_m = np.array([v[0] for v in dem.sample(zip(*place, strict=True))], dtype=np.float64)
+    at_m = read.work_frame.enu_from_geodetic(lon, lat, height_m)
+    lines = ["name,kind,lon_deg,lat_deg,height_ellipsoidal_m,sd_horizontal_m,sd_vertical_m,image,col,row"]
+    for k, at in enumerate(at_m):
+        kind, wrong = ("control" if k < 5 else "check"), (5.0 if k == 2 else 0.0)
+        for i, frame in enumerate(read.frames):
+            col, row = true[i].image_from_ground(read.cameras[0], at)
+            if 0.0 < col < frame.width_px and 0.0 < row < frame.height_px:
+                lines.append(
+                    f"P{k},{kind},{lon[k]:.10f},{lat[k]:.10f},{height_m[k] + wrong:.4f},0.02,0.02,"
+                    f"{frame.name},{col:.2f},{row:.2f}"
+                )
+    gcp = tmp_path / "gcp.csv"
+    gcp.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    run = tmp_path / "run"
+    told = ("--pos", flown.pos) if flown.pos else ()
+    assert mosaic(flown.frames, run, *told, "--camera", flown.camera, "--gcp", gcp) == 0
+    metrics = summary(run)["metrics"]["adjustment"]
+    assert metrics["control"]["n"] == 5 and metrics["check"]["n"] == 6
+    assert metrics["check"]["rmse_horizontal_m"] < 0.03 and metrics["check"]["le90_m"] < 0.05
+    named = [w["text"] for w in summary(run)["warnings"] if w["code"] == "control-disagrees"]
+    assert len(named) == 1 and "'P2'" in named[0]
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "Check points: 6" in page and "Control points: 5" in page and ">P2<" in page
