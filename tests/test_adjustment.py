@@ -134,7 +134,9 @@ def test_least_squares_states_its_own_error_and_does_not_grow() -> None:
     for _ in range(200):
         errors = rng.normal(0, 2.0, (40, 2))
         net = net_of(errors, line(40))
-        noisy = OffsetNet(40, net.pairs, net.left_m, tuple(r + rng.normal(0, 0.3, 2) for r in net.right_m), 0.1)
+        noisy = OffsetNet(
+            40, net.pairs, net.left_m, tuple(r + rng.normal(0, 0.3, 2) for r in net.right_m), 0.1
+        )
         moves, sd = least_squares(noisy, np.full(40, 2.0), np.full(39, 0.3))
         left = errors + moves
         ends.append(left[[0, -1]] / sd[[0, -1], None])
