@@ -21,7 +21,7 @@ from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import about_z
+from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
@@ -272,6 +272,9 @@ def _lies(block: Block, poses: Poses) -> list[Warn]:
     far = np.linalg.norm(moved[:, :2], axis=1)
     limit = _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
     turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
+    told, found = (
+        np.degrees(Rotation(p.rotations).yaw_pitch_roll()[0]) % 360.0 for p in (block.poses, poses)
+    )
     yaw_limit = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(block.poses.rotations_sd_rad[:, 2]))
     out = [
         Warn(
@@ -285,7 +288,7 @@ def _lies(block: Block, poses: Poses) -> list[Warn]:
         Warn(
             "yaw-wrong",
             block.names[i],
-            f"its heading was off by {-turned[i]:.0f} degrees; set by its neighbours",
+            f"its heading was given as {told[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
         )
         for i in np.flatnonzero(np.abs(turned) > yaw_limit)
     ]

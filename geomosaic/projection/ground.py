@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +80,7 @@ class GroundSurface:
         hit[np.abs(f) > 1e-2] = np.nan
         return hit
 
-    def _clearance(self, origin: Floats, per_drop: Floats):  # type: ignore[no-untyped-def]
+    def _clearance(self, origin: Floats, per_drop: Floats) -> Callable[[Floats], Floats]:
         def at(drop: Floats) -> Floats:
             east = origin[..., 0] + per_drop[..., 0] * drop
             north = origin[..., 1] + per_drop[..., 1] * drop

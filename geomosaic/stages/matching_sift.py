@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from geomosaic.matching.features import reduction_for
+from geomosaic.camera.interior import Camera
+from geomosaic.matching.features import Features, reduction_for
 from geomosaic.matching.match import PairJob, match_pair
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.search import CHECKS
@@ -21,6 +23,8 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.keypoints import frame_features
 from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
 
 
 class MatchingSift(Stage):
@@ -72,8 +76,8 @@ class MatchingSift(Stage):
         ]
         reach_m = misplacement_m(placement.poses, cameras, inputs["ground"])
         jobs = [
-            self._job(params, placement, cameras, features, ground_m, reach_m, a, b)
-            for a, b in placement.pairs
+            self._job(params, placement.ground_pixel_m, cameras, features, ground_m, reach_m, pair)
+            for pair in placement.pairs
         ]
         found = context.map("pairs", match_pair, jobs, keys=placement.pairs)
         pairs, untied, costs = [], [], []
@@ -106,10 +110,19 @@ class MatchingSift(Stage):
         }
 
     @staticmethod
-    def _job(params, placement, cameras, features, ground_m, reach_m, a, b) -> PairJob:  # type: ignore[no-untyped-def]
+    def _job(
+        params: Params,
+        ground_pixel_m: float,
+        cameras: Sequence[Camera],
+        features: Sequence[Features],
+        ground_m: Sequence[Floats],
+        reach_m: Floats,
+        pair: tuple[int, int],
+    ) -> PairJob:
+        a, b = pair
         radius = params.radius_m
         if radius == "auto":
-            radius = max(300.0 * placement.ground_pixel_m, float(np.hypot(reach_m[a], reach_m[b])))
+            radius = max(300.0 * ground_pixel_m, float(np.hypot(reach_m[a], reach_m[b])))
         reduction = max(
             reduction_for(cameras[i].width_px, cameras[i].height_px, params.longest_px) for i in (a, b)
         )
