@@ -18,7 +18,6 @@ import rasterio
 from affine import Affine
 from test_pipeline_toy import distribution, recipe_file
 
-from geomosaic.pipeline.registry import installed
 from geomosaic.recording.reader import read_recording
 
 HERE = Path(__file__).parent
@@ -346,8 +345,6 @@ def test_export_works_on_a_finished_run(plugged: Desk) -> None:
 
 
 def test_evaluate_takes_a_run_or_a_picture(desk: Desk) -> None:
-    if "quality.compare" not in installed().ids():
-        pytest.skip("quality.compare is not installed")
     truth = np.kron(np.random.default_rng(5).integers(0, 255, (100, 100)), np.ones((3, 3))).astype(np.uint8)
     truth = np.asarray(cv2.GaussianBlur(truth, (0, 0), 1.5))
     desk.folder.joinpath("run").mkdir()

@@ -43,31 +43,13 @@ class SurveyRead(Stage):
     @classmethod
     def check(cls, params: Params) -> None:
         """The frames' names and every file beside them, but for what only the frames' headers tell."""
-        check_survey_files(
-            params.frames,
-            pos=params.pos,
-            camera=params.camera,
-            dem=params.dem,
-            gcp=params.gcp,
-            crs=params.crs,
-            pos_crs=params.pos_crs,
-            attitude_convention=params.attitude_convention,
-        )
+        told = params.model_dump(exclude={"frames", "dem_offset_m"})
+        check_survey_files(params.frames, **told)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
-        survey = read_survey(
-            params.frames,
-            pos=params.pos,
-            camera=params.camera,
-            dem=params.dem,
-            dem_offset_m=params.dem_offset_m,
-            gcp=params.gcp,
-            crs=params.crs,
-            pos_crs=params.pos_crs,
-            attitude_convention=params.attitude_convention,
-            progress=context.progress,
-        )
+        told = params.model_dump(exclude={"frames"})
+        survey = read_survey(params.frames, **told, progress=context.progress)
         for warning in survey.warnings:
             context.warn(warning.code, warning.frame, warning.text)
         for camera in survey.cameras:
