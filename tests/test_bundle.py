@@ -1,4 +1,4 @@
-"""The bundle's mathematics: derivatives, turns, the reduced system, and what priors and terrain do."""
+"""The bundle's mathematics: derivatives, turns, and what priors and terrain do."""
 
 import re
 from dataclasses import replace
@@ -10,13 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomosaic.adjustment.collinearity import exp_turn, log_turn, project
+from geomosaic.adjustment.doubts import doubtful_positions
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
-from geomosaic.adjustment.pose_block import _doubts
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
-from geomosaic.errors import NotSolvableError
 from geomosaic.projection.ground import GroundSurface
 
 INTERIOR = np.array([812.0, 403.0, 291.0, -0.11, 0.05, -0.02, 0.003, -0.002])
@@ -103,70 +101,6 @@ def test_log_undoes_exp_up_to_half_a_turn(share: float, axis: tuple[float, float
     assert exp_turn(found) == pytest.approx(exp_turn(vector), abs=1e-7)
 
 
-def _random_normals(
-    seed: int, frames: int = 5, cameras: int = 2, points: int = 12
-) -> tuple[Normals, np.ndarray]:
-    """Normals of random derivatives with weak priors and a level, and the same as one dense matrix."""
-    rng = np.random.default_rng(seed)
-    frame, point = np.nonzero(rng.random((frames, points)) < 0.7)
-    order = np.lexsort((frame, point))
-    frame, point = frame[order], point[order]
-    camera_of = np.arange(frames) % cameras
-    m, f6, c8 = len(frame), 6 * frames, 8 * cameras
-    parts = rng.normal(0, 1, (m, 2, 6)), rng.normal(0, 1, (m, 2, 8)), rng.normal(0, 1, (m, 2, 3))
-    residual, weight = rng.normal(0, 1, (m, 2)), rng.uniform(0.5, 2.0, m)
-    n = build_normals(frame, point, camera_of, (frames, cameras, points), residual, weight, *parts)
-    level_point = rng.normal(0, 0.1, (points, 3))
-    for block, prior in ((n.pose, 0.3), (n.interior, 0.2), (n.points, 1.0)):
-        i = np.arange(block.shape[-1])
-        block[:, i, i] += prior
-    n = replace(n, level_point=level_point, level=7.0, level_side=1.3)
-    size = f6 + c8 + 3 * points + 1
-    design = np.zeros((2 * m, size))
-    for k in range(m):
-        design[2 * k : 2 * k + 2, 6 * frame[k] : 6 * frame[k] + 6] = parts[0][k]
-        at = f6 + 8 * camera_of[frame[k]]
-        design[2 * k : 2 * k + 2, at : at + 8] = parts[1][k]
-        at = f6 + c8 + 3 * point[k]
-        design[2 * k : 2 * k + 2, at : at + 3] = parts[2][k]
-    p = np.repeat(weight, 2)
-    dense = design.T @ (p[:, None] * design)
-    dense += np.diag(np.concatenate([np.full(f6, 0.3), np.full(c8, 0.2), np.full(3 * points, 1.0), [7.0]]))
-    dense[-1, f6 + c8 : -1] = dense[f6 + c8 : -1, -1] = level_point.ravel()
-    side = design.T @ (p * residual.ravel())
-    side[-1] = 1.3
-    return n, np.column_stack([dense, side])
-
-
-@pytest.mark.parametrize("seed", [0, 7])
-def test_the_reduced_system_solves_the_whole_one(seed: int) -> None:
-    n, whole = _random_normals(seed)
-    inverse = np.linalg.inv(whole[:, :-1])
-    x = inverse @ whole[:, -1]
-    reduced = reduce_normals(n)
-    pose, interior, points, up = reduced.solve()
-    assert pose.ravel() == pytest.approx(x[:30])
-    assert interior.ravel() == pytest.approx(x[30:46])
-    assert points.ravel() == pytest.approx(x[46:-1])
-    assert up == pytest.approx(x[-1])
-    by_frame, by_camera, cameras = reduced.covariance()
-    assert by_frame[3] == pytest.approx(inverse[18:24, 18:24])
-    assert by_camera[1] == pytest.approx(inverse[38:46, 38:46])
-    assert cameras == pytest.approx(inverse[30:46, 30:46])
-    shared = np.r_[0:46, len(inverse) - 1]
-    gradient = np.random.default_rng(1).normal(0, 1, (47, 3))
-    assert reduced.propagate(gradient[:30], gradient[30:]) == pytest.approx(
-        gradient.T @ inverse[np.ix_(shared, shared)] @ gradient
-    )
-
-
-def test_a_system_without_a_solution_says_so() -> None:
-    n, _ = _random_normals(0)
-    n.pose[2] = -np.eye(6)
-    with pytest.raises(NotSolvableError):
-        reduce_normals(n).solve()
-
-
 def _scale(adjusted: Adjusted, truth: Poses) -> float:
     """Size of the adjusted block over its true size."""
     found, true = (p - p.mean(axis=0) for p in (adjusted.poses.positions_m[:, :2], truth.positions_m[:, :2]))
@@ -243,9 +177,9 @@ def test_a_block_of_the_wrong_size_is_named() -> None:
     for scale, codes in ((1.0, []), (0.98, ["scale-doubtful"]), (1.02, ["scale-doubtful"])):
         middle = poses.positions_m.mean(axis=0)
         found = replace(poses, positions_m=middle + scale * (flown.truth.positions_m - middle))
-        warnings = _doubts(flown.block, found, every)
+        warnings = doubtful_positions(flown.block, found, every)
         assert [w.code for w in warnings] == codes
     stated = re.match(r"the block is (\S+) % larger .*\(standard deviation (\S+) %\)", warnings[0].text)
     assert stated and [float(v) for v in stated.groups()] == pytest.approx([2.0, 0.03], abs=0.06)
     away = replace(poses, positions_m=poses.positions_m + [1.0, -2.0, 0.0])
-    assert [w.code for w in _doubts(flown.block, away, every)] == ["positions-shifted"]
+    assert [w.code for w in doubtful_positions(flown.block, away, every)] == ["positions-shifted"]

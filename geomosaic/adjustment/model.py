@@ -94,13 +94,47 @@ class Round:
 
 
 @dataclass(frozen=True)
+class SharedUnknowns:
+    """Numbers that frames share and a solve estimated: of lenses, of the platform, of the ground.
+
+    of: whose, a camera's name or `platform`. names: what, ending in the unit. given, found, sd: (k,), before,
+    after and the standard deviation after. correlation: (k, k). held: (k,), what the block does not
+    determine and so is kept as given.
+    """
+
+    of: tuple[str, ...]
+    names: tuple[str, ...]
+    given: Floats
+    found: Floats
+    sd: Floats
+    correlation: Floats
+    held: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ImageResiduals:
+    """What a solve leaves of its tie points' image coordinates.
+
+    frame: (m,) index. image_px: (m, 2) measured. residual_px: (m, 2) measured minus computed.
+    weight: (m,) robust weights, 1 for a good observation.
+    """
+
+    frame: NDArray[np.intp]
+    image_px: Floats
+    residual_px: Floats
+    weight: Floats
+
+
+@dataclass(frozen=True)
 class Adjusted:
     """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
 
     residuals_m: per pair of `Block.ties.pairs` (k, 2): where the right frame puts each tie point on
     the ground minus where the left one does, east and north, after the adjustment. ground: the surface
     that goes with the poses: the block's own, unless the method estimates it. control: of the block's
-    control and check points that were measured in pictures.
+    control and check points that were measured in pictures. Of methods that solve for them:
+    pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), NaN for frames
+    that took no part; shared and image_residuals.
     """
 
     poses: Poses
@@ -112,3 +146,6 @@ class Adjusted:
     warnings: tuple[Warn, ...] = ()
     figures: dict[str, float] = field(default_factory=dict)
     control: tuple[ControlResidual, ...] = ()
+    pose_covariance: Floats | None = None
+    shared: SharedUnknowns | None = None
+    image_residuals: ImageResiduals | None = None

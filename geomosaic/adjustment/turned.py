@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.model import TiePoints
 
@@ -66,4 +67,23 @@ def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
     """The outcome of `as_taken(block)` for the pictures as they lie in the files."""
     frames = _half_turned(block)
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(adjusted.cameras))
-    return replace(adjusted, cameras=cameras, poses=_turned_poses(adjusted.poses, frames))
+    return replace(
+        adjusted,
+        cameras=cameras,
+        poses=_turned_poses(adjusted.poses, frames),
+        image_residuals=_turned_residuals(adjusted.image_residuals, cameras, frames),
+    )
+
+
+def _turned_residuals(
+    residuals: ImageResiduals | None, cameras: tuple[Camera, ...], frames: list[int]
+) -> ImageResiduals | None:
+    if residuals is None:
+        return None
+    turned = np.isin(residuals.frame, frames)[:, None]
+    size = np.array([[c.width_px, c.height_px] for c in cameras], dtype=np.float64)
+    return replace(
+        residuals,
+        image_px=np.where(turned, size[residuals.frame] - residuals.image_px, residuals.image_px),
+        residual_px=np.where(turned, -residuals.residual_px, residuals.residual_px),
+    )

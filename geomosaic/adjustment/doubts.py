@@ -1,0 +1,84 @@
+"""What an adjusted block says against the positions and attitudes it was given."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.chain import fit_similarity
+from geomosaic.adjustment.collinearity import log_turn
+from geomosaic.adjustment.model import Block
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.survey.model import Warn
+
+_POSITION_LIES = 6.0
+_YAW_LIES_DEG = 8.0
+_SCALE_IN_DOUBT = 4.0
+_SHIFT_IN_DOUBT = 5.0
+_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
+
+
+def lying_tags(block: Block, poses: Poses) -> list[Warn]:
+    """Frames whose POS the block contradicts far beyond its deviation, with before and after."""
+    moved = poses.positions_m - block.poses.positions_m
+    far = np.linalg.norm(moved[:, :2], axis=1)
+    limit = _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
+    turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
+    told, found = (
+        np.degrees(Rotation(p.rotations).yaw_pitch_roll()[0]) % 360.0 for p in (block.poses, poses)
+    )
+    yaw_limit = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(block.poses.rotations_sd_rad[:, 2]))
+    out = [
+        Warn(
+            "position-wrong",
+            block.names[i],
+            f"its position was off by {far[i]:.0f} m; placed by its neighbours",
+        )
+        for i in np.flatnonzero(far > limit)
+    ]
+    return out + [
+        Warn(
+            "yaw-wrong",
+            block.names[i],
+            f"its heading was given as {told[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
+        )
+        for i in np.flatnonzero(np.abs(turned) > yaw_limit)
+    ]
+
+
+def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
+    """What only the positions as a whole can say against the block: its scale, and its place.
+
+    The best similarity from the adjusted to the given positions of the frames `seen` in the block. Its
+    scale's standard deviation is that of a position over the root of the squared extent; a position's is
+    the stated one, or what the similarity leaves, whichever is larger. A shift of all frames beyond five
+    stated deviations is what control in another datum does.
+    """
+    stated = block.poses.positions_sd_m[seen]
+    shift_m = np.median(block.poses.positions_m[seen] - poses.positions_m[seen], axis=0)
+    out = []
+    if np.any(np.abs(shift_m) > _SHIFT_IN_DOUBT * np.median(stated, axis=0)):
+        east, north, up = shift_m
+        text = (
+            f"the positions lie {east:+.1f} m east, {north:+.1f} m north and {up:+.1f} m up of where the "
+            "adjustment puts the frames; check their datum and height system, and those of control points"
+        )
+        out.append(Warn("positions-shifted", "", text))
+    given, found = block.poses.positions_m[seen, :2], poses.positions_m[seen, :2]
+    stated_m = float(np.median(stated[:, :2]))
+    extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
+    if len(seen) < 3 or extent_m == 0.0:
+        return out
+    turn, shift = fit_similarity(found, given)
+    left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
+    position_sd_m = max(stated_m, float(np.median(np.abs(left))) / _MEDIAN_LENGTH)
+    off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
+    if abs(off) > _SCALE_IN_DOUBT * sd:
+        text = (
+            f"the block is {abs(off) * 100.0:.2f} % {'larger' if off > 0.0 else 'smaller'} than its "
+            f"frames' positions say (standard deviation {sd * 100.0:.2f} %); the mosaic's scale is in "
+            "doubt: check the focal length, the flying height and the positions"
+        )
+        out.append(Warn("scale-doubtful", "", text))
+    return out
