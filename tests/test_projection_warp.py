@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.warp import frame_from_map, ground_window
 
@@ -123,3 +126,41 @@ def test_far_from_the_origin_and_wide_windows_stay_exact():
     assert inside.sum() > 1000
     assert np.abs(col - want[..., 0])[inside].max() < 0.02
     assert np.abs(row - want[..., 1])[inside].max() < 0.02
+
+
+def test_a_rolling_shutter_is_followed_row_by_row():
+    """100 m over the ground, 0.1 m a pixel: 6 m to the east within a readout move row 150 (a quarter before
+    the middle) by 1.5 m to the west, so that its ground lies 15 px further to the right."""
+    home = LocalFrame(9.0, 47.0, 0.0)
+    ground = flat_ground(home, 0.0, 300.0)
+    centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
+    scale = 0.9996
+    window = ground_window(
+        CRS, home, ground, *(centre + [-3.05, 15.05] * np.array(scale)), 0.1 * scale, 64, 48
+    )
+    rolling = replace(PLAIN, readout_s=0.5)
+    level = Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0)
+    pose = Pose(np.array([0.0, 0.0, 100.0]), level, np.array([12.0, 0.0, 0.0]))
+    col, row = frame_from_map(window, pose, rolling)
+    assert row[0, 0] == pytest.approx(150.0, abs=2e-3)
+    assert col[0, 0] == pytest.approx(370.0 + 15.0, abs=2e-3)
+    turned = Rotation.from_yaw_pitch_roll(0.4, 0.2, -0.1)
+    tilted = Pose(np.array([2.0, -9.0, 110.0]), turned, np.array([12.0, -7.0, 3.0]))
+    col, row = frame_from_map(window, tilted, rolling)
+    want = exact_in(tilted, rolling, window)
+    np.testing.assert_allclose(np.stack([col, row], axis=-1), want, atol=0.02)
+    back = ground_from_image(tilted, rolling, ground, want)
+    np.testing.assert_allclose(back, window.points_m(), atol=2e-3)
+
+
+def exact_in(pose, camera, window):  # type: ignore[no-untyped-def]
+    """Each point from where the camera is when its row is read: the root of one equation, by bisection."""
+    points = window.points_m()
+    low, high = np.full(points.shape[:2], -camera.readout_s), np.full(points.shape[:2], camera.readout_s)
+    for _ in range(60):
+        after = (low + high) / 2.0
+        d = points - pose.position_m - after[..., None] * pose.velocity_m_per_s
+        image = camera.image_from_camera(d @ pose.rotation.matrix)
+        late = image[..., 1] / camera.height_px - 0.5 > after / camera.readout_s
+        low, high = np.where(late, after, low), np.where(late, high, after)
+    return image

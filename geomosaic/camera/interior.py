@@ -20,6 +20,9 @@ class Camera:
     `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`,
     `y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y`,
     `col = principal_col_px + f x'`, `row = principal_row_px + f y'`.
+
+    readout_s: time from reading the first row to the last, 0 for a global shutter; a pose is that of the
+    middle row. Negative if the last row is read first, as in a picture turned by 180 degrees.
     """
 
     name: str
@@ -34,12 +37,16 @@ class Camera:
     p1: float = 0.0
     p2: float = 0.0
     focal_length_sd_px: float = 0.0
+    readout_s: float = 0.0
 
     def turned(self, quarters: int) -> Camera:
         """The camera of a picture that was turned clockwise by quarter turns after it was taken.
 
-        The principal point and the decentring terms turn with the pixels.
+        The principal point, the decentring terms and the order of the rows turn with the pixels; of a
+        quarter turn, whose columns would be read one after the other, the readout is left out.
         """
+        if quarters % 2 and self.readout_s:
+            return replace(self, readout_s=0.0).turned(quarters)
         camera = self
         for _ in range(quarters % 4):
             camera = replace(
@@ -51,7 +58,7 @@ class Camera:
                 p1=camera.p2,
                 p2=-camera.p1,
             )
-        return camera
+        return replace(camera, readout_s=-self.readout_s) if quarters % 4 == 2 else camera
 
     @property
     def distortion(self) -> Floats:
@@ -87,6 +94,10 @@ class Camera:
 
     def _radial(self, r_sq: Floats) -> Floats:
         return np.asarray(r_sq * (self.k1 + r_sq * (self.k2 + r_sq * self.k3)))
+
+    def read_after_s(self, row_px: Floats) -> Floats:
+        """When rows are read, from the middle one on."""
+        return np.asarray(self.readout_s * (row_px / self.height_px - 0.5))
 
     def distort(self, xy: Floats) -> Floats:
         """Distorted from ideal normalised coordinates (x right, y down), shape (..., 2)."""

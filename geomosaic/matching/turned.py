@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -96,4 +98,4 @@ def righted(poses: Poses, turns: dict[int, int]) -> Poses:
     rotations = poses.rotations.copy()
     for i, quarters in turns.items():
         rotations[i] = poses[i].rotation.turned(quarters).matrix
-    return Poses(poses.positions_m, rotations, poses.positions_sd_m, poses.rotations_sd_rad)
+    return replace(poses, rotations=rotations)

@@ -12,6 +12,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import or_nan
+from geomosaic.placement.velocity import velocities_m_per_s
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -104,4 +105,5 @@ def prior_poses(
             [[f.position.sd_horizontal_m] * 2 + [f.position.sd_vertical_m] for f in frames]
         ),
         rotations_sd_rad=np.radians(np.column_stack([sd_tilt, sd_tilt, sd_yaw])),
+        velocities_m_per_s=velocities_m_per_s(positions, np.array([or_nan(f.time_s) for f in frames]), lines),
     )

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 def ground_from_image(pose: Pose, camera: Camera, ground: GroundSurface, image_px: Floats) -> Floats:
     """Ground points (..., 3) in the work frame of cols and rows (..., 2); NaN where a ray misses."""
-    return ground.intersect(pose.position_m, pose.ray_from_image(camera, image_px))
+    return ground.intersect(pose.centre_at(camera, image_px), pose.ray_from_image(camera, image_px))
 
 
 def footprint(pose: Pose, camera: Camera, ground: GroundSurface, per_side: int = 8) -> Floats:

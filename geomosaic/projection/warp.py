@@ -24,6 +24,7 @@ Floats32 = NDArray[np.float32]
 _NODES = 5
 _HEIGHT_ROUNDS = 3
 _ROWS_AT_ONCE = 64
+_READOUT_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,8 @@ def frame_from_map(
     vertical = window.vertical @ pose.rotation.matrix
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
     limit = _radius_limit_sq(camera)
+    rolling = pose.velocity_m_per_s is not None and camera.readout_s != 0.0
+    velocity = pose.velocity_m_per_s @ pose.rotation.matrix if rolling else np.zeros(3)
     col = np.empty((v.size, u.size), dtype=np.float32)
     row = np.empty_like(col)
     for top in range(0, v.size, _ROWS_AT_ONCE):
@@ -130,18 +133,33 @@ def frame_from_map(
         if relief is not None:
             for axis, share in zip((x, y, z), vertical, strict=True):
                 axis += relief[band] * np.float32(share)
-        with np.errstate(all="ignore"):
-            z[z >= 0.0] = np.nan
-            np.divide(x, -z, out=x)
-            np.divide(y, z, out=y)
-            _image_from_ideal(camera, limit, x, y, col[band], row[band])
+        into = col[band], row[band]
+        if not rolling:
+            _image_from_camera(camera, limit, x, y, z, *into)
+            continue
+        _image_from_camera(camera, limit, x.copy(), y.copy(), z.copy(), *into)
+        for _ in range(_READOUT_ROUNDS):
+            after_s = camera.read_after_s(into[1]).astype(np.float32)
+            moved = (axis - after_s * np.float32(v) for axis, v in zip((x, y, z), velocity, strict=True))
+            _image_from_camera(camera, limit, *moved, *into)
     return col, row
+
+
+def _image_from_camera(
+    camera: Camera, limit_sq: float, x: Floats32, y: Floats32, z: Floats32, col: Floats32, row: Floats32
+) -> None:
+    """`Camera.image_from_camera` of camera axes into col and row; x, y and z are used up."""
+    with np.errstate(all="ignore"):
+        z[z >= 0.0] = np.nan
+        np.divide(x, -z, out=x)
+        np.divide(y, z, out=y)
+        _image_from_ideal(camera, limit_sq, x, y, col, row)
 
 
 def _image_from_ideal(
     camera: Camera, limit_sq: float, x: Floats32, y: Floats32, col: Floats32, row: Floats32
 ) -> None:
-    """`Camera.image_from_camera` of x right, y down over depth, into col and row; x and y are used up."""
+    """The same of x right and y down over depth; x and y are used up."""
     f = np.float32(camera.focal_length_px)
     r_sq = x * x + y * y
     x[r_sq > limit_sq] = np.nan

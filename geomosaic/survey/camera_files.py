@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +21,7 @@ _OPENSFM_MODELS: Final = frozenset({"perspective", "simple_radial", "radial", "b
 _ORTHORITY_MODELS: Final = frozenset({"pinhole", "brown", "opencv"})
 _PLAIN_KEYS: Final = (
     "name", "width_px", "height_px", "focal_length_px", "focal_length_mm", "pixel_size_um",
-    "principal_col_px", "principal_row_px", "focal_length_sd_px", *_DISTORTION,
+    "principal_col_px", "principal_row_px", "focal_length_sd_px", "readout_s", *_DISTORTION,
 )  # fmt: skip
 _MEND: Final = "see docs/inputs.md for the camera file's keys"
 
@@ -74,7 +75,9 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
     }
     for key, reader in readers.items():
         if key in entry:
-            camera = reader(name, entry, path)
+            camera = replace(
+                reader(name, entry, path), readout_s=_getter(name, entry, path)("readout_s", 0.0)
+            )
             break
     else:
         raise InputError(f"camera '{name}' has none of {', '.join(readers)}", file=path, mend=_MEND)
