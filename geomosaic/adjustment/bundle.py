@@ -265,7 +265,7 @@ def _converge(
     for iteration in range(1, most + 1):
         normals = _normals(tracks, camera_of, priors, state, sigma)
         while True:
-            pose, interior, point, level = reduce_normals(normals, damping).solve()
+            pose, interior, point, level, _ = reduce_normals(normals, damping).solve()
             trial = _State(
                 state.positions + pose[:, :3],
                 exp_turn(pose[:, 3:]) @ state.rotations,
@@ -300,7 +300,7 @@ def _variance_components(
     take up what the poses haven't yet."""
     n = _normals(tracks, camera_of, priors, state, sigma)
     reduced = reduce_normals(n)
-    covariance, interior_covariance, _ = reduced.covariance()
+    covariance, shared = reduced.covariance()
     miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
     weight = _trust_of(priors)
     share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
@@ -311,7 +311,7 @@ def _variance_components(
         length = np.nan_to_num(length_px[~control] / sigma["image"], nan=1e6)
         robust = cauchy_weight(length)
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
-        settled += float((np.diagonal(interior_covariance, axis1=1, axis2=2) / priors.interior_sd**2).sum())
+        settled += float((np.diag(shared)[: state.interior.size] / priors.interior_sd.ravel() ** 2).sum())
         unknowns = 6 * len(state.positions) + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
         sigma["image"] *= float(np.sqrt((robust * length**2).sum() / redundancy))
@@ -339,7 +339,8 @@ def _finish(
 ) -> Bundle:
     n = _normals(tracks, camera_of, priors, state, sigma)
     reduced = reduce_normals(n)
-    covariance, interior_covariance, full = reduced.covariance()
+    covariance, shared = reduced.covariance()
+    full = shared[: state.interior.size, : state.interior.size]
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     image, *_ = _projected(tracks, camera_of, state)
     residual = tracks.image_px - image
@@ -350,7 +351,7 @@ def _finish(
         points_m=state.points,
         points_sd_m=np.sqrt(np.diagonal(reduced.points_inverse, axis1=1, axis2=2)),
         pose_covariance=covariance,
-        interior_sd=np.sqrt(np.diagonal(interior_covariance, axis1=1, axis2=2)),
+        interior_sd=spread.reshape(state.interior.shape),
         interior_correlation=full / spread[:, None] / spread,
         residual_px=residual,
         weight=np.nan_to_num(

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
@@ -21,7 +21,8 @@ _UNDETERMINED = "the block does not determine the poses of its frames"
 
 @dataclass(frozen=True)
 class Normals:
-    """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of 8, p points of 3, one ground level.
+    """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of k, p points of 3, and what all frames
+    share: the ground's level and q unknowns of the mounting, which meet the poses alone.
 
     The observations' own blocks (frame by point) are kept as they are, for the reduction.
     """
@@ -32,15 +33,15 @@ class Normals:
     pose: Floats
     """(f, 6, 6)"""
     interior: Floats
-    """(c, 8, 8)"""
+    """(c, k, k)"""
     points: Floats
     """(p, 3, 3)"""
     pose_interior: Floats
-    """(f, 6, 8), each frame with its own camera"""
+    """(f, 6, k), each frame with its own camera"""
     pose_point: Floats
     """(m, 6, 3), an observation each"""
     interior_point: Floats
-    """(c, p, 8, 3)"""
+    """(c, p, k, 3)"""
     pose_side: Floats
     interior_side: Floats
     point_side: Floats
@@ -48,6 +49,12 @@ class Normals:
     """(p, 3), the ground's level by point: minus weight times the surface's normal"""
     level: float
     level_side: float
+    pose_mounting: Floats
+    """(f, 6, q)"""
+    mounting: Floats
+    """(q, q)"""
+    mounting_side: Floats
+    """(q,)"""
 
 
 def build_normals(
@@ -61,7 +68,8 @@ def build_normals(
     by_interior: Floats,
     by_point: Floats,
 ) -> Normals:
-    """Sums the image observations; priors are added to the diagonal blocks afterwards.
+    """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
+    mounting (none here) with them.
 
     Args: residual (m, 2) observed minus computed, weight (m,), derivatives as `collinearity.project`
         gives them; counts: frames, cameras, points.
@@ -87,23 +95,29 @@ def build_normals(
         points=gather(point, p, t(by_point, 1, 2) @ wx),
         pose_interior=gather(frame, f, t(by_pose, 1, 2) @ wk),
         pose_point=t(by_pose, 1, 2) @ wx,
-        interior_point=gather(both, c * p, t(by_interior, 1, 2) @ wx).reshape(c, p, 8, 3),
+        interior_point=gather(both, c * p, t(by_interior, 1, 2) @ wx).reshape(c, p, -1, 3),
         pose_side=gather(frame, f, (t(wp, 1, 2) @ residual[:, :, None])[:, :, 0]),
         interior_side=gather(camera, c, (t(wk, 1, 2) @ residual[:, :, None])[:, :, 0]),
         point_side=gather(point, p, (t(wx, 1, 2) @ residual[:, :, None])[:, :, 0]),
         level_point=np.zeros((p, 3)),
         level=0.0,
         level_side=0.0,
+        pose_mounting=np.zeros((f, 6, 0)),
+        mounting=np.zeros((0, 0)),
+        mounting_side=np.zeros(0),
     )
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """The reduced system: poses (sparse) bordered by what all share: cameras, then the level (dense)."""
+    """The reduced system: poses (sparse), bordered by what frames share (dense), in this order: the numbers
+    of each camera (c of k), the ground's level (1), the mounting (q); s = c k + 1 + q in all."""
 
     poses: csc_matrix
     border: Floats
+    """(6f, s)"""
     shared: Floats
+    """(s, s)"""
     pose_side: Floats
     shared_side: Floats
     points_inverse: Floats
@@ -113,25 +127,28 @@ class Reduced:
     def _solver(self) -> _Solver:
         return _Solver(self.poses)
 
-    def solve(self) -> tuple[Floats, Floats, Floats, float]:
-        """Corrections of poses (f, 6), interiors (c, 8), points (p, 3) and the ground's level."""
+    def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
+        """Corrections of poses (f, 6), interiors (c, k), points (p, 3), the ground's level and the
+        mounting (q,)."""
         y = self._solver(np.column_stack([self.border, self.pose_side]))
         corner = self.shared - self.border.T @ y[:, :-1]
         shared = _spd_solve(corner, self.shared_side - self.border.T @ y[:, -1])
         pose = y[:, -1] - y[:, :-1] @ shared
         n = self.normals
         dp = pose.reshape(-1, 6)
-        dk, level = shared[:-1].reshape(-1, 8), float(shared[-1])
+        dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
         moved = np.einsum("mij,mi->mj", n.pose_point, dp[n.frame])
         side = n.point_side - np.stack(
             [np.bincount(n.point, moved[:, k], minlength=len(n.points)) for k in range(3)], axis=1
         )
-        side -= np.einsum("cpij,ci->pj", n.interior_point, dk) + level * n.level_point
-        return dp, dk, np.einsum("pij,pj->pi", self.points_inverse, side), level
+        side -= np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
+        side -= level * n.level_point
+        points = np.einsum("pij,pj->pi", self.points_inverse, side)
+        return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
 
-    def covariance(self) -> tuple[Floats, Floats, Floats]:
-        """Covariances for unit weight: poses (f, 6, 6), cameras (c, 8, 8), and the correlations between
-        poses and cameras are in them; the third is the full matrix of camera unknowns (8c, 8c)."""
+    def covariance(self) -> tuple[Floats, Floats]:
+        """Covariances for unit weight, with all correlations: each pose's own (f, 6, 6), and the full matrix
+        of what frames share (s, s)."""
         f, size = self.poses.shape[0] // 6, self.poses.shape[0]
         y = self._solver(self.border)
         corner: Floats = np.asarray(np.linalg.inv(self.shared - self.border.T @ y), dtype=np.float64)
@@ -143,15 +160,12 @@ class Reduced:
             columns = self._solver(unit) + y @ (corner @ (y.T @ unit))
             for k in range(start // 6, stop // 6):
                 blocks[k] = columns[6 * k : 6 * k + 6, 6 * k - start : 6 * k - start + 6]
-        corner = corner[:-1, :-1]
-        c = len(corner) // 8
-        cameras = np.stack([corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] for k in range(c)])
-        return blocks, cameras, corner
+        return blocks, corner
 
     def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
-        """Covariance (q, q) for unit weight of q quantities that depend on poses, cameras and level.
+        """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.
 
-        Args: derivatives by_pose (6f, q), by_shared (8c + 1, q): cameras, then the level.
+        Args: derivatives by_pose (6f, r), by_shared (s, r).
         """
         solved = self._solver(np.column_stack([self.border, by_pose]))
         y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
@@ -163,7 +177,7 @@ class Reduced:
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
     to the diagonal."""
-    f, c = len(n.pose), len(n.interior)
+    f, (c, k) = len(n.pose), n.interior_side.shape
     pose, interior, points = (_damped(a, damping) for a in (n.pose, n.interior, n.points))
     inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
     scaled = n.pose_point @ inverse[n.point]
@@ -174,26 +188,27 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     wv = bsr_matrix((scaled[order], n.point[order], starts), shape=shape, blocksize=(6, 3))
     own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f), blocksize=(6, 6))
     reduced = own - wv @ w.T.tobsr(blocksize=(3, 6))
-    by_camera = n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), 8 * c, 3)
+    by_camera = n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), c * k, 3)
     wk = np.swapaxes(np.concatenate([by_camera, n.level_point[:, None, :]], axis=1), 1, 2)
-    wk_flat = wk.reshape(3 * len(points), 8 * c + 1)
-    border = -(wv @ wk_flat)
-    for k in range(c):
-        rows = np.flatnonzero(n.camera_of == k)
+    wk_flat = wk.reshape(3 * len(points), c * k + 1)
+    to_mounting = n.pose_mounting.reshape(6 * f, -1)
+    border = np.column_stack([-(wv @ wk_flat), to_mounting])
+    for i in range(c):
+        rows = np.flatnonzero(n.camera_of == i)
         index = (6 * rows[:, None] + np.arange(6)).ravel()
-        border[index, 8 * k : 8 * k + 8] += n.pose_interior[rows].reshape(-1, 8)
-    corner = np.zeros((8 * c + 1, 8 * c + 1))
-    corner[-1, -1] = n.level
-    for k in range(c):
-        corner[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] = interior[k]
-    corner -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), 8 * c + 1)
+        border[index, k * i : k * i + k] += n.pose_interior[rows].reshape(-1, k)
+    corner = block_diag(*interior, n.level, _damped(n.mounting, damping))
+    shared_side = np.concatenate([n.interior_side.ravel(), [n.level_side], n.mounting_side])
+    seen = slice(0, c * k + 1)  # what meets the points
+    corner[seen, seen] -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), -1)
     eliminated = np.einsum("pij,pj->pi", inverse, n.point_side)
+    shared_side[seen] -= wk_flat.T @ eliminated.ravel()
     return Reduced(
         poses=reduced.tocsc(),
-        border=np.asarray(border),
+        border=border,
         shared=corner,
         pose_side=n.pose_side.ravel() - w @ eliminated.ravel(),
-        shared_side=np.append(n.interior_side.ravel(), n.level_side) - wk_flat.T @ eliminated.ravel(),
+        shared_side=shared_side,
         points_inverse=inverse,
         normals=n,
     )
