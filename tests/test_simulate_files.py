@@ -292,6 +292,38 @@ def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
         assert frame.position.height_ellipsoidal_m is not None
 
 
+def test_the_barometer_does_not_drift_with_the_gps(tmp_path: Path) -> None:
+    one = dataclasses.replace(PLAN, turned="")
+    plain = simulate_frames(tmp_path / "plain", one)
+    drifting = simulate_frames(tmp_path / "drifting", dataclasses.replace(one, height_drift_m=30.0))
+    positions = [[f.position for f in read_survey(s.frames).frames] for s in (plain, drifting)]
+    rises = [0.0, 15.0, 30.0]
+    for rise, true, said in zip(rises, *positions, strict=True):
+        assert said.height_ellipsoidal_m - true.height_ellipsoidal_m == pytest.approx(rise, abs=2e-3)
+        assert said.height_above_ground_m == pytest.approx(true.height_above_ground_m, abs=2e-3)
+
+
+def test_stated_deviations_may_be_wrong(tmp_path: Path) -> None:
+    plan = dataclasses.replace(PLAN, frames_per_line=2, stated_sd_factor=0.2, stated_yaw_sd_deg=5.0)
+    rows = rows_of(simulate_frames(tmp_path / "wrong", plan).pos)
+    for row in rows:
+        stated = [float(row[f"sd_{k}"]) for k in ("horizontal_m", "vertical_m", "yaw_deg", "tilt_deg")]
+        np.testing.assert_allclose(stated, [0.3, 0.4, 1.0, 0.06])
+    honest = rows_of(simulate_frames(tmp_path / "honest", dataclasses.replace(PLAN, frames_per_line=2)).pos)
+    assert [r["lon_deg"] for r in rows] == [r["lon_deg"] for r in honest]
+
+
+def test_lost_frames_are_nowhere_but_change_no_other(survey: SimulatedSurvey, tmp_path: Path) -> None:
+    lacking = simulate_frames(tmp_path, dataclasses.replace(PLAN, lost="1"))
+    assert sorted(p.name for p in lacking.frames.iterdir()) == ["F0002.jpg", "F0003.jpg"]
+    for name in ("F0002.jpg", "F0003.jpg"):
+        assert (lacking.frames / name).read_bytes() == (survey.frames / name).read_bytes()
+    assert rows_of(lacking.pos) == rows_of(survey.pos)[1:]
+    assert rows_of(lacking.positions) == rows_of(survey.positions)[1:]
+    truth = json.loads(lacking.truth.read_text())
+    assert [f["frame"] for f in truth["frames"]] == ["F0002.jpg", "F0003.jpg"]
+
+
 def test_the_pos_in_exif_alone_or_in_the_csv_alone(tmp_path: Path) -> None:
     one = dataclasses.replace(PLAN, frames_per_line=1, turned="")
     exif = simulate_frames(tmp_path / "exif", dataclasses.replace(one, pos_in="exif"))

@@ -134,6 +134,34 @@ def test_lies_on_purpose() -> None:
     assert not observed.attitude_errors_deg[~observed.yaw_wrong].any()
 
 
+def test_a_line_keeps_the_heading_of_the_one_before() -> None:
+    plan = SurveyPlan(lines=3, frames_per_line=4, stale_yaw_line=2, heading_deg=20.0)
+    flight = fly(plan)
+    plain, observed = (
+        observe(SurveyPlan(lines=3, frames_per_line=4, heading_deg=20.0), flight),
+        observe(plan, flight),
+    )
+    kept = [0, 1, 2, 3, 8, 9, 10, 11]
+    np.testing.assert_allclose(observed.yaw_pitch_roll_deg[4:8, 0], plain.yaw_pitch_roll_deg[3, 0])
+    np.testing.assert_array_equal(observed.yaw_pitch_roll_deg[kept], plain.yaw_pitch_roll_deg[kept])
+    np.testing.assert_array_equal(observed.yaw_wrong, [False] * 4 + [True] * 4 + [False] * 4)
+    off = (observed.attitude_errors_deg[4:8, 0]) % 360.0
+    np.testing.assert_allclose(off, 180.0, atol=12.0)
+    np.testing.assert_array_equal(observed.attitude_errors_deg[:, 1:], plain.attitude_errors_deg[:, 1:])
+
+
+def test_absolute_heights_drift_with_time() -> None:
+    plan = SurveyPlan(lines=2, frames_per_line=3, height_bias_m=-40.0, height_drift_m=12.0, height_sd_m=0.0)
+    flight = fly(plan)
+    observed = observe(plan, flight)
+    share = (flight.time_s - flight.time_s[0]) / np.ptp(flight.time_s)
+    assert share[1] < 0.2 < share[3], "between the lines time passes"
+    np.testing.assert_allclose(observed.position_errors_m[:, 2], -40.0 + 12.0 * share)
+    np.testing.assert_allclose(observed.height_offset_m, -40.0 + 12.0 * share)
+    said = flight.work_frame.enu_from_geodetic(*observed.lon_lat_height.T)
+    np.testing.assert_allclose((said - flight.poses.positions_m)[[0, -1], 2], [-40.0, -28.0], atol=1e-6)
+
+
 def test_poses_stand_on_each_frames_own_vertical() -> None:
     plan = SurveyPlan(kind="line", frames_per_line=2, forward_overlap=0.0, height_px=20000, lat_deg=60.0,
                       heading_deg=90.0, **STILL)  # fmt: skip
@@ -151,6 +179,12 @@ def test_poses_stand_on_each_frames_own_vertical() -> None:
         ({"format": "png"}, "unknown frame format 'png'"),
         ({"turned": "3-x"}, "'3-x' names no frames of 1 to 12"),
         ({"turned": "11-13"}, "'11-13' names no frames"),
+        ({"lost": "0"}, "lost: '0' names no frames"),
+        ({"lost": "1-12"}, "all frames are lost"),
+        ({"stale_yaw_line": 1}, "stale_yaw_line is 1; give the number of a later flight line"),
+        ({"stale_yaw_line": 4}, "stale_yaw_line is 4"),
+        ({"kind": "line", "stale_yaw_line": 2}, "stale_yaw_line is 2"),
+        ({"stated_sd_factor": 0.0}, "stated_sd_factor is 0"),
         ({"forward_overlap": 1.0}, "overlap"),
         ({"lines": 0}, "lines is 0"),
         ({"position_sd_m": -1.0}, "position_sd_m is -1.0"),

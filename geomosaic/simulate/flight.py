@@ -46,6 +46,7 @@ class Observed:
 
     position_errors_m: (n, 3) east, north, up; attitude_errors_deg: (n, 3) yaw, pitch, roll. Outliers and
     wrong headings are in the errors, and not in the standard deviations that the POS states.
+    height_offset_m: (n,) what of the height error is the GPS's: bias and drift, which a barometer is free of.
     """
 
     lon_lat_height: Floats
@@ -54,6 +55,7 @@ class Observed:
     attitude_errors_deg: Floats
     outlier: NDArray[np.bool_]
     yaw_wrong: NDArray[np.bool_]
+    height_offset_m: Floats
 
 
 def fly(plan: SurveyPlan) -> Flight:
@@ -155,12 +157,11 @@ def observe(plan: SurveyPlan, flight: Flight) -> Observed:
     noise = plan.rng("pos").standard_normal((n, 6))
     errors_m = noise[:, :3] * [plan.position_sd_m, plan.position_sd_m, plan.height_sd_m]
     errors_deg = noise[:, 3:] * [plan.yaw_sd_deg, plan.tilt_sd_deg, plan.tilt_sd_deg]
-    if plan.gps_lag_s:
-        heading = np.radians(flight.yaw_pitch_roll_deg[:, 0])
-        lag_m = plan.gps_lag_s * plan.speed_m_per_s
-        errors_m[:, :2] -= lag_m * np.column_stack([np.sin(heading), np.cos(heading)])
-
-    errors_m += position_bias(plan)
+    errors_m -= plan.gps_lag_s * flight.velocity_m_per_s
+    bias_m = position_bias(plan)
+    since_s = flight.time_s - flight.time_s[0]
+    offset_m = bias_m[2] + plan.height_drift_m * since_s / max(float(since_s[-1]), 1.0)
+    errors_m += np.column_stack([np.tile(bias_m[:2], (n, 1)), offset_m])
     rng = plan.rng("outliers")
     outlier, yaw_wrong = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     outlier[rng.permutation(n)[: plan.gps_outliers]] = True
@@ -169,8 +170,14 @@ def observe(plan: SurveyPlan, flight: Flight) -> Observed:
     errors_m[:, :2] += np.where(outlier[:, None], away_m, 0.0)
     yaw_wrong[rng.permutation(n)[: round(plan.yaw_wrong_share * n)]] = True
     errors_deg[:, 0] += np.where(yaw_wrong, rng.uniform(30.0, 330.0, n), 0.0)
+    stale = flight.line == plan.stale_yaw_line - 1
+    if stale.any():
+        true_deg = flight.yaw_pitch_roll_deg[:, 0]
+        last = int(np.flatnonzero(stale)[0]) - 1
+        errors_deg[stale, 0] = true_deg[last] + errors_deg[last, 0] - true_deg[stale]
+        yaw_wrong |= stale
 
     geodetic = flight.work_frame.geodetic_from_enu(flight.poses.positions_m + errors_m)
     attitude = flight.yaw_pitch_roll_deg + errors_deg
     attitude[:, 0] %= 360.0
-    return Observed(geodetic, attitude, errors_m, errors_deg, outlier, yaw_wrong)
+    return Observed(geodetic, attitude, errors_m, errors_deg, outlier, yaw_wrong, offset_m)

@@ -27,7 +27,7 @@ class SurveyPlan:
     kind `paper` takes positions, attitudes, frame size (times `scale`), pixel and height from table 2
     of Yue et al. 2021 and ignores the flight's own numbers; its heights count from `ground_height_m`.
     With a `dem` (ellipsoidal heights) the ground is the DEM's, and `ground_height_m` its height in the
-    survey's middle. See docs/simulation.md.
+    survey's middle. Frames and lines are counted from 1. See docs/simulation.md.
     """
 
     seed: int = 1
@@ -80,12 +80,18 @@ class SurveyPlan:
     gps_outliers: int = 0
     gps_outlier_m: float = 100.0
     yaw_wrong_share: float = 0.0
+    stale_yaw_line: int = 0
     turned: str = ""
+    lost: str = ""
+    stated_sd_factor: float = 1.0
+    stated_yaw_sd_deg: float | None = None
     attitude_told: bool = True
     height_told: bool = True
     relative_height_told: bool = True
     position_bias_m: float = 0.0
     height_bias_m: float = 0.0
+    height_drift_m: float = 0.0
+    control_points: int = 0
 
     exposure_sd: float = 0.0
     vignetting: float = 0.0
@@ -106,14 +112,14 @@ class SurveyPlan:
             if name not in known:
                 raise UnknownNameError(kind, name, known)
         positive = ("scale", "height_above_ground_m", "ground_pixel_m", "speed_m_per_s",
-                    "relief_wavelength_m", "lines", "frames_per_line")  # fmt: skip
+                    "relief_wavelength_m", "lines", "frames_per_line", "stated_sd_factor")  # fmt: skip
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not np.isfinite(value):
                 raise InputError(f"{field.name} is {value}", mend="give a number")
             if field.name in positive and value <= 0:
                 raise InputError(f"{field.name} is {value}", mend="give a number above 0")
-            if field.name.endswith(("_sd", "_sd_m", "_sd_deg")) and value < 0:
+            if field.name.endswith(("_sd", "_sd_m", "_sd_deg")) and value is not None and value < 0:
                 raise InputError(f"{field.name} is {value}", mend="give 0 or more")
         if not (0.0 <= self.forward_overlap < 1.0 and 0.0 <= self.side_overlap < 1.0):
             raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
@@ -127,12 +133,27 @@ class SurveyPlan:
             raise InputError("frames smaller than 64 pixels", mend="give a larger width_px and height_px")
         if self.format != "jpeg" and self.pos_in != "csv":
             raise InputError("TIFF frames are written without EXIF", mend="give pos_in csv")
+        if self.stale_yaw_line and not 2 <= self.stale_yaw_line <= (
+            self.lines if self.kind == "block" else 1
+        ):
+            raise InputError(
+                f"stale_yaw_line is {self.stale_yaw_line}",
+                mend="give the number of a later flight line, or 0",
+            )
         self.turned_frames()
+        if not self.kept:
+            raise InputError("all frames are lost", mend="leave some of them in")
 
     @property
     def frames(self) -> int:
         """How many frames the survey has."""
         return {"paper": 9, "line": self.frames_per_line}.get(self.kind, self.lines * self.frames_per_line)
+
+    @property
+    def kept(self) -> tuple[int, ...]:
+        """Indices (from 0) of the frames that aren't lost."""
+        lost = self._numbered("lost", self.lost)
+        return tuple(i for i in range(self.frames) if i not in lost)
 
     def camera(self) -> Camera:
         """The camera that really took the frames."""
@@ -177,14 +198,18 @@ class SurveyPlan:
         return PAPER_PIXEL_M / self.scale if self.kind == "paper" else self.ground_pixel_m
 
     def turned_frames(self) -> frozenset[int]:
-        """Indices (from 0) of the frames whose pixels are turned, from text such as `4-6, 9` (from 1)."""
+        """Indices (from 0) of the frames whose pixels are turned."""
+        return self._numbered("turned", self.turned)
+
+    def _numbered(self, field: str, text: str) -> frozenset[int]:
+        """Indices (from 0) of frames, from text such as `4-6, 9` (from 1)."""
         found: set[int] = set()
-        for part in filter(None, (p.strip() for p in self.turned.split(","))):
+        for part in filter(None, (p.strip() for p in text.split(","))):
             match = re.fullmatch(r"(\d+)(?:\s*-\s*(\d+))?", part)
             first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
             if not 1 <= first <= last <= self.frames:
                 raise InputError(
-                    f"turned: '{part}' names no frames of 1 to {self.frames}", mend="write it like 4-6,9"
+                    f"{field}: '{part}' names no frames of 1 to {self.frames}", mend="write it like 4-6,9"
                 )
             found.update(range(first - 1, last))
         return frozenset(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic.projection.footprint import footprint
+from geomosaic.simulate import control
 from geomosaic.simulate.changing import cars_at, glitter, paint_cars
 from geomosaic.simulate.flight import Flight, Observed, fly, observe, position_bias
 from geomosaic.simulate.landscape import Bounds, Landscape
@@ -59,6 +60,9 @@ class SimulatedSurvey:
     cover: Path | None
     moving_cars: Path | None
     truth: Path
+    control: Path | None
+    gcp_list: Path | None
+    true_control: Path | None
 
 
 def _silent(done: int, total: int, text: str) -> None:
@@ -72,7 +76,7 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
     alone (`OutputError`).
     """
     names = [frame_name(plan, i) for i in range(plan.frames)]
-    _check_folder(out, names)
+    _check_folder(out, [names[i] for i in plan.kept])
     if plan.dem is not None:
         plan = dataclasses.replace(
             plan, ground_height_m=raster_height_m(plan.dem, plan.lon_deg, plan.lat_deg)
@@ -93,6 +97,10 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
 
     readouts = flight.velocity_m_per_s * plan.rolling_shutter_s
     sights = [sight_of(camera, flight.poses[i], world, readouts[i]) for i in range(plan.frames)]
+    if plan.control_points:
+        bounds = [s.bounds_m for s in sights]
+        points = control.true_points(plan, camera, flight.poses, readouts, world, bounds)
+        _write_control(plan, paths, points, names, world)
     scratch = out / "truth" / ".texture.part"
     try:
         texture = _write_ground(plan, paths, scratch, camera, flight, world, sights, progress)
@@ -102,18 +110,35 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
             for i in range(plan.frames)
         ]
         if paths.moving_cars:
-            write_csv(paths.moving_cars, CAR_COLUMNS, car_rows(names, cars))
+            kept = plan.kept
+            rows = car_rows([names[i] for i in kept], [cars[i] for i in kept])
+            write_csv(paths.moving_cars, CAR_COLUMNS, rows)
 
         def picture(i: int) -> bytes:
             light = _frame(plan, camera, flight.poses[i], world, sights[i], texture, cars[i], i)
             return frame_bytes(plan, told, flight, observed, i, light)
 
-        for i, data in enumerate(in_threads(picture, range(plan.frames))):
+        for n, (i, data) in enumerate(zip(plan.kept, in_threads(picture, plan.kept), strict=True)):
             write_bytes(paths.frames / names[i], data)
-            progress(i + 1, len(names), "frames")
+            progress(n + 1, len(plan.kept), "frames")
     finally:
         scratch.unlink(missing_ok=True)
     return paths
+
+
+def _write_control(
+    plan: SurveyPlan,
+    paths: SimulatedSurvey,
+    points: Sequence[control.SurveyedPoint],
+    names: Sequence[str],
+    world: World,
+) -> None:
+    assert paths.control and paths.gcp_list and paths.true_control
+    told = control.surveyed(plan, points)
+    rows = control.control_rows(points, names, world, (0.0, 0.0))
+    write_csv(paths.true_control, control.COLUMNS, rows)
+    write_csv(paths.control, control.COLUMNS, control.control_rows(told, names, world, control.SURVEYED_SD_M))
+    write_bytes(paths.gcp_list, control.gcp_list(told, names, world.projection.crs).encode())
 
 
 def world_of(plan: SurveyPlan, flight: Flight) -> World:
@@ -238,7 +263,7 @@ def _truth(
             "yaw_wrong": bool(observed.yaw_wrong[i]),
             "gps_outlier": bool(observed.outlier[i]),
         }
-        for i, name in enumerate(names)
+        for i, name in ((i, names[i]) for i in plan.kept)
     ]
     kinds = (
         ("turned", "turned-frame", "pixels turned by 180 degrees after the flight, tags unchanged"),
@@ -279,6 +304,9 @@ def _paths(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
         cover=truth / "cover.tif" if plan.water_share + plan.smooth_forest_share > 0.0 else None,
         moving_cars=truth / "moving_cars.csv" if plan.moving_cars > 0.0 else None,
         truth=truth / "truth.json",
+        control=out / "gcp.csv" if plan.control_points else None,
+        gcp_list=out / "gcp_list.txt" if plan.control_points else None,
+        true_control=truth / "control.csv" if plan.control_points else None,
     )
 
 

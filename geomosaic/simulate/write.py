@@ -126,7 +126,7 @@ def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
         height = float(observed.lon_lat_height[i, 2])
         tags["AbsoluteAltitude"] = f"{height:+.3f}"
         if plan.relative_height_told:  # counted by a barometer from the take-off: no bias of the datum
-            above = height - plan.height_bias_m - plan.ground_height_m
+            above = height - float(observed.height_offset_m[i]) - plan.ground_height_m
             tags["RelativeAltitude"] = f"{above:+.3f}"
     if plan.attitude_told:
         yaw, pitch, roll = gimbal_deg(observed.yaw_pitch_roll_deg[i])
@@ -157,16 +157,18 @@ def gimbal_deg(yaw_pitch_roll_deg: Floats) -> tuple[float, float, float]:
 
 
 def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list[str]]]:
-    """The POS table with its own standard deviations; columns that aren't told are left out."""
+    """The POS table with the standard deviations that it states; columns that aren't told are left out."""
     hidden = (
         set() if plan.attitude_told else {"yaw_deg", "pitch_deg", "roll_deg", "sd_yaw_deg", "sd_tilt_deg"}
     )
     hidden |= set() if plan.height_told else {"height_ellipsoidal_m", "sd_vertical_m"}
+    yaw_sd_deg = plan.yaw_sd_deg if plan.stated_yaw_sd_deg is None else plan.stated_yaw_sd_deg
+    stated = (plan.position_sd_m, plan.height_sd_m, yaw_sd_deg, plan.tilt_sd_deg)
+    sd = [plan.stated_sd_factor * s for s in stated]
     rows = []
-    for i in range(plan.frames):
+    for i in plan.kept:
         lon, lat, height = observed.lon_lat_height[i]
         yaw, pitch, roll = observed.yaw_pitch_roll_deg[i]
-        sd = (plan.position_sd_m, plan.height_sd_m, plan.yaw_sd_deg, plan.tilt_sd_deg)
         values = [frame_name(plan, i), f"{lon:.9f}", f"{lat:.9f}", f"{height:.4f}",
                   *(f"{a:.5f}" for a in (yaw, pitch, roll)), *(f"{s:g}" for s in sd)]  # fmt: skip
         rows.append([v for c, v in zip(POS_COLUMNS, values, strict=True) if c not in hidden])
@@ -186,7 +188,8 @@ def true_positions(
     rows = []
     turned = plan.turned_frames()
     said = rotations_in(flight.work_frame, observed.lon_lat_height, observed.yaw_pitch_roll_deg)
-    for i, (lon, lat, height) in enumerate(flight.lon_lat_height):
+    for i in plan.kept:
+        lon, lat, height = flight.lon_lat_height[i]
         local = Rotation.from_yaw_pitch_roll(*np.radians(flight.yaw_pitch_roll_deg[i]))
         stored = local.turned(2) if i in turned else local
         yaw, pitch, roll = (float(np.degrees(a)) for a in stored.yaw_pitch_roll())

@@ -20,7 +20,7 @@ class SimulateFrames(Stage):
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
     group = "Simulation"
-    version = 2
+    version = 3
     outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
 
     class Params(StageParams):
@@ -109,8 +109,21 @@ class SimulateFrames(Stage):
         yaw_wrong_share: float = param(
             _PLAN.yaw_wrong_share, help="share of the frames with any heading", ge=0, le=1
         )
+        stale_yaw_line: int = param(
+            _PLAN.stale_yaw_line, help="flight line whose heading stays that of the line before, 0 none", ge=0
+        )
         turned: str = param(
             _PLAN.turned, help="frames whose pixels are turned by 180 degrees, tags unchanged, like 4-6,9"
+        )
+        lost: str = param(_PLAN.lost, help="frames that were flown but are missing, like 4-6,9")
+        stated_sd_factor: float = param(
+            _PLAN.stated_sd_factor, help="stated over true standard deviations of the POS", ge=0.001, le=1000
+        )
+        stated_yaw_sd_deg: float | None = param(
+            _PLAN.stated_yaw_sd_deg,
+            help="what the POS states of its heading; none: the truth",
+            unit="deg",
+            ge=0.001,
         )
         attitude_told: bool = param(_PLAN.attitude_told, help="the POS holds yaw, pitch and roll")
         height_told: bool = param(_PLAN.height_told, help="the POS holds heights")
@@ -122,6 +135,19 @@ class SimulateFrames(Stage):
         )
         height_bias_m: float = param(
             _PLAN.height_bias_m, help="error that all absolute heights share", unit="m", ge=-200, le=200
+        )
+        height_drift_m: float = param(
+            _PLAN.height_drift_m,
+            help="how far absolute heights drift over the flight",
+            unit="m",
+            ge=-200,
+            le=200,
+        )
+        control_points: int = param(
+            _PLAN.control_points,
+            help="surveyed points on the ground, every third a check point",
+            ge=0,
+            le=1000,
         )
         exposure_sd: float = param(
             _PLAN.exposure_sd, help="noise of each frame's exposure (logarithm of the gain)", ge=0, le=1
@@ -145,5 +171,5 @@ class SimulateFrames(Stage):
                 context.keep(path)
         for path in sorted(paths.frames.glob("F*")):
             context.keep(path)
-        context.metric("simulate.frames", plan.frames)
+        context.metric("simulate.frames", len(plan.kept))
         return {"truth_file": context.run_file("truth/truth.json")}
