@@ -18,7 +18,7 @@ from osgeo_utils.samples import validate_gpkg
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.export import layers
+from geomosaic.export import residual_layers
 from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
@@ -143,15 +143,15 @@ def package(tmp_path_factory):
     return folder / "layers.gpkg", arguments
 
 
-def test_six_layers_with_crs_and_spatial_index(package):
+def test_every_layer_has_its_crs_and_spatial_index(package):
     path, _ = package
     validate_gpkg.check(str(path), abort_at_first_error=True)
     dataset = ogr.Open(str(path))
     names = {dataset.GetLayer(i).GetName(): dataset.GetLayer(i) for i in range(dataset.GetLayerCount())}
-    assert set(names) == {"frames", "footprints", "nadir_points", "tie_points", "residuals", "seamlines"}
     counts = {name: layer.GetFeatureCount() for name, layer in names.items()}
     assert counts == {
-        "frames": 6, "footprints": 6, "nadir_points": 6, "tie_points": 6, "residuals": 6, "seamlines": 6,
+        "frames": 6, "footprints": 6, "nadir_points": 6, "error_ellipses": 6, "tie_points": 6,
+        "residuals": 6, "image_residuals": 0, "control": 0, "control_residuals": 0, "seamlines": 6,
     }  # fmt: skip
     for name, layer in names.items():
         assert layer.GetSpatialRef().GetAuthorityCode(None) == "32632", name
@@ -209,7 +209,7 @@ def test_of_too_many_tie_points_every_pair_keeps_its_share_and_the_layer_says_so
     package, tmp_path, monkeypatch
 ):
     _, arguments = package
-    monkeypatch.setattr(layers, "MOST_TIE_POINTS", 4)
+    monkeypatch.setattr(residual_layers, "MOST_POINTS", 4)
     write_layers(tmp_path / "thin.gpkg", *arguments)
     dataset = ogr.Open(str(tmp_path / "thin.gpkg"))
     for name in ("tie_points", "residuals"):
@@ -282,10 +282,10 @@ def test_names_are_data(package, tmp_path):
     assert dataset.GetLayer("frames").GetFeature(1)["frame"] == evil
 
 
-def test_no_ties_at_all_still_gives_six_layers(package, tmp_path):
+def test_no_ties_at_all_still_gives_every_layer(package, tmp_path):
     _, (survey, placement, _, adjusted, mosaic) = package
     alone = replace(adjusted, residuals_m=())
     write_layers(tmp_path / "l.gpkg", survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=()))
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
-    assert dataset.GetLayerCount() == 6
+    assert dataset.GetLayerCount() == 10
     assert dataset.GetLayer("tie_points").GetFeatureCount() == 0

@@ -50,7 +50,12 @@ class GeoPackage:
         self._layers: list[_Layer] = []
 
     def add_layer(
-        self, name: str, text: str, geometry_type: str, geometries: Sequence[Any], fields: dict[str, Any]
+        self,
+        name: str,
+        text: str,
+        geometry_type: str,
+        geometries: Sequence[Any] | NDArray[np.object_],
+        fields: dict[str, Any],
     ) -> None:
         """A layer of shapely geometries; `fields` are columns of the same length (numbers or text).
 

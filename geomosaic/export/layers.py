@@ -1,4 +1,4 @@
-"""The six layers of layers.gpkg: frames, footprints, nadir_points, tie_points, residuals, seamlines."""
+"""The layers of layers.gpkg: of frames and seamlines here, of what is left in `residual_layers`."""
 
 from __future__ import annotations
 
@@ -11,40 +11,44 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.geopackage import GeoPackage, writing_geopackage
+from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations, orientations
-from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.export.residual_layers import add_residual_layers
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.placement.model import Placement
-from geomosaic.projection.footprint import footprint, ground_from_image, ground_sampling_distance_m
+from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-MOST_TIE_POINTS = 200_000
-"""Of more the layers show an even share: a map can't show them, and a GIS opens the file slowly."""
 
 
 def write_layers(
     path: Path, survey: Survey, placement: Placement, ties: TiePoints, adjusted: Adjusted, mosaic: Mosaic
 ) -> None:
-    """Writes the GeoPackage, in the survey's map CRS.
+    """Writes the GeoPackage, in the survey's map CRS. Every layer is there, if need be empty.
 
     frames: the adjusted projection centres with their orientation. footprints: what each frame sees of the
-    ground. nadir_points: the ground below where the POS put each frame, before the adjustment. tie_points:
-    midway between where its two frames put each; residuals: lines from where the left frame puts it to where
-    the right one does, true to scale; both show at most 200,000, as their description says. seamlines: where
-    each frame is the heaviest in the mosaic.
+    ground. nadir_points: the ground below where the POS put each frame, before the adjustment.
+    error_ellipses: of the adjusted positions, larger than life. tie_points: midway between where its two
+    frames put each; residuals: lines from where the left frame puts it to where the right one does, true to
+    scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
+    vector in pixels; these three show at most 200,000, as their description says. control: where points were
+    surveyed; control_residuals: lines to there from where the pictures put them, true to scale. seamlines:
+    where each frame is the heaviest in the mosaic.
     Raises: `OSError` if the file can't be written.
     """
     adjusted_orientation = orientations(survey, placement.poses, adjusted)
     times = [f.time_s for f in survey.frames if f.time_s is not None]
     with writing_geopackage(path, survey.map_crs, max(times, default=None)) as package:
-        layers = _Layers(package, survey, placement, ties, adjusted, mosaic, adjusted_orientation)
+        layers = _Layers(package, survey, placement, adjusted, mosaic, adjusted_orientation)
         layers.frames()
         layers.footprints()
         layers.nadir_points()
-        layers.tie_points()
+        layers.error_ellipses()
+        add_residual_layers(package, survey, ties, adjusted, layers.gsd_m)
         layers.seamlines()
 
 
@@ -54,13 +58,13 @@ class _Layers:
         package: GeoPackage,
         survey: Survey,
         placement: Placement,
-        ties: TiePoints,
         adjusted: Adjusted,
         mosaic: Mosaic,
         orientation: Orientations,
     ) -> None:
-        self.package, self.survey, self.placement, self.ties = package, survey, placement, ties
+        self.package, self.survey, self.placement = package, survey, placement
         self.adjusted, self.mosaic, self.orientation = adjusted, mosaic, orientation
+        self.ellipses = error_ellipses(orientation.covariance_m2[:, :2, :2])
         self.names = np.array([f.name for f in survey.frames])
         self.status = np.array(adjusted.status)
         self.gsd_m = np.array(
@@ -79,7 +83,7 @@ class _Layers:
         outlines = []
         for i, camera in enumerate(self.adjusted.cameras):
             ground = footprint(self.adjusted.poses[i], camera, self.adjusted.ground)
-            ring = self._map_from_work(ground[np.isfinite(ground).all(axis=1)])
+            ring = map_from_work(self.survey, ground[np.isfinite(ground).all(axis=1)])
             outlines.append(shapely.Polygon(ring) if len(ring) >= 3 else None)
         fields = {**self._frame_fields(), "area_m2": [np.nan if p is None else p.area for p in outlines]}
         self.package.add_layer("footprints", "What each frame sees", "Polygon", outlines, fields)
@@ -95,57 +99,23 @@ class _Layers:
             "attitude_source": [f.attitude.source for f in self.survey.frames],
             "moved_m": self.orientation.moved_m,
         }
-        points = shapely.points(self._map_from_work(at))
+        points = shapely.points(map_from_work(self.survey, at))
         self.package.add_layer("nadir_points", "Ground below the POS positions", "Point", points, fields)
 
-    def tie_points(self) -> None:
-        left, right, left_px, right_px, shift = self._joined_ties()
-        left_m = np.full((len(left), 3), np.nan)
-        for frame in np.unique(left):
-            left_m[left == frame] = self._ground(frame, left_px[left == frame])
-        hit = np.isfinite(left_m).all(axis=1) & np.isfinite(shift).all(axis=1)
-        shown = _evenly(np.flatnonzero(hit), MOST_TIE_POINTS)
-        thinned = f": {len(shown):,} of {hit.sum():,}, evenly thinned" if len(shown) < hit.sum() else ""
-        left, right, left_px, right_px = left[shown], right[shown], left_px[shown], right_px[shown]
-        left_map = self._map_from_work(left_m[shown])
-        right_map = self._map_from_work(left_m[shown] + np.pad(shift[shown], ((0, 0), (0, 1))))
-        residual = right_map - left_map
-        length = np.linalg.norm(residual, axis=1)
-        fields = {
-            "left_frame": self.names[left],
-            "right_frame": self.names[right],
-            "residual_m": length,
-            "residual_e_m": residual[:, 0],
-            "residual_n_m": residual[:, 1],
-            "residual_px": length / ((self.gsd_m[left] + self.gsd_m[right]) / 2.0),
-        }
-        place = {
-            "left_col_px": left_px[:, 0],
-            "left_row_px": left_px[:, 1],
-            "right_col_px": right_px[:, 0],
-            "right_row_px": right_px[:, 1],
-        }
-        middle = shapely.points((left_map + right_map) / 2.0)
-        lines = shapely.linestrings(np.stack([left_map, right_map], axis=1))
-        for name, text, kind, shapes, columns in (
-            ("tie_points", "Tie points on the ground", "Point", middle, {**fields, **place}),
-            ("residuals", "From left to right frame's place", "LineString", lines, fields),
-        ):
-            self.package.add_layer(name, text + thinned, kind, shapes, columns)
-
-    def _joined_ties(self) -> tuple[NDArray[Any], NDArray[Any], Floats, Floats, Floats]:
-        """All pairs in one: left and right frame, their pixels, and right minus left on the ground."""
-        pairs = self.ties.pairs
-        counts = [len(p) for p in pairs]
-        left = np.repeat(np.array([p.left for p in pairs], dtype=np.int64), counts)
-        right = np.repeat(np.array([p.right for p in pairs], dtype=np.int64), counts)
-        nothing = np.zeros((0, 2))
-        return (
-            left,
-            right,
-            np.concatenate([nothing, *(p.left_px for p in pairs)]),
-            np.concatenate([nothing, *(p.right_px for p in pairs)]),
-            np.concatenate([nothing, *self.adjusted.residuals_m]),
+    def error_ellipses(self) -> None:
+        """Of the frames' horizontal positions; a factor says how much larger than life they are drawn."""
+        o, ellipses = self.orientation, self.ellipses
+        factor = exaggeration(ellipses, o.map_m)
+        outlines = ellipses.outlines_m(o.map_m, factor)
+        known = np.asarray(np.isfinite(outlines).all(axis=(1, 2)))
+        fields = {**self._ellipse(), "sd_u_m": o.sd_m[:, 2], "scale": np.full(len(known), factor)}
+        fields = {"frame": self.names, "status": self.status, **fields}
+        self.package.add_layer(
+            "error_ellipses",
+            f"Standard error ellipses (1 sigma) of the frames' positions, drawn {factor:,.0f} times larger",
+            "Polygon",
+            np.asarray(shapely.polygons(outlines[known])),
+            {name: np.asarray(values)[known] for name, values in fields.items()},
         )
 
     def seamlines(self) -> None:
@@ -161,14 +131,6 @@ class _Layers:
             "seamlines", "Where each frame is the heaviest", "MultiPolygon", shapes, fields
         )
 
-    def _ground(self, frame: int, image_px: Floats) -> Floats:
-        pose, camera = self.adjusted.poses[frame], self.adjusted.cameras[frame]
-        return ground_from_image(pose, camera, self.adjusted.ground, image_px)
-
-    def _map_from_work(self, enu_m: Floats) -> Floats:
-        geodetic = self.survey.work_frame.geodetic_from_enu(enu_m)
-        return MapProjection(self.survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
-
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames
         turn = {frame: k for k, frame in enumerate(self.placement.sequence)}
@@ -183,6 +145,14 @@ class _Layers:
             "gsd_m": self.gsd_m,
         }
 
+    def _ellipse(self) -> dict[str, Any]:
+        """At one sigma; the azimuth of the longer axis is counted from grid north."""
+        return {
+            "ellipse_major_m": self.ellipses.semi_major_m,
+            "ellipse_minor_m": self.ellipses.semi_minor_m,
+            "ellipse_azimuth_deg": np.degrees(self.ellipses.azimuth_rad),
+        }
+
     def _orientation(self) -> dict[str, Any]:
         o = self.orientation
         groups = {
@@ -195,12 +165,7 @@ class _Layers:
         fields = self._frame_fields()
         for names, values in groups.items():
             fields.update(zip(names.split(), values.T, strict=True))
-        return {**fields, "moved_m": o.moved_m, "turned_deg": o.turned_deg}
-
-
-def _evenly(indices: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most so many of them, evenly over their order, so that every pair of frames keeps its share."""
-    return indices if len(indices) <= most else indices[np.arange(most) * len(indices) // most]
+        return {**fields, **self._ellipse(), "moved_m": o.moved_m, "turned_deg": o.turned_deg}
 
 
 def _utc(time_s: float | None) -> str:

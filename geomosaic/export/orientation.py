@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import Rotation, about_x, about_y, about_z
-from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.camera.rotation import Rotation, about_x, about_y
+from geomosaic.export.on_map import grid_from_work, local_from_work, map_from_work
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _SMALL_SHARE = 0.1
+_STILL = 1e-9  # m and rad
 
 
 @dataclass(frozen=True)
@@ -24,9 +25,10 @@ class Orientations:
     lon_lat_height (n, 3): degrees and ellipsoidal metres of the projection centre. map_m (n, 2): easting
     and northing. yaw_pitch_roll_deg (n, 3): yaw the heading of the image's top from true north at the frame,
     pitch -90 at the nadir, roll the body's. omega_phi_kappa_deg (n, 3): relative to the map grid's east and
-    north at the frame, in the order of `Rotation.from_omega_phi_kappa`. sd_m (n, 3): easting, northing, up.
-    sd_omega_phi_kappa_deg (n, 3). moved_m (n,): distance in space from the prior position. turned_deg (n,):
-    angle between prior and adjusted rotation.
+    north at the frame, in the order of `Rotation.from_omega_phi_kappa`. covariance_m2 (n, 3, 3): of easting,
+    northing, up; sd_m (n, 3): the same as deviations. sd_omega_phi_kappa_deg (n, 3). Frames that no
+    adjustment moved keep the deviations of their POS. moved_m (n,): distance in space from the prior
+    position. turned_deg (n,): angle between prior and adjusted rotation.
     """
 
     names: tuple[str, ...]
@@ -35,6 +37,7 @@ class Orientations:
     map_m: Floats
     yaw_pitch_roll_deg: Floats
     omega_phi_kappa_deg: Floats
+    covariance_m2: Floats
     sd_m: Floats
     sd_omega_phi_kappa_deg: Floats
     moved_m: Floats
@@ -44,29 +47,52 @@ class Orientations:
 def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientations:
     """Brings adjusted poses from the work frame to each frame's own axes, and those of the map grid."""
     poses = adjusted.poses
-    projection = MapProjection(survey.map_crs)
-    geodetic = survey.work_frame.geodetic_from_enu(poses.positions_m)
-    lon, lat = geodetic[:, 0], geodetic[:, 1]
-    local_from_work = np.swapaxes(survey.work_frame.enu_from_local_rotation(lon, lat), -1, -2)
-    grid_from_work = about_z(projection.grid_convergence_rad(lon, lat)) @ local_from_work
-    yaw, pitch, roll = Rotation(local_from_work @ poses.rotations).yaw_pitch_roll()
-    omega, phi, kappa = Rotation(grid_from_work @ poses.rotations).omega_phi_kappa()
+    local, grid = local_from_work(survey, poses.positions_m), grid_from_work(survey, poses.positions_m)
+    yaw, pitch, roll = Rotation(local @ poses.rotations).yaw_pitch_roll()
+    omega, phi, kappa = Rotation(grid @ poses.rotations).omega_phi_kappa()
     turn = np.swapaxes(prior.rotations, -1, -2) @ poses.rotations
     cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1.0) / 2.0
+    moved_m = np.linalg.norm(poses.positions_m - prior.positions_m, axis=-1)
+    turned = np.arccos(np.clip(cosine, -1.0, 1.0))
+    still = (moved_m < _STILL) & (np.abs(turn - np.eye(3)).max(axis=(-1, -2)) < _STILL)
+    place, axes = _covariances(adjusted, prior, still)
+    covariance_m2 = _turned_covariance(grid, place)
+    angles = _turned_covariance(_angles_from_axes(omega, phi) @ grid, axes)
     return Orientations(
         names=tuple(frame.name for frame in survey.frames),
         status=adjusted.status,
-        lon_lat_height=geodetic,
-        map_m=projection.map_from_geodetic(lon, lat),
+        lon_lat_height=survey.work_frame.geodetic_from_enu(poses.positions_m),
+        map_m=map_from_work(survey, poses.positions_m),
         yaw_pitch_roll_deg=np.degrees(np.stack([yaw % (2.0 * np.pi), pitch - np.pi / 2.0, roll], axis=-1)),
         omega_phi_kappa_deg=np.degrees(np.stack([omega, phi, kappa], axis=-1)),
-        sd_m=_turned_sd(grid_from_work, poses.positions_sd_m),
-        sd_omega_phi_kappa_deg=np.degrees(
-            _turned_sd(_angles_from_axes(omega, phi) @ grid_from_work, poses.rotations_sd_rad)
-        ),
-        moved_m=np.linalg.norm(poses.positions_m - prior.positions_m, axis=-1),
-        turned_deg=np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))),
+        covariance_m2=covariance_m2,
+        sd_m=_deviations(covariance_m2),
+        sd_omega_phi_kappa_deg=np.degrees(_deviations(angles)),
+        moved_m=moved_m,
+        turned_deg=np.degrees(turned),
     )
+
+
+def _covariances(adjusted: Adjusted, prior: Poses, still: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Of the positions and of the turns about the work frame's axes, (n, 3, 3) each.
+
+    A method's own where it has them; else from deviations, as if independent: those of the prior for
+    frames that stand where it put them.
+    """
+    poses, solved = adjusted.poses, adjusted.pose_covariance
+    out = []
+    for k, mine, before in (
+        (slice(0, 3), poses.positions_sd_m, prior.positions_sd_m),
+        (slice(3, 6), poses.rotations_sd_rad, prior.rotations_sd_rad),
+    ):
+        sd = np.where(still[:, None], before, mine)
+        covariance = np.zeros((len(sd), 3, 3))
+        covariance[:, [0, 1, 2], [0, 1, 2]] = sd**2
+        if solved is not None:
+            own = ~still & np.isfinite(solved).all(axis=(1, 2))
+            covariance[own] = solved[own, k, k]
+        out.append(covariance)
+    return out[0], out[1]
 
 
 def _angles_from_axes(omega_rad: Floats, phi_rad: Floats) -> Floats:
@@ -81,12 +107,17 @@ def _angles_from_axes(omega_rad: Floats, phi_rad: Floats) -> Floats:
     return np.linalg.pinv(np.stack([east, rx[..., :, 1], (rx @ ry)[..., :, 2]], axis=-1))
 
 
-def _turned_sd(matrix: Floats, sd: Floats) -> Floats:
-    """Standard deviations (n, 3) of `matrix @ x` for independent x.
+def _turned_covariance(matrix: Floats, covariance: Floats) -> Floats:
+    """Covariances (n, 3, 3) of `matrix @ x`.
 
     Unknown (NaN) where a component of x is that has a share above 0.1.
     """
-    known = np.where(np.isfinite(sd), sd, 0.0)
-    out = np.sqrt(np.einsum("nij,nj->ni", matrix**2, known**2))
-    lost = (np.abs(matrix) > _SMALL_SHARE) & ~np.isfinite(sd)[:, None, :]
-    return np.where(lost.any(axis=-1), np.nan, out)
+    known = np.isfinite(np.diagonal(covariance, axis1=-2, axis2=-1))
+    both = known[:, :, None] & known[:, None, :]
+    out = matrix @ np.where(both, covariance, 0.0) @ np.swapaxes(matrix, -1, -2)
+    lost = np.asarray(((np.abs(matrix) > _SMALL_SHARE) & ~known[:, None, :]).any(axis=-1))
+    return np.where(lost[:, :, None] | lost[:, None, :], np.nan, out)
+
+
+def _deviations(covariance: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)))

@@ -1,0 +1,190 @@
+"""What the adjustment leaves, as layers: of tie points on the ground and in pictures, of control points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.export.geopackage import GeoPackage
+from geomosaic.export.on_map import grid_from_work, map_from_work
+from geomosaic.matching.model import TiePoints
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+MOST_POINTS = 200_000
+"""Of more the layers show an even share: a map can't show them, and a GIS opens the file slowly."""
+
+
+def add_residual_layers(
+    package: GeoPackage, survey: Survey, ties: TiePoints, adjusted: Adjusted, gsd_m: Floats
+) -> None:
+    """The layers tie_points, residuals, image_residuals, control and control_residuals.
+
+    Args: gsd_m (n,): each frame's ground sampling distance.
+    """
+    layers = _ResidualLayers(package, survey, adjusted)
+    layers.tie_points(ties, gsd_m)
+    layers.image_residuals()
+    layers.control()
+
+
+class _ResidualLayers:
+    def __init__(self, package: GeoPackage, survey: Survey, adjusted: Adjusted) -> None:
+        self.package, self.survey, self.adjusted = package, survey, adjusted
+        self.names = np.array([f.name for f in survey.frames])
+
+    def tie_points(self, ties: TiePoints, gsd_m: Floats) -> None:
+        left, right, left_px, right_px, shift = _joined(ties, self.adjusted)
+        left_m = self._ground(left, left_px)
+        hit = np.isfinite(left_m).all(axis=1) & np.isfinite(shift).all(axis=1)
+        shown = _evenly(np.flatnonzero(hit), MOST_POINTS)
+        thinned = _thinned(len(shown), int(hit.sum()))
+        left, right, left_px, right_px = left[shown], right[shown], left_px[shown], right_px[shown]
+        left_map = map_from_work(self.survey, left_m[shown])
+        right_map = map_from_work(self.survey, left_m[shown] + np.pad(shift[shown], ((0, 0), (0, 1))))
+        residual = right_map - left_map
+        length = np.linalg.norm(residual, axis=1)
+        fields = {
+            "left_frame": self.names[left],
+            "right_frame": self.names[right],
+            "residual_m": length,
+            "residual_e_m": residual[:, 0],
+            "residual_n_m": residual[:, 1],
+            "residual_px": length / ((gsd_m[left] + gsd_m[right]) / 2.0),
+        }
+        place = {
+            "left_col_px": left_px[:, 0],
+            "left_row_px": left_px[:, 1],
+            "right_col_px": right_px[:, 0],
+            "right_row_px": right_px[:, 1],
+        }
+        middle = shapely.points((left_map + right_map) / 2.0)
+        for name, text, kind, shapes, columns in (
+            ("tie_points", "Tie points on the ground", "Point", middle, {**fields, **place}),
+            (
+                "residuals",
+                "From left to right frame's place",
+                "LineString",
+                _lines(left_map, right_map),
+                fields,
+            ),
+        ):
+            self.package.add_layer(name, text + thinned, kind, shapes, columns)
+
+    def image_residuals(self) -> None:
+        """At the place on the ground where the frame of each observation puts it."""
+        r = self.adjusted.image_residuals
+        frame = np.zeros(0, dtype=np.intp) if r is None else r.frame
+        image_px, residual_px = (np.zeros((0, 2)),) * 2 if r is None else (r.image_px, r.residual_px)
+        weight = np.zeros(0) if r is None else r.weight
+        known = np.flatnonzero(np.isfinite(residual_px).all(axis=1))
+        shown = _evenly(known, MOST_POINTS)
+        thinned = _thinned(len(shown), len(known))
+        at = self._ground(frame[shown], image_px[shown])
+        hit = np.isfinite(at).all(axis=1)
+        shown = shown[hit]
+        fields = {
+            "frame": self.names[frame[shown]],
+            "col_px": image_px[shown, 0],
+            "row_px": image_px[shown, 1],
+            "residual_col_px": residual_px[shown, 0],
+            "residual_row_px": residual_px[shown, 1],
+            "residual_px": np.linalg.norm(residual_px[shown], axis=1),
+            "weight": weight[shown],
+        }
+        text = "Tie points' image coordinates, measured minus computed" + thinned
+        points = np.asarray(shapely.points(map_from_work(self.survey, at[hit])))
+        self.package.add_layer("image_residuals", text, "Point", points, fields)
+
+    def control(self) -> None:
+        """The surveyed places, and lines from where the pictures put them: the way a residual points."""
+        points = self.survey.control
+        found = {(c.name, c.check): c for c in self.adjusted.control}
+        residuals = [found.get((p.name, p.check)) or found.get((p.name, True)) for p in points]
+        check = np.array(
+            [p.check if r is None else r.check for p, r in zip(points, residuals, strict=True)], dtype=bool
+        )
+        place = np.array([(p.lon_deg, p.lat_deg, p.height_ellipsoidal_m) for p in points]).reshape(-1, 3)
+        surveyed = self.survey.work_frame.enu_from_geodetic(*place.T)
+        off = _column(residuals, "residual_m")
+        there = surveyed - off
+        surveyed_map, found_map = map_from_work(self.survey, surveyed), map_from_work(self.survey, there)
+        residual = surveyed_map - found_map
+        residual_u = place[:, 2] - self.survey.work_frame.geodetic_from_enu(there)[:, 2]
+        turn = grid_from_work(self.survey, surveyed)
+        sd = np.sqrt(np.einsum("nij,nj->ni", turn**2, _column(residuals, "sd_m") ** 2))
+        fields = {
+            "name": np.array([p.name for p in points], dtype=str),
+            "kind": np.where(check, "check", "control"),
+            "pictures": np.array([0 if r is None else r.pictures for r in residuals], dtype=np.int64),
+            "lon_deg": place[:, 0],
+            "lat_deg": place[:, 1],
+            "height_ellipsoidal_m": place[:, 2],
+            "residual_e_m": residual[:, 0],
+            "residual_n_m": residual[:, 1],
+            "residual_u_m": residual_u,
+            "residual_m": np.linalg.norm(residual, axis=1),
+            "sd_e_m": sd[:, 0],
+            "sd_n_m": sd[:, 1],
+            "sd_u_m": sd[:, 2],
+        }  # fmt: skip
+        at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
+        self.package.add_layer("control", "Surveyed control and check points", "PointZ", at, fields)
+        seen = np.isfinite(residual).all(axis=1)
+        self.package.add_layer(
+            "control_residuals",
+            "From where the pictures put control and check points to where they were surveyed",
+            "LineString",
+            _lines(found_map[seen], surveyed_map[seen]),
+            {name: values[seen] for name, values in fields.items()},
+        )
+
+    def _ground(self, frame: NDArray[Any], image_px: Floats) -> Floats:
+        """Where frames (k,) put image coordinates (k, 2) on the ground, (k, 3)."""
+        out = np.full((len(frame), 3), np.nan)
+        a = self.adjusted
+        for i in np.unique(frame):
+            mine = frame == i
+            out[mine] = ground_from_image(a.poses[i], a.cameras[i], a.ground, image_px[mine])
+        return out
+
+
+def _joined(ties: TiePoints, adjusted: Adjusted) -> tuple[Ints, Ints, Floats, Floats, Floats]:
+    """All pairs in one: left and right frame, their pixels, and right minus left on the ground."""
+    counts = [len(p) for p in ties.pairs]
+    left = np.repeat(np.array([p.left for p in ties.pairs], dtype=np.int64), counts)
+    right = np.repeat(np.array([p.right for p in ties.pairs], dtype=np.int64), counts)
+    nothing = np.zeros((0, 2))
+    return (
+        left,
+        right,
+        np.concatenate([nothing, *(p.left_px for p in ties.pairs)]),
+        np.concatenate([nothing, *(p.right_px for p in ties.pairs)]),
+        np.concatenate([nothing, *adjusted.residuals_m]),
+    )
+
+
+def _column(residuals: list[ControlResidual | None], name: str) -> Floats:
+    """One vector a point, (n, 3), NaN where there is none."""
+    empty = np.full(3, np.nan)
+    return np.array([empty if r is None else getattr(r, name) for r in residuals]).reshape(-1, 3)
+
+
+def _lines(start_m: Floats, end_m: Floats) -> NDArray[np.object_]:
+    """Lines between places (n, 2) on the map."""
+    return np.asarray(shapely.linestrings(np.stack([start_m, end_m], axis=1)))
+
+
+def _evenly(indices: Ints, most: int) -> Ints:
+    """At most so many of them, evenly over their order, so that every part keeps its share."""
+    return indices if len(indices) <= most else indices[np.arange(most) * len(indices) // most]
+
+
+def _thinned(shown: int, there: int) -> str:
+    return f": {shown:,} of {there:,}, evenly thinned" if shown < there else ""
