@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.collinearity import INTERIOR, exp_turn, interior_of, log_turn, project
+from geomosaic.adjustment.collinearity import INTERIOR, exp_turn, interior_of, passing, project
+from geomosaic.adjustment.mounting import MOUNTING, Mounting, mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, Reduced, build_normals, reduce_normals
 from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
 from geomosaic.adjustment.terrain import Terrain, add_terrain, surface_share, terrain_cost
@@ -22,7 +23,11 @@ Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 MEASURED_SD_PX = 0.5
 """Of a control or check point measured by hand in a picture: about half a pixel."""
+NO_MOUNTING = Mounting(np.zeros(len(MOUNTING)))
 _LEAST_SIGMA_PX = 0.02
+_KNOWN = 1e-6
+_ERRORS_ALIKE = 5.0
+_DETERMINED = 0.7
 _ROUGH, _FINE = 1e-3, 1e-5
 _PRIOR_FACTORS = (0.1, 10.0)
 _STEPS_BETWEEN = 2
@@ -35,10 +40,13 @@ _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of residuals (2,) with a deviati
 class Priors:
     """What is believed before the pictures speak, with standard deviations.
 
-    interior_sd (c, 8) in the order of INTERIOR. points_m, points_sd_m (p, 3): for control points
-    their own; for tie points the ground below, weakly. control (p,): which points are control, measured
-    by hand and not bound to the terrain. terrain: a surface that tie points lie on, if one is known.
-    trust (f, 6): factors of the pose priors' weights, 1 but for tags that lie; set by the solver.
+    interior_sd (c, 9) in the order of INTERIOR, 0 for what is known. points_m, points_sd_m (p, 3): for
+    control points their own; for tie points the ground below, weakly. control (p,): which points are
+    control, measured by hand and not bound to the terrain. terrain: a surface that tie points lie on, if
+    one is known.
+    mounting: what POS and poses differ by in common. trust (f, 6): factors of the pose priors' weights, 1
+    but for tags that lie; held (s,): which of the shared unknowns, cameras' numbers before the mounting's,
+    keep what they were given as the block does not determine them; both set by the solver.
     """
 
     poses: Poses
@@ -48,7 +56,9 @@ class Priors:
     points_sd_m: Floats
     control: Bools
     terrain: Terrain | None = None
+    mounting: Mounting = NO_MOUNTING
     trust: Floats | None = None
+    held: Bools | None = None
 
 
 @dataclass(frozen=True)
@@ -56,9 +66,12 @@ class Bundle:
     """The solution. Covariances are scaled with the estimated variance components.
 
     points_sd_m: (p, 3), as if poses and cameras were known.
-    pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 8).
-    interior_correlation: (8c, 8c). residual_px: (m, 2) observed minus computed. weight: (m,) robust
-    weights, 1 for a good observation. sigma_px: estimated deviation of a tie point's image coordinate.
+    pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 9).
+    mounting, mounting_sd: (7,). shared_correlation (s, s), s = 9c + 7: of the cameras' numbers and the
+    mounting's; held (s,): which of them the block does not determine. Held numbers keep what they were
+    given, and the covariances hold what is not known of them. residual_px: (m, 2) observed minus computed.
+    weight: (m,) robust weights, 1 for a good observation. sigma_px: estimated deviation of a tie point's
+    image coordinate.
     sigma: estimated deviation over stated deviation per group. reduced: the last normal equations.
     """
 
@@ -68,7 +81,10 @@ class Bundle:
     points_sd_m: Floats
     pose_covariance: Floats
     interior_sd: Floats
-    interior_correlation: Floats
+    mounting: Floats
+    mounting_sd: Floats
+    shared_correlation: Floats
+    held: Bools
     residual_px: Floats
     weight: Floats
     sigma_px: float
@@ -83,6 +99,7 @@ class _State:
     rotations: Floats
     interior: Floats
     points: Floats
+    mounting: Floats
     level: float = 0.0
 
 
@@ -115,13 +132,36 @@ def solve_bundle(
         start.rotations.copy(),
         np.stack([interior_of(c) for c in (again.cameras if again else priors.cameras)]),
         again.points_m if again else priors.points_m,
+        again.mounting if again else np.zeros(len(MOUNTING)),
     )
-    length = _lengths_px(tracks, camera_of, state)
+    length = _lengths_px(tracks, camera_of, priors, state)
     control = priors.control[tracks.point]
     sigma = dict.fromkeys(_GROUPS, 1.0) | {
         "image": max(sigma_px, _median(length[~control])),
         "control": max(MEASURED_SD_PX, _median(length[control])),
     }
+    held = np.zeros(_shared_miss(priors, state).size, dtype=bool)
+    iterations = 0
+    while True:
+        priors = replace(priors, held=held)
+        state, priors, used = _settle(tracks, camera_of, priors, state, sigma, most)
+        iterations += used
+        bundle = _finish(tracks, camera_of, priors, state, sigma, iterations)
+        held = bundle.held | undetermined(bundle, priors)
+        if np.array_equal(held, bundle.held):
+            return bundle
+        given = np.stack([interior_of(c) for c in priors.cameras])
+        state = replace(
+            state,
+            interior=np.where(held[: given.size].reshape(given.shape), given, state.interior),
+            mounting=np.where(held[given.size :], 0.0, state.mounting),
+        )
+
+
+def _settle(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float], most: int
+) -> tuple[_State, Priors, int]:
+    """Iterates until unknowns, trust and variance components (in place) stand; the steps it took."""
     iterations, settled = 0, False
     for _ in range(12):
         priors = replace(priors, trust=_trust(priors, state, sigma))
@@ -136,8 +176,31 @@ def solve_bundle(
             break
         settled = image_changed < 0.1
     state, used = _converge(tracks, camera_of, priors, state, sigma, most, _FINE)
-    iterations += used
-    return _finish(tracks, camera_of, priors, state, sigma, iterations)
+    return state, priors, iterations + used
+
+
+def undetermined(bundle: Bundle, priors: Priors) -> Bools:
+    """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
+
+    Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
+    is not what it seems. A number counts as determined if with image errors _ERRORS_ALIKE times as large its
+    deviation would still be below _DETERMINED of what it was before the pictures spoke.
+    """
+    sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
+    free = np.flatnonzero(sd > 0.0)
+    after = np.concatenate([bundle.interior_sd.ravel(), bundle.mounting_sd])[free]
+    relative = after / sd[free]
+    covariance = bundle.shared_correlation[np.ix_(free, free)] * relative[:, None] * relative
+    told = (np.linalg.inv(covariance) - np.eye(len(free))) / _ERRORS_ALIKE**2
+    out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
+    while left.size:
+        share = np.sqrt(np.diag(np.linalg.inv(told[np.ix_(left, left)] + np.eye(left.size))))
+        worst = int(share.argmax())
+        if share[worst] < _DETERMINED:
+            break
+        out[free[left[worst]]] = True
+        left = np.delete(left, worst)
+    return out
 
 
 def _pose_sd(priors: Priors, sigma: dict[str, float]) -> Floats:
@@ -149,20 +212,28 @@ def _pose_sd(priors: Priors, sigma: dict[str, float]) -> Floats:
 
 
 def _pose_miss(priors: Priors, state: _State) -> Floats:
-    """Prior minus present pose, (f, 6)."""
-    turn = log_turn(priors.poses.rotations @ np.swapaxes(state.rotations, 1, 2))
-    return np.column_stack([priors.poses.positions_m - state.positions, turn])
+    """Told minus what present poses and mounting make of it, (f, 6)."""
+    return pose_miss(priors.poses, state.positions, state.rotations, state.mounting)
+
+
+def _shared_sd(priors: Priors) -> Floats:
+    """Prior deviations of the shared unknowns, (s,): next to nothing for those that are known or held."""
+    sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
+    known = (sd == 0.0) if priors.held is None else (sd == 0.0) | priors.held
+    return np.where(known, _KNOWN * np.where(sd == 0.0, 1.0, sd), sd)
+
+
+def _shared_miss(priors: Priors, state: _State) -> Floats:
+    """Given minus present, (s,)."""
+    given = np.stack([interior_of(c) for c in priors.cameras])
+    return np.concatenate([(given - state.interior).ravel(), -state.mounting])
 
 
 def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]) -> float:
-    length = _lengths_px(tracks, camera_of, state) / _image_sd_px(tracks, priors, sigma)
+    length = _lengths_px(tracks, camera_of, priors, state) / _image_sd_px(tracks, priors, sigma)
     total = cauchy_cost(np.where(np.isfinite(length), length, 1e6))
     total += float((_trust_of(priors) * (_pose_miss(priors, state) / _pose_sd(priors, sigma)) ** 2).sum())
-    total += float(
-        (
-            ((np.stack([interior_of(c) for c in priors.cameras]) - state.interior) / priors.interior_sd) ** 2
-        ).sum()
-    )
+    total += float(((_shared_miss(priors, state) / _shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
@@ -192,18 +263,34 @@ def _trust_of(priors: Priors) -> Floats:
     return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
 
 
-def _projected(tracks: Tracks, camera_of: Ints, state: _State) -> tuple[Floats, Floats, Floats, Floats]:
+def _projected(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: _State
+) -> tuple[Floats, Floats, Floats, Floats]:
+    camera, velocities = camera_of[tracks.frame], priors.poses.velocities_m_per_s
+    heights = np.array([c.height_px for c in priors.cameras])[camera]
     return project(
         state.positions[tracks.frame],
         state.rotations[tracks.frame],
-        state.interior[camera_of[tracks.frame]],
+        state.interior[camera],
         state.points[tracks.point],
+        passing(
+            velocities[tracks.frame] if velocities is not None and _rolls(priors) else None,
+            tracks.image_px[:, 1],
+            heights,
+        ),
     )
 
 
-def _lengths_px(tracks: Tracks, camera_of: Ints, state: _State) -> Floats:
+def _rolls(priors: Priors) -> bool:
+    """Whether any camera reads its rows one after the other, or may."""
+    readout = INTERIOR.index("readout_s")
+    return bool(priors.interior_sd[:, readout].any()) or any(c.readout_s for c in priors.cameras)
+
+
+def _lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State) -> Floats:
     """Lengths of the image residuals, (m,); NaN behind the camera."""
-    return np.asarray(np.linalg.norm(tracks.image_px - _projected(tracks, camera_of, state)[0], axis=1))
+    image, *_ = _projected(tracks, camera_of, priors, state)
+    return np.asarray(np.linalg.norm(tracks.image_px - image, axis=1))
 
 
 def _image_sd_px(tracks: Tracks, priors: Priors, sigma: dict[str, float]) -> Floats:
@@ -225,7 +312,7 @@ def _frame_share(tracks: Tracks, state: _State) -> Floats:
 def _normals(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]
 ) -> Normals:
-    image, by_pose, by_interior, by_point = _projected(tracks, camera_of, state)
+    image, by_pose, by_interior, by_point = _projected(tracks, camera_of, priors, state)
     residual = tracks.image_px - image
     seen = np.asarray(np.isfinite(residual).all(axis=1))
     residual = np.where(seen[:, None], residual, 0.0)
@@ -235,21 +322,37 @@ def _normals(
     clean = [np.where(seen[:, None, None], a, 0.0) for a in (by_pose, by_interior, by_point)]
     counts = (len(state.positions), len(state.interior), len(state.points))
     n = build_normals(tracks.frame, tracks.point, camera_of, counts, residual, weight, *clean)
-    miss, sd = _pose_miss(priors, state), _pose_sd(priors, sigma)
-    pose_weight = _trust_of(priors) / sd**2
-    interior_miss = np.stack([interior_of(c) for c in priors.cameras]) - state.interior
-    for block, side, w, m in (
-        (n.pose, n.pose_side, pose_weight, miss),
-        (n.interior, n.interior_side, 1.0 / priors.interior_sd**2, interior_miss),
-        (n.points, n.point_side, 1.0 / priors.points_sd_m**2, priors.points_m - state.points),
-    ):
-        i = np.arange(block.shape[-1])
-        block[:, i, i] += w
-        side += w * m
+    n = _with_priors(n, priors, state, sigma)
     if priors.terrain is None:
         return replace(n, level=1.0)
     share = _frame_share(tracks, state)
     return add_terrain(n, priors.terrain, ~priors.control, state.points, state.positions, share, state.level)
+
+
+def _with_priors(n: Normals, priors: Priors, state: _State, sigma: dict[str, float]) -> Normals:
+    """Adds what was believed of poses, points, lenses and mounting."""
+    by_pose, by_mounting = mounting_derivatives(priors.poses, state.rotations, state.mounting)
+    weighted = (_trust_of(priors) / _pose_sd(priors, sigma) ** 2)[:, :, None]
+    miss = _pose_miss(priors, state)[:, :, None]
+    back = np.swapaxes(by_pose, 1, 2)
+    n.pose[:] += back @ (weighted * by_pose)
+    n.pose_side[:] += (back @ (weighted * miss))[:, :, 0]
+    n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / priors.points_sd_m**2
+    n.point_side[:] += (priors.points_m - state.points) / priors.points_sd_m**2
+    weight, off = 1.0 / _shared_sd(priors) ** 2, _shared_miss(priors, state)
+    c, k = state.interior.shape
+    i = np.arange(k)
+    n.interior[:, i, i] += weight[: c * k].reshape(c, k)
+    n.interior_side[:] += (weight * off)[: c * k].reshape(c, k)
+    if not priors.mounting.asked.any():
+        return n
+    return replace(
+        n,
+        pose_mounting=back @ (weighted * by_mounting),
+        mounting=np.einsum("fai,faj->ij", by_mounting, weighted * by_mounting) + np.diag(weight[c * k :]),
+        mounting_side=np.einsum("fai,fa->i", by_mounting, (weighted * miss)[:, :, 0])
+        + (weight * off)[c * k :],
+    )
 
 
 def _converge(
@@ -265,12 +368,13 @@ def _converge(
     for iteration in range(1, most + 1):
         normals = _normals(tracks, camera_of, priors, state, sigma)
         while True:
-            pose, interior, point, level, _ = reduce_normals(normals, damping).solve()
+            pose, interior, point, level, mounting = reduce_normals(normals, damping).solve()
             trial = _State(
                 state.positions + pose[:, :3],
                 exp_turn(pose[:, 3:]) @ state.rotations,
                 state.interior + interior,
                 state.points + point,
+                state.mounting + mounting if mounting.size else state.mounting,
                 state.level + level,
             )
             trial_cost = _cost(tracks, camera_of, priors, trial, sigma)
@@ -305,13 +409,14 @@ def _variance_components(
     weight = _trust_of(priors)
     share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
     control = priors.control[tracks.point]
-    length_px = _lengths_px(tracks, camera_of, state)
+    length_px = _lengths_px(tracks, camera_of, priors, state)
     before = sigma["image"], sigma["control"]
     if not control.all():
         length = np.nan_to_num(length_px[~control] / sigma["image"], nan=1e6)
         robust = cauchy_weight(length)
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
-        settled += float((np.diag(shared)[: state.interior.size] / priors.interior_sd.ravel() ** 2).sum())
+        known = np.diag(shared)[: state.interior.size] / _shared_sd(priors)[: state.interior.size] ** 2
+        settled += float(known.sum())
         unknowns = 6 * len(state.positions) + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
         sigma["image"] *= float(np.sqrt((robust * length**2).sum() / redundancy))
@@ -337,22 +442,33 @@ def _variance_components(
 def _finish(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float], iterations: int
 ) -> Bundle:
-    n = _normals(tracks, camera_of, priors, state, sigma)
-    reduced = reduce_normals(n)
+    reduced = reduce_normals(_normals(tracks, camera_of, replace(priors, held=None), state, sigma))
     covariance, shared = reduced.covariance()
-    full = shared[: state.interior.size, : state.interior.size]
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    image, *_ = _projected(tracks, camera_of, state)
+    image, *_ = _projected(tracks, camera_of, priors, state)
     residual = tracks.image_px - image
+    cameras, mounting = state.interior.size, state.mounting.size
+    solved = np.r_[0:cameras, cameras + 1 : len(shared)]
+    full = np.eye(cameras + mounting) * _KNOWN**2
+    full[: len(solved), : len(solved)] = shared[np.ix_(solved, solved)]
     spread = np.sqrt(np.diag(full))
     return Bundle(
-        poses=Poses(state.positions, state.rotations, sd[:, :3], sd[:, 3:]),
+        poses=replace(
+            priors.poses,
+            positions_m=state.positions,
+            rotations=state.rotations,
+            positions_sd_m=sd[:, :3],
+            rotations_sd_rad=sd[:, 3:],
+        ),
         cameras=tuple(with_interior(c, row) for c, row in zip(priors.cameras, state.interior, strict=True)),
         points_m=state.points,
         points_sd_m=np.sqrt(np.diagonal(reduced.points_inverse, axis1=1, axis2=2)),
         pose_covariance=covariance,
-        interior_sd=spread.reshape(state.interior.shape),
-        interior_correlation=full / spread[:, None] / spread,
+        interior_sd=spread[:cameras].reshape(state.interior.shape),
+        mounting=state.mounting,
+        mounting_sd=spread[cameras:],
+        shared_correlation=full / spread[:, None] / spread,
+        held=np.zeros(len(full), dtype=bool) if priors.held is None else priors.held,
         residual_px=residual,
         weight=np.nan_to_num(
             cauchy_weight(np.linalg.norm(residual, axis=1) / _image_sd_px(tracks, priors, sigma))

@@ -11,32 +11,49 @@ from geomosaic.camera.interior import Camera
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-INTERIOR = ("focal_length_px", "principal_col_px", "principal_row_px", "k1", "k2", "k3", "p1", "p2")
+INTERIOR = (
+    "focal_length_px",
+    "principal_col_px",
+    "principal_row_px",
+    "k1",
+    "k2",
+    "k3",
+    "p1",
+    "p2",
+    "readout_s",
+)
 
 
 def interior_of(camera: Camera) -> Floats:
-    """A camera's numbers in the order of INTERIOR, (8,)."""
+    """A camera's numbers in the order of INTERIOR, (9,)."""
     return np.array([getattr(camera, name) for name in INTERIOR])
 
 
 def project(
-    positions_m: Floats, rotations: Floats, interior: Floats, points_m: Floats
+    positions_m: Floats,
+    rotations: Floats,
+    interior: Floats,
+    points_m: Floats,
+    passing_m_per_s: Floats | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Image coordinates and their derivatives, one row an observation.
 
     See `Camera` and `Rotation` for the equations. A rotation's update is a small turn about the work
     frame's axes from the left, R = exp([t]) R0.
 
-    Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 8) in the order of INTERIOR,
-        points_m (m, 3).
-    Returns: image_px (m, 2); by_pose (m, 2, 6): position, then turn in rad; by_interior (m, 2, 8);
+    Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR,
+        points_m (m, 3). passing_m_per_s (m, 3): by what the projection centre moves for each second of
+        readout until the observation's row is read, see `passing`.
+    Returns: image_px (m, 2); by_pose (m, 2, 6): position, then turn in rad; by_interior (m, 2, 9);
         by_point (m, 2, 3). NaN behind the camera.
     """
     d = points_m - positions_m
+    if passing_m_per_s is not None:
+        d = d - interior[:, 8:] * passing_m_per_s
     x, y, z = np.einsum("mij,mi->jm", rotations, d)
     z = np.where(z < 0.0, z, np.nan)
     u, v = -x / z, y / z
-    f, _, _, k1, k2, k3, p1, p2 = interior.T
+    f, _, _, k1, k2, k3, p1, p2 = interior[:, :8].T
     r2 = u * u + v * v
     s = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     ds = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
@@ -56,14 +73,24 @@ def project(
     by_point = (f[:, None, None] * by_uv) @ uv_by_camera @ np.swapaxes(rotations, 1, 2)
     by_turn = np.cross(by_point, d[:, None, :])
     by_pose = np.concatenate([-by_point, by_turn], axis=2)
-    by_interior = np.zeros((len(u), 2, 8))
+    by_interior = np.zeros((len(u), 2, len(INTERIOR)))
     by_interior[:, 0, 0], by_interior[:, 1, 0] = xd, yd
     by_interior[:, 0, 1] = by_interior[:, 1, 2] = 1.0
     for column, power in ((3, r2), (4, r2**2), (5, r2**3)):
         by_interior[:, 0, column], by_interior[:, 1, column] = f * u * power, f * v * power
     by_interior[:, 0, 6], by_interior[:, 1, 6] = f * 2.0 * u * v, f * (r2 + 2.0 * v * v)
     by_interior[:, 0, 7], by_interior[:, 1, 7] = f * (r2 + 2.0 * u * u), f * 2.0 * u * v
+    if passing_m_per_s is not None:
+        by_interior[:, :, 8] = -np.einsum("maj,mj->ma", by_point, passing_m_per_s)
     return image, by_pose, by_interior, by_point
+
+
+def passing(velocities_m_per_s: Floats | None, row_px: Floats, heights_px: Floats) -> Floats | None:
+    """`project`'s passing_m_per_s from velocities (m, 3), the rows of observations (m,) as measured, and the
+    heights of their pictures (m,)."""
+    if velocities_m_per_s is None:
+        return None
+    return np.asarray(velocities_m_per_s * (row_px / heights_px - 0.5)[:, None])
 
 
 def exp_turn(turn_rad: Floats) -> Floats:

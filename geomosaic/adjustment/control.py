@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle import MEASURED_SD_PX, Bundle, Priors
-from geomosaic.adjustment.collinearity import interior_of, project
+from geomosaic.adjustment.collinearity import interior_of, passing, project
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
@@ -25,7 +25,7 @@ _UNKNOWN_SD = 1e3
 
 Spread = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses
-(k, 3, 6) and by their cameras' numbers (k, 3, 8)."""
+(k, 3, 6) and by their cameras' numbers (k, 3, 9)."""
 
 
 def ground_control(survey: Survey) -> tuple[GroundControl, ...]:
@@ -123,9 +123,10 @@ def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
     """
 
     def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
-        poses, shared = np.zeros((len(camera_of), 6, 3)), np.zeros((len(bundle.cameras) * 8 + 1, 3))
+        poses, shared = np.zeros((len(camera_of), 6, 3)), np.zeros((len(bundle.reduced.shared), 3))
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
-        np.add.at(shared[:-1].reshape(-1, 8, 3), camera_of[frames], np.swapaxes(by_interior, 1, 2))
+        of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
+        np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
         return bundle.reduced.propagate(poses.reshape(-1, 3), shared)
 
     return spread
@@ -152,7 +153,7 @@ def _place(
     """A ground point (3,) from its image coordinates (k, 2), by least squares.
 
     Returns: the point; its covariance (3, 3) for poses and cameras without error; its derivatives by the
-    frames' poses (k, 3, 6) and cameras (k, 3, 8). None where it can't be had. In a single picture the
+    frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it can't be had. In a single picture the
     ground's height is as good as the surveyed point says.
     """
     single = len(np.unique(frames)) == 1
@@ -161,6 +162,8 @@ def _place(
     else:
         at_m = _nearest_to_rays(poses, cameras, frames, image_px)
     interior = np.stack([interior_of(cameras[i]) for i in frames])
+    velocities = None if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frames]
+    passed = passing(velocities, image_px[:, 1], np.array([cameras[i].height_px for i in frames]))
     level = np.zeros((3, 3))
     if single:
         level[2, 2] = (MEASURED_SD_PX / max(abs(surveyed_m[2] - at_m[2]), 1e-3)) ** 2
@@ -169,7 +172,7 @@ def _place(
             return None
         many = np.broadcast_to(at_m, (len(frames), 3))
         image, by_pose, by_interior, by_point = project(
-            poses.positions_m[frames], poses.rotations[frames], interior, many
+            poses.positions_m[frames], poses.rotations[frames], interior, many, passed
         )
         if not np.isfinite(image).all():
             return None
@@ -188,7 +191,7 @@ def _nearest_to_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints, im
         ray = ray / np.linalg.norm(ray)
         across = np.eye(3) - np.outer(ray, ray)
         normal += across
-        side += across @ poses.positions_m[i]
+        side += across @ poses[i].centre_at(cameras[i], px)
     if np.linalg.cond(normal) > 1e12:
         return np.full(3, np.nan)
     return np.asarray(np.linalg.solve(normal, side))

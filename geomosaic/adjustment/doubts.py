@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.chain import fit_similarity
-from geomosaic.adjustment.collinearity import log_turn
-from geomosaic.adjustment.model import Block
+from geomosaic.adjustment.collinearity import INTERIOR, log_turn
+from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.survey.model import Warn
@@ -82,3 +82,11 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
         )
         out.append(Warn("scale-doubtful", "", text))
     return out
+
+
+def undetermined_wishes(shared: SharedUnknowns) -> list[Warn]:
+    """What was asked for beyond the lens and can't be told from this block."""
+    lens = INTERIOR[:-1]
+    names = [n for n, held in zip(shared.names, shared.held, strict=True) if held and n not in lens]
+    text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
+    return [Warn("not-determined", "", f"{name}: {text}") for name in names]

@@ -73,12 +73,18 @@ class Settings:
 
     epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
     rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
+    boresight, lever_arm, gps_lag, rolling_shutter: whether a bundle solves for them, see `Mounting` and
+    `Camera`.
     """
 
     epsilon_px: float = 10.0
     max_rounds: int = 12
     ground: str = "auto"
     observations_per_frame: int = 2000
+    boresight: bool = False
+    lever_arm: bool = False
+    gps_lag: bool = False
+    rolling_shutter: bool = False
 
 
 @dataclass(frozen=True)

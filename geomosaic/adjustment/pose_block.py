@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
-from geomosaic.adjustment.doubts import doubtful_positions, lying_tags
+from geomosaic.adjustment.doubts import doubtful_positions, lying_tags, undetermined_wishes
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
+from geomosaic.adjustment.mounting import MOUNTING, UNIT, Mounting
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.similarity_block import similarity_block
 from geomosaic.adjustment.surface import level_m, tie_surface
@@ -32,6 +33,8 @@ Floats = NDArray[np.float64]
 _LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
 _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
+_READOUT_SD_S = 0.05
+_MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
 _DEM_SD_M = 1.0
 _DEM_LEVEL_SD_M = 2.0
 _ANY_RELIEF = 0.3
@@ -67,7 +70,8 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     priors = Priors(
         poses=block.poses,
         cameras=cameras,
-        interior_sd=np.stack([interior_deviations(c) for c in cameras]),
+        interior_sd=np.stack([interior_deviations(c, readout=settings.rolling_shutter) for c in cameras]),
+        mounting=_mounting(settings),
         points_m=points,
         points_sd_m=_point_deviations(block, points),
         control=np.zeros(ties, dtype=bool),
@@ -89,6 +93,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     net = offset_net(block)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
+    shared = _shared(bundle, priors)
     outcome = settled(
         block,
         bundle.poses,
@@ -98,6 +103,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         warnings=(
             *lying_tags(block, bundle.poses),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
+            *undetermined_wishes(shared),
         ),
         figures=_figures(bundle, kept),
         spread=spread_of(bundle, camera_of),
@@ -105,7 +111,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     return replace(
         outcome,
         pose_covariance=bundle.pose_covariance,
-        shared=_shared(bundle, cameras),
+        shared=shared,
         image_residuals=ImageResiduals(kept.frame, kept.image_px, bundle.residual_px, bundle.weight),
     )
 
@@ -174,11 +180,17 @@ def start_poses(block: Block) -> Poses:
     )
 
 
-def interior_deviations(camera: Camera) -> Floats:
-    """Prior deviations of a camera's numbers in the order of INTERIOR."""
+def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
+    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked."""
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
     principal = _PRINCIPAL_SD * max(camera.width_px, camera.height_px)
-    return np.array([focal, principal, principal, *(_LENS_SD[name] for name in INTERIOR[3:])])
+    lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
+    return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
+
+
+def _mounting(settings: Settings) -> Mounting:
+    asked = [settings.boresight] * 3 + [settings.lever_arm] * 3 + [settings.gps_lag]
+    return Mounting(np.where(asked, _MOUNTING_SD, 0.0))
 
 
 def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:
@@ -269,15 +281,22 @@ def _bend(points: Floats, relief: Floats) -> Floats:
     return np.asarray(terms @ np.linalg.lstsq(terms, relief, rcond=None)[0])
 
 
-def _shared(bundle: Bundle, given: tuple[Camera, ...]) -> SharedUnknowns:
+def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
+    """The cameras' numbers and the mounting's that are not known beforehand, in the units of their names."""
+    cameras, unit = priors.cameras, np.concatenate([np.ones(bundle.interior_sd.size), UNIT])
+    told = np.concatenate([*(interior_of(c) for c in cameras), np.zeros(len(MOUNTING))])
+    found = np.concatenate([*(interior_of(c) for c in bundle.cameras), bundle.mounting])
+    of = [c.name for c in cameras for _ in INTERIOR] + ["platform"] * len(MOUNTING)
+    names = INTERIOR * len(cameras) + MOUNTING
+    rows = np.flatnonzero(np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd]))
     return SharedUnknowns(
-        of=tuple(c.name for c in given for _ in INTERIOR),
-        names=INTERIOR * len(given),
-        given=np.concatenate([interior_of(c) for c in given]),
-        found=np.concatenate([interior_of(c) for c in bundle.cameras]),
-        sd=bundle.interior_sd.ravel(),
-        correlation=bundle.interior_correlation,
-        held=np.zeros(bundle.interior_sd.size, dtype=bool),
+        of=tuple(of[k] for k in rows),
+        names=tuple(names[k] for k in rows),
+        given=(told / unit)[rows],
+        found=(found / unit)[rows],
+        sd=(np.concatenate([bundle.interior_sd.ravel(), bundle.mounting_sd]) / unit)[rows],
+        correlation=bundle.shared_correlation[np.ix_(rows, rows)],
+        held=bundle.held[rows],
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,8 +96,8 @@ class Camera:
     def _radial(self, r_sq: Floats) -> Floats:
         return np.asarray(r_sq * (self.k1 + r_sq * (self.k2 + r_sq * self.k3)))
 
-    def read_after_s(self, row_px: Floats) -> Floats:
-        """When rows are read, from the middle one on."""
+    def read_after_s(self, row_px: NDArray[Any]) -> NDArray[Any]:
+        """When rows are read, from the middle one on, in the precision of the rows."""
         return np.asarray(self.readout_s * (row_px / self.height_px - 0.5))
 
     def distort(self, xy: Floats) -> Floats:

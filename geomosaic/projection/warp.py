@@ -139,9 +139,9 @@ def frame_from_map(
             continue
         _image_from_camera(camera, limit, x.copy(), y.copy(), z.copy(), *into)
         for _ in range(_READOUT_ROUNDS):
-            after_s = camera.read_after_s(into[1]).astype(np.float32)
-            moved = (axis - after_s * np.float32(v) for axis, v in zip((x, y, z), velocity, strict=True))
-            _image_from_camera(camera, limit, *moved, *into)
+            after_s = camera.read_after_s(into[1])
+            mx, my, mz = (axis - after_s * np.float32(v) for axis, v in zip((x, y, z), velocity, strict=True))
+            _image_from_camera(camera, limit, mx, my, mz, *into)
     return col, row
 
 

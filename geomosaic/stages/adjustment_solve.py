@@ -27,7 +27,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
@@ -50,6 +50,10 @@ class AdjustmentSolve(Stage):
             help="without a DEM, what a bundle makes of its points",
             choices=("auto", "flat", "tie_surface"),
         )
+        boresight: bool = param(False, help="a bundle solves for the attitude between platform and camera")
+        lever_arm: bool = param(False, help="a bundle solves for where positions are told, from the camera")
+        gps_lag: bool = param(False, help="a bundle solves for how late positions are, along the flight")
+        rolling_shutter: bool = param(False, help="a bundle solves for the time from first to last row")
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Builds the block, adjusts it, tells what happened."""
@@ -71,9 +75,7 @@ class AdjustmentSolve(Stage):
             turned=placement.turned,
             control=ground_control(survey),
         )
-        adjusted = METHODS[params.method](
-            block, Settings(params.epsilon_px, params.max_rounds, params.ground)
-        )
+        adjusted = METHODS[params.method](block, Settings(**params.model_dump(exclude={"method"})))
         held = {i for c in block.control if not c.check for i, _, _ in c.observations}
         parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
@@ -102,6 +104,7 @@ class AdjustmentSolve(Stage):
         for warning in adjusted.warnings:
             context.warn(warning.code, warning.frame, warning.text)
         _tell_control(context, adjusted)
+        _tell_shared(context, adjusted)
         for name, value in adjusted.figures.items():
             context.metric(f"adjustment.{name}", value)
         context.metric("ground.kind", adjusted.ground.kind)
@@ -115,3 +118,22 @@ def _tell_control(context: Context, adjusted: Adjusted) -> None:
         off_m = [c.residual_m for c in adjusted.control if c.check == check]
         if off_m:
             context.metric(f"adjustment.{kind}", asdict(control_figures(np.stack(off_m))))
+
+
+def _tell_shared(context: Context, adjusted: Adjusted) -> None:
+    """What frames share, each with what was given, found, its deviation, and whether it was held."""
+    shared = adjusted.shared
+    if shared is not None:
+        columns = (shared.of, shared.names, shared.given, shared.found, shared.sd, shared.held)
+        told = [
+            {
+                "of": of,
+                "name": name,
+                "given": float(given),
+                "found": float(found),
+                "sd": float(sd),
+                "held": bool(held),
+            }
+            for of, name, given, found, sd, held in zip(*columns, strict=True)
+        ]
+        context.metric("adjustment.shared", told)
