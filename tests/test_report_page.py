@@ -14,6 +14,7 @@ from report_survey import HOSTILE, made_up_run
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
+from geomosaic.export.orientation import orientations
 from geomosaic.export.overview import glance
 from geomosaic.export.report import render_report
 from geomosaic.export.report_parts import frame_rows
@@ -102,7 +103,11 @@ def test_the_score_form_asks_each_criterion_at_five_levels(html):
 
 
 def test_moved_and_turned_are_measured_from_the_prior(run):
-    rows = frame_rows(run["survey"], run["placement"], run["ties"], run["adjusted"])
+    rows = frame_rows(
+        run["placement"],
+        run["ties"],
+        orientations(run["survey"], run["placement"].poses, run["adjusted"]),
+    )
     moved = run["adjusted"].poses.positions_m[5] - run["placement"].poses.positions_m[5]
     assert rows[5].moved_m == pytest.approx(float(np.sqrt((moved**2).sum())))
     assert 0.0 < rows[5].turned_deg < 4.0

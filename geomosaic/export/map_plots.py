@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 _MARGIN, _FOOT = 40.0, 34.0
 
 
-class _Map:
+class MapArea:
     """Map metres to picture: one scale for both axes, north up."""
 
     def __init__(self, at_m: Floats, width: float) -> None:
@@ -70,11 +70,11 @@ def vector_map(
     good = np.isfinite(at_m).all(axis=1) & np.isfinite(vector_m).all(axis=1)
     second = (np.zeros(len(at_m), dtype=bool) if weak is None else weak)[good]
     at, vector = at_m[good], vector_m[good]
-    area = _Map(np.concatenate([at, *outlines_m]) if len(at) or outlines_m else np.zeros((1, 2)), width)
+    area = MapArea(np.concatenate([at, *outlines_m]) if len(at) or outlines_m else np.zeros((1, 2)), width)
     keep = np.arange(len(at))[:: max(1, -(-len(at) // most))]
     length = np.linalg.norm(vector, axis=1)
     typical = float(np.quantile(length, 0.95)) * unit_per_m if len(at) else 0.0
-    px_per_unit = _arrow_px(area.at(at[keep])) / typical if typical > 0.0 else 1.0
+    px_per_unit = arrow_px(area.at(at[keep])) / typical if typical > 0.0 else 1.0
     legend = max((t for t in nice_ticks(0.0, typical, 4) if t <= typical), default=0.0) or 1.0
     out = [
         tag("polygon", points=points(area.at(o)), fill="none", stroke="currentColor", stroke_opacity=0.25)
@@ -82,25 +82,26 @@ def vector_map(
     ]
     tips = vector * [unit_per_m * px_per_unit, -unit_per_m * px_per_unit]
     for i in keep:
-        out.append(_arrow(area.at(at[i]), tips[i], COLOURS[1] if second[i] else COLOURS[0]))
+        out.append(arrow(area.at(at[i]), tips[i], COLOURS[1] if second[i] else COLOURS[0]))
     x, y = width / 2, area.height - 24
     factor = px_per_unit * unit_per_m / area.px_per_m
     words = f"arrow: {legend:g} {unit} (drawn {factor:,.0f} times larger)"
     if len(keep) < len(at):
         words += f", {len(keep)} of {len(at)} shown"
-    out += [_arrow(np.array([x, y - 3.0]), np.array([legend * px_per_unit, 0.0]), COLOURS[0])]
+    out += [arrow(np.array([x, y - 3.0]), np.array([legend * px_per_unit, 0.0]), COLOURS[0])]
     out.append(text(x, y + 17, words))
     return document(width, area.height, [*out, *area.foot()], label)
 
 
-def _arrow_px(at: Floats) -> float:
+def arrow_px(at: Floats) -> float:
     """How long a long arrow may be: the usual distance to the next one, within bounds."""
     if len(at) < 2:
         return 48.0
     return float(np.clip(np.median(cKDTree(at).query(at, k=2)[0][:, 1]), 14.0, 48.0))
 
 
-def _arrow(start: Floats, vector: Floats, colour: str) -> str:
+def arrow(start: Floats, vector: Floats, colour: str) -> str:
+    """From a dot at `start` (2,) along `vector` (2,), both in the picture; a mere dot if too short to see."""
     length = float(np.hypot(*vector))
     if length < 1.0:
         return tag("circle", cx=float(start[0]), cy=float(start[1]), r=1.5, fill=colour)
@@ -131,7 +132,7 @@ def network_map(
     Args: at_m (n, 2); edges (k, 2) indices; weights (k,) of which `what` says what it is; dashed (m, 2)
     pairs tried in vain; names beside the dots where there are at most 40; marked (n,) dots to stand out.
     """
-    area = _Map(at_m, width)
+    area = MapArea(at_m, width)
     at = area.at(at_m)
     heavy = float(np.max(weights)) if len(weights) else 1.0
     order = np.argsort(weights)[max(0, len(weights) - most) :]

@@ -197,9 +197,19 @@ def bar_plot(names: Sequence[str], values: ArrayLike, axis: Axis, *, label: str,
 
 
 def histogram(
-    values: ArrayLike, axis: Axis, *, label: str, bins: int = 40, width: float = 720, height: float = 300
+    values: ArrayLike,
+    axis: Axis,
+    *,
+    label: str,
+    bins: int = 40,
+    width: float = 720,
+    height: float = 300,
+    mark: tuple[str, float] | None = None,
 ) -> str:
-    """How often values lie in equal bins; the highest 1 % are gathered in the last bin, marked `≥`."""
+    """How often values lie in equal bins; the highest 1 % are gathered in the last bin, as the picture says.
+
+    mark: a value to be marked by a line, and its name.
+    """
     seen = np.asarray(values, dtype=np.float64).ravel()
     seen = seen[np.isfinite(seen)]
     top = float(np.quantile(seen, 0.99)) if seen.size else 1.0
@@ -218,4 +228,9 @@ def histogram(
     if beyond:
         words = f"last bin holds {beyond} beyond {ticks[-1]:g}, largest {seen.max():.3g}"
         out.append(text(frame.right, 20, words, text_anchor="end", class_="faint"))
+    if mark is not None and ticks[0] <= mark[1] <= ticks[-1]:
+        at = float(frame.at_x(mark[1]))
+        line = {"x1": at, "x2": at, "y1": frame.top - 8, "y2": frame.bottom}
+        out.append(tag("line", None, **line, stroke=COLOURS[1], stroke_width=2, stroke_dasharray="6 3"))
+        out.append(text(at, frame.top - 13, mark[0], text_anchor="middle"))
     return document(width, height, out, label)

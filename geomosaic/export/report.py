@@ -15,8 +15,12 @@ from pyproj import CRS
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.export import report_parts as parts
+from geomosaic.export.on_map import map_from_work
+from geomosaic.export.orientation import orientations
 from geomosaic.export.overview import glance, overview
 from geomosaic.export.plots import Axis, bar_plot
+from geomosaic.export.report_solved import solved_section
+from geomosaic.export.solved import ground_reason
 from geomosaic.export.svg import short
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
@@ -30,7 +34,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 _MOST_ROWS = 3000
 _MOST_WARNINGS = 500
 
-_GROUND = {"flat": "on flat ground", "dem": "on the DEM", "tie_surface": "on the tie points' surface"}
+_GROUND = {"flat": "flat ground", "dem": "the DEM", "tie_surface": "the tie points' surface"}
 _STATUS = {
     "tied": "joined to its neighbours by tie points",
     "placed": "placed by its position and attitude alone",
@@ -62,16 +66,19 @@ def render_report(
     names = tuple(f.name for f in survey.frames)
     picture = glance(mosaic_file)
     footprints_m = parts.map_footprints_m(survey, adjusted)
-    nadir_m = parts.map_positions_m(survey, adjusted.poses.positions_m)
+    nadir_m = map_from_work(survey, adjusted.poses.positions_m)
     drawn = overview(
         picture, footprints_m, nadir_m, placement.lines, placement.sequence, adjusted.status, names
     )
     pairs = pair_misalignments(ties, adjusted.residuals_m)
-    rows = parts.frame_rows(survey, placement, ties, adjusted)
+    orientation = orientations(survey, placement.poses, adjusted)
+    rows = parts.frame_rows(placement, ties, orientation)
+    ground = _ground(adjusted, summary)
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters["short"] = short
+    environment.filters["svg"] = _markup
     svg = _markup
     return environment.get_template(
         "report.html"
@@ -99,6 +106,7 @@ def render_report(
         frames_left_out=max(0, len(rows) - _MOST_ROWS),
         status_words=_STATUS,
         control=parts.control_tables(adjusted),
+        solved=solved_section(survey, placement, adjusted, orientation, footprints_m, ground),
         cameras=parts.camera_rows(survey, adjusted),
         timings=svg(_timings(summary)),
         recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
@@ -160,7 +168,13 @@ def _facts(
 
 def _adjustment_note(adjusted: Adjusted) -> str:
     rounds = _plural(len(adjusted.rounds), "round") + ", " if adjusted.rounds else ""
-    return f"{rounds}{_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)}"
+    return f"{rounds}on {_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)}"
+
+
+def _ground(adjusted: Adjusted, summary: Mapping[str, Any]) -> str:
+    """Which surface, and why, as the run told it."""
+    told = summary.get("metrics", {}).get("ground", {}).get("reason") or ground_reason(adjusted)
+    return f"{_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)} ({told})"
 
 
 def _plural(number: int, noun: str) -> str:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.camera.interior import Camera
 from geomosaic.export.map_plots import network_map, vector_map
+from geomosaic.export.on_map import map_from_work
+from geomosaic.export.orientation import Orientations
 from geomosaic.export.plots import Axis, Series, histogram, line_plot
 from geomosaic.export.svg import short
-from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint
@@ -42,33 +43,24 @@ class FrameRow:
     sd_horizontal_m: float
 
 
-def frame_rows(survey: Survey, placement: Placement, ties: TiePoints, adjusted: Adjusted) -> list[FrameRow]:
+def frame_rows(placement: Placement, ties: TiePoints, orientation: Orientations) -> list[FrameRow]:
     """Rows in order of the survey: how far each frame was moved (3D) and turned from its POS."""
-    moved = np.linalg.norm(adjusted.poses.positions_m - placement.poses.positions_m, axis=1)
-    count = np.zeros(len(survey.frames), dtype=np.int64)
+    count = np.zeros(len(orientation.names), dtype=np.int64)
     for pair in ties.pairs:
         count[[pair.left, pair.right]] += len(pair)
-    turn = np.swapaxes(placement.poses.rotations, 1, 2) @ adjusted.poses.rotations
-    turned = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)))
-    sd = np.linalg.norm(adjusted.poses.positions_sd_m[:, :2], axis=1)
+    sd = np.linalg.norm(orientation.sd_m[:, :2], axis=1)
     return [
         FrameRow(
-            f.name,
+            name,
             placement.lines[i],
-            adjusted.status[i],
+            orientation.status[i],
             int(count[i]),
-            float(moved[i]),
-            float(turned[i]),
+            float(orientation.moved_m[i]),
+            float(orientation.turned_deg[i]),
             float(sd[i]),
         )
-        for i, f in enumerate(survey.frames)
+        for i, name in enumerate(orientation.names)
     ]
-
-
-def map_positions_m(survey: Survey, positions_m: Floats) -> Floats:
-    """Easting and northing (..., 2) of points in the work frame."""
-    geodetic = survey.work_frame.geodetic_from_enu(positions_m)
-    return MapProjection(survey.map_crs).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
 
 
 def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
@@ -78,7 +70,7 @@ def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
     for i, camera in enumerate(adjusted.cameras):
         outline = footprint(adjusted.poses[i], camera, adjusted.ground, per_side)
         seen = outline[np.isfinite(outline).all(axis=1)]
-        out.append(map_positions_m(survey, seen) if len(seen) else np.empty((0, 2)))
+        out.append(map_from_work(survey, seen) if len(seen) else np.empty((0, 2)))
     return out
 
 
@@ -107,8 +99,8 @@ def misaligned_px(adjusted: Adjusted, i: int, ground_pixel_m: float) -> tuple[fl
 
 def moves_map(survey: Survey, placement: Placement, adjusted: Adjusted, footprints_m: list[Floats]) -> str:
     """Arrows from where POS put the projection centres to where the adjustment puts them."""
-    before = map_positions_m(survey, placement.poses.positions_m)
-    after = map_positions_m(survey, adjusted.poses.positions_m)
+    before = map_from_work(survey, placement.poses.positions_m)
+    after = map_from_work(survey, adjusted.poses.positions_m)
     odd = np.array([s != "tied" for s in adjusted.status])
     outlines = [o for o in footprints_m if len(o) > 2] if len(footprints_m) <= _OUTLINES else []
     return vector_map(
@@ -120,7 +112,7 @@ def ties_map(survey: Survey, ties: TiePoints, adjusted: Adjusted) -> str:
     """The graph of tied frames."""
     edges = np.array([(p.left, p.right) for p in ties.pairs], dtype=np.int64).reshape(-1, 2)
     return network_map(
-        map_positions_m(survey, adjusted.poses.positions_m),
+        map_from_work(survey, adjusted.poses.positions_m),
         edges,
         np.array([len(p) for p in ties.pairs], dtype=np.float64),
         label="which frames are tied, and by how many tie points",
@@ -169,8 +161,9 @@ def control_tables(adjusted: Adjusted) -> list[tuple[str, ControlFigures, list[C
 
 
 def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tuple[str, str, str]]]]:
-    """For each camera its parameters: name, as given, as adjusted."""
-    used: dict[str, Camera] = {c.name: c for c in adjusted.cameras}
+    """For each camera that no solve tells of its parameters: name, as given, as adjusted."""
+    solved = () if adjusted.shared is None else adjusted.shared.of
+    used: dict[str, Camera] = {c.name: c for c in adjusted.cameras if c.name not in solved}
     parameters = (
         ("focal length", "focal_length_px", "px"),
         ("principal point, col", "principal_col_px", "px"),

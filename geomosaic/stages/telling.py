@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.camera.exterior import Poses
+from geomosaic.export.solved import ground_reason
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.stage import Context
 from geomosaic.survey.model import Survey
@@ -38,8 +39,11 @@ def outline_feature(work_frame: LocalFrame, outline_m: Floats, properties: dict[
     }
 
 
-def record_adjusted(context: Context, survey: Survey, block: Block, adjusted: Adjusted) -> None:
-    """The rounds of an adjustment, the residuals of every pair, and where the frames ended up."""
+def record_adjusted(
+    context: Context, survey: Survey, block: Block, adjusted: Adjusted, asked_ground: str = "auto"
+) -> None:
+    """The rounds of an adjustment, the residuals of every pair, where the frames ended up, on what ground."""
+    context.metric("ground.reason", ground_reason(adjusted, asked_ground))
     pairs = [(block.names[t.left], block.names[t.right]) for t in block.ties.pairs]
     for number, round_ in enumerate(adjusted.rounds):
         context.recorder.offsets(

@@ -1,0 +1,142 @@
+"""Pictures of what was solved as SVG text: correlations, residuals over a picture, error ellipses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.export.map_plots import MapArea, arrow, arrow_px
+from geomosaic.export.svg import COLOURS, document, nice_ticks, number, points, tag, text
+
+Floats = NDArray[np.float64]
+_MOST_UNKNOWNS = 40
+_LEGEND_RADIUS = 14.0
+
+
+def correlation_map(names: Sequence[str], correlation: Floats, *, label: str, width: float = 720) -> str:
+    """A square of cells: blue for negative, orange for positive, the fuller the stronger.
+
+    Of more than 40 names the first 40, as the picture says.
+    """
+    n = min(len(names), _MOST_UNKNOWNS)
+    left = 50.0 + 7.0 * max((len(name) for name in names[:n]), default=0)
+    cell = float(np.clip((width - left - 20.0) / max(n, 1), 12.0, 38.0))
+    out = []
+    for i in range(n):
+        y = 24.0 + cell * i
+        out.append(text(left - 34, y + cell / 2 + 4.5, names[i], text_anchor="end"))
+        out.append(text(left - 8, y + cell / 2 + 4.5, str(i + 1), text_anchor="end"))
+        out.append(text(left + cell * (i + 0.5), 16, str(i + 1), text_anchor="middle"))
+        for j in range(n):
+            r = float(np.nan_to_num(correlation[i, j]))
+            x = left + cell * j
+            told = tag("title", f"{i + 1}, {j + 1}: {r:+.2f}")
+            fill = COLOURS[1] if r > 0.0 else COLOURS[0]
+            place = {"x": x + 0.5, "y": y + 0.5, "width": cell - 1.0, "height": cell - 1.0}
+            out.append(tag("rect", None, **place, fill="currentColor", fill_opacity=0.05))
+            out.append(tag("rect", told, **place, fill=fill, fill_opacity=round(abs(r), 3)))
+            if cell >= 30.0 and i != j and abs(r) >= 0.005:
+                ink = "fill:#fff" if abs(r) > 0.6 else None
+                digits = f"{r:.2f}".replace("0.", ".")
+                out.append(
+                    text(
+                        x + cell / 2,
+                        y + cell / 2 + 4.0,
+                        digits,
+                        text_anchor="middle",
+                        font_size=11,
+                        style=ink,
+                    )
+                )
+    words = "blue: negative, orange: positive; full colour: 1"
+    if n < len(names):
+        words += f"; the first {n} of {len(names)}"
+    height = 24.0 + cell * n + 26.0
+    return document(width, height, [*out, text(left, height - 8, words)], label)
+
+
+def picture_vectors(
+    size_px: tuple[int, int],
+    at_px: Floats,
+    vector_px: Floats,
+    *,
+    label: str,
+    principal_px: tuple[float, float],
+    scatter_px: float,
+    width: float = 720,
+) -> str:
+    """Arrows over a picture, its top up, with the principal point as a cross.
+
+    Args: size_px width and height; at_px, vector_px (k, 2) cols and rows; scatter_px: the usual
+    length of an arrow by chance, drawn as a bar.
+    """
+    cols, rows = size_px
+    scale = min((width - 40.0) / cols, 480.0 / rows)
+    left, top = (width - scale * cols) / 2, 8.0
+    foot = top + scale * rows + 26.0
+    start = at_px * scale + [left, top]
+    length = np.linalg.norm(vector_px, axis=1)
+    typical = float(np.quantile(length, 0.95)) if len(length) else 0.0
+    longest = max(typical, scatter_px if np.isfinite(scatter_px) else 0.0)
+    px_per_unit = arrow_px(start) / longest if longest > 0.0 else 1.0
+    legend = max((t for t in nice_ticks(0.0, longest, 4) if t <= longest), default=0.0) or 1.0
+    frame = {"x": left, "y": top, "width": scale * cols, "height": scale * rows}
+    col, row = principal_px[0] * scale + left, principal_px[1] * scale + top
+    cross = f"M{number(col - 7)},{number(row)}h14M{number(col)},{number(row - 7)}v14"
+    out = [tag("rect", None, **frame, class_="axis"), tag("path", d=cross, class_="axis")]
+    out += [arrow(a, v * px_per_unit, COLOURS[0]) for a, v in zip(start, vector_px, strict=True)]
+    out.append(arrow(np.array([left, foot]), np.array([legend * px_per_unit, 0.0]), COLOURS[0]))
+    factor = px_per_unit / scale
+    words = f"arrow: {legend:g} px (drawn {factor:,.0f} times larger); cross: principal point"
+    out.append(text(left, foot + 20, words))
+    if np.isfinite(scatter_px):
+        long, right = scatter_px * px_per_unit, left + scale * cols
+        bar = f"M{number(right - long)},{number(foot - 4)}v8m0,-4h{number(long)}m0,-4v8"
+        out.append(tag("path", d=bar, class_="axis"))
+        out.append(text(right, foot + 20, f"by chance: {scatter_px:.2g} px", text_anchor="end"))
+    return document(width, foot + 30.0, out, label)
+
+
+def ellipse_map(
+    at_m: Floats,
+    outlines_m: Floats,
+    semi_major_m: Floats,
+    factor: float,
+    *,
+    label: str,
+    footprints_m: Sequence[Floats] = (),
+    weak: NDArray[np.bool_] | None = None,
+    width: float = 720,
+) -> str:
+    """Error ellipses on a map, already larger than life by `factor`, as the picture says.
+
+    Args: at_m (n, 2); outlines_m (n, corners, 2); semi_major_m (n,) for the legend's circle; footprints_m
+    drawn below, and what the map encloses; weak (n,) ellipses in the second colour.
+    """
+    seen = np.isfinite(outlines_m).all(axis=(1, 2))
+    area = MapArea(np.concatenate([at_m, *footprints_m]), width)
+    out = [
+        tag("polygon", points=points(area.at(o)), fill="none", stroke="currentColor", stroke_opacity=0.2)
+        for o in footprints_m
+    ]
+    for i in np.flatnonzero(seen):
+        colour = COLOURS[1] if weak is not None and weak[i] else COLOURS[0]
+        outline = points(area.at(outlines_m[i]))
+        out.append(
+            tag("polygon", points=outline, fill=colour, fill_opacity=0.15, stroke=colour, stroke_width=1.4)
+        )
+    out += [
+        tag("circle", cx=float(x), cy=float(y), r=1.6, fill="currentColor") for x, y in area.at(at_m[seen])
+    ]
+    typical = float(np.median(semi_major_m[seen])) if seen.any() else 0.0
+    largest = min(typical, _LEGEND_RADIUS / (factor * area.px_per_m))
+    legend = max((t for t in nice_ticks(0.0, largest, 4) if t <= largest), default=0.0)
+    x, y = width / 2, area.height - 24
+    if legend > 0.0:
+        radius = legend * factor * area.px_per_m
+        out.append(tag("circle", cx=x + radius, cy=y - radius + 3.0, r=radius, class_="axis"))
+        out.append(text(x + 2 * radius + 8, y + 1, f"circle: {legend:g} m"))
+    out.append(text(x, y + 17, f"ellipses of 1 σ, drawn {factor:,.0f} times larger than the map"))
+    return document(width, area.height, [*out, *area.foot()], label)
