@@ -74,8 +74,8 @@ def picture_vectors(
     """
     cols, rows = size_px
     scale = min((width - 40.0) / cols, 480.0 / rows)
-    left, top = (width - scale * cols) / 2, 8.0
-    foot = top + scale * rows + 26.0
+    left, top = (width - scale * cols) / 2, 22.0
+    foot = top + scale * rows + 34.0
     start = at_px * scale + [left, top]
     length = np.linalg.norm(vector_px, axis=1)
     typical = float(np.quantile(length, 0.95)) if len(length) else 0.0
