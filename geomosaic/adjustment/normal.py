@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, cho_factor, cho_solve
-from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
-from scipy.sparse.linalg import splu
+from scipy.linalg import block_diag
+from scipy.sparse import bsr_matrix, csr_matrix
 
-from geomosaic.errors import NotSolvableError
+from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DENSE_UNKNOWNS = 2400
-_UNDETERMINED = "the block does not determine the poses of its frames"
+_BATCH = 8192
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class Normals:
     """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of k, p points of 3, and what all frames
     share: the ground's level and q unknowns of the mounting, which meet the poses alone.
 
-    The observations' own blocks (frame by point) are kept as they are, for the reduction.
+    The observations' own blocks (frame by point) are kept in order of frames, for the reduction.
     """
 
     frame: Ints
@@ -75,30 +74,44 @@ def build_normals(
         gives them; counts: frames, cameras, points.
     """
     f, c, p = counts
-    camera = camera_of[frame]
-    wp = by_pose * weight[:, None, None]
-    wk = by_interior * weight[:, None, None]
-    wx = by_point * weight[:, None, None]
-
-    def gather(index: Ints, size: int, values: Floats) -> Floats:
-        into = csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), shape=(size, len(index)))
-        return np.asarray(into @ values.reshape(len(values), -1)).reshape((size, *values.shape[1:]))
-
-    t = np.swapaxes
-    both = camera * p + point
+    k = by_interior.shape[2]
+    order, ends = _sorted(frame, f)
+    frame, point = frame[order], point[order]
+    pose_point = np.empty((len(order), 6, 3))
+    in_frame, in_point = np.empty((f, k + 7, k + 7)), np.zeros((c * p, k + 4, 3))
+    for first, last in _batches(ends):
+        some = slice(ends[first], ends[last])
+        which = order[some]
+        rows = np.empty((len(which), 2, k + 10))
+        rows[:, :, :6], rows[:, :, 6:-4] = by_pose[which], by_interior[which]
+        rows[:, :, -4], rows[:, :, -3:] = residual[which], by_point[which]
+        rows *= np.sqrt(weight[which])[:, None, None]
+        for i in range(first, last):
+            mine = rows[ends[i] - some.start : ends[i + 1] - some.start, :, :-3].reshape(-1, k + 7)
+            in_frame[i] = mine.T @ mine
+        by_rows = np.swapaxes(rows, 1, 2) @ rows[:, :, -3:]
+        pose_point[some] = by_rows[:, :6]
+        met, local = np.unique(camera_of[frame[some]] * p + point[some], return_inverse=True)
+        into, starts = _sorted(local, len(met))
+        summing = csr_matrix((np.ones(len(into)), into, starts), shape=(len(met), len(into)))
+        summed = summing @ by_rows[:, 6:].reshape(len(into), -1)
+        in_point[met] += summed.reshape(-1, k + 4, 3)
+    of_camera = np.eye(c)[camera_of].T
+    by_point_of = in_point.reshape(c, p, k + 4, 3)
+    both = by_point_of[:, :, k:].sum(axis=0)
     return Normals(
         frame=frame,
         point=point,
         camera_of=camera_of,
-        pose=gather(frame, f, t(by_pose, 1, 2) @ wp),
-        interior=gather(camera, c, t(by_interior, 1, 2) @ wk),
-        points=gather(point, p, t(by_point, 1, 2) @ wx),
-        pose_interior=gather(frame, f, t(by_pose, 1, 2) @ wk),
-        pose_point=t(by_pose, 1, 2) @ wx,
-        interior_point=gather(both, c * p, t(by_interior, 1, 2) @ wx).reshape(c, p, -1, 3),
-        pose_side=gather(frame, f, (t(wp, 1, 2) @ residual[:, :, None])[:, :, 0]),
-        interior_side=gather(camera, c, (t(wk, 1, 2) @ residual[:, :, None])[:, :, 0]),
-        point_side=gather(point, p, (t(wx, 1, 2) @ residual[:, :, None])[:, :, 0]),
+        pose=in_frame[:, :6, :6].copy(),
+        interior=np.tensordot(of_camera, in_frame[:, 6:-1, 6:-1], axes=1),
+        points=both[:, 1:].copy(),
+        pose_interior=in_frame[:, :6, 6:-1],
+        pose_point=pose_point,
+        interior_point=by_point_of[:, :, :k],
+        pose_side=in_frame[:, :6, -1].copy(),
+        interior_side=of_camera @ in_frame[:, 6:-1, -1],
+        point_side=both[:, 0].copy(),
         level_point=np.zeros((p, 3)),
         level=0.0,
         level_side=0.0,
@@ -108,12 +121,28 @@ def build_normals(
     )
 
 
+def _sorted(number: Ints, size: int) -> tuple[Ints, Ints]:
+    """Observations in order of their numbers below `size`; where those of each begin, and the end."""
+    counts = np.bincount(number, minlength=size)
+    return np.argsort(number, kind="stable"), np.concatenate([[0], np.cumsum(counts)])
+
+
+def _batches(ends: Ints) -> Iterator[tuple[int, int]]:
+    """Runs of frames with few enough observations for their derivatives to stay in the processor's cache."""
+    first, frames = 0, len(ends) - 1
+    while first < frames:
+        last = int(np.searchsorted(ends, ends[first] + _BATCH, side="right")) - 1
+        last = max(last, first + 1)
+        yield first, last
+        first = last
+
+
 @dataclass(frozen=True)
 class Reduced:
     """The reduced system: poses (sparse), bordered by what frames share (dense), in this order: the numbers
     of each camera (c of k), the ground's level (1), the mounting (q); s = c k + 1 + q in all."""
 
-    poses: csc_matrix
+    poses: bsr_matrix
     border: Floats
     """(6f, s)"""
     shared: Floats
@@ -124,15 +153,15 @@ class Reduced:
     normals: Normals
 
     @cached_property
-    def _solver(self) -> _Solver:
-        return _Solver(self.poses)
+    def _factors(self) -> BlockTridiagonal:
+        return BlockTridiagonal(self.poses)
 
     def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
         """Corrections of poses (f, 6), interiors (c, k), points (p, 3), the ground's level and the
         mounting (q,)."""
-        y = self._solver(np.column_stack([self.border, self.pose_side]))
+        y = self._factors.solve(np.column_stack([self.border, self.pose_side]))
         corner = self.shared - self.border.T @ y[:, :-1]
-        shared = _spd_solve(corner, self.shared_side - self.border.T @ y[:, -1])
+        shared = _spd_solve(corner, (self.shared_side - self.border.T @ y[:, -1])[:, None])[:, 0]
         pose = y[:, -1] - y[:, :-1] @ shared
         n = self.normals
         dp = pose.reshape(-1, 6)
@@ -149,25 +178,18 @@ class Reduced:
     def covariance(self) -> tuple[Floats, Floats]:
         """Covariances for unit weight, with all correlations: each pose's own (f, 6, 6), and the full matrix
         of what frames share (s, s)."""
-        f, size = self.poses.shape[0] // 6, self.poses.shape[0]
-        y = self._solver(self.border)
-        corner: Floats = np.asarray(np.linalg.inv(self.shared - self.border.T @ y), dtype=np.float64)
-        blocks = np.empty((f, 6, 6))
-        for start in range(0, size, 600):
-            stop = min(start + 600, size)
-            unit = np.zeros((size, stop - start))
-            unit[np.arange(start, stop), np.arange(stop - start)] = 1.0
-            columns = self._solver(unit) + y @ (corner @ (y.T @ unit))
-            for k in range(start // 6, stop // 6):
-                blocks[k] = columns[6 * k : 6 * k + 6, 6 * k - start : 6 * k - start + 6]
-        return blocks, corner
+        y = self._factors.solve(self.border)
+        corner = self.shared - self.border.T @ y
+        shared = _spd_solve(corner, np.eye(len(corner)))
+        by_shared = y.reshape(-1, 6, len(corner))
+        return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared
 
     def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
         """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.
 
         Args: derivatives by_pose (6f, r), by_shared (s, r).
         """
-        solved = self._solver(np.column_stack([self.border, by_pose]))
+        solved = self._factors.solve(np.column_stack([self.border, by_pose]))
         y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
         rest = by_shared - y.T @ by_pose
         corner = self.shared - self.border.T @ y
@@ -180,12 +202,10 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     f, (c, k) = len(n.pose), n.interior_side.shape
     pose, interior, points = (_damped(a, damping) for a in (n.pose, n.interior, n.points))
     inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
-    scaled = n.pose_point @ inverse[n.point]
-    order = np.lexsort((n.point, n.frame))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(n.frame, minlength=f))])
+    ends = np.searchsorted(n.frame, np.arange(f + 1))
     shape = (6 * f, 3 * len(points))
-    w = bsr_matrix((n.pose_point[order], n.point[order], starts), shape=shape, blocksize=(6, 3))
-    wv = bsr_matrix((scaled[order], n.point[order], starts), shape=shape, blocksize=(6, 3))
+    w = bsr_matrix((n.pose_point, n.point, ends), shape=shape, blocksize=(6, 3))
+    wv = bsr_matrix((n.pose_point @ inverse[n.point], n.point, ends), shape=shape, blocksize=(6, 3))
     own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f), blocksize=(6, 6))
     reduced = own - wv @ w.T.tobsr(blocksize=(3, 6))
     by_camera = n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), c * k, 3)
@@ -199,12 +219,12 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         border[index, k * i : k * i + k] += n.pose_interior[rows].reshape(-1, k)
     corner = block_diag(*interior, n.level, _damped(n.mounting, damping))
     shared_side = np.concatenate([n.interior_side.ravel(), [n.level_side], n.mounting_side])
-    seen = slice(0, c * k + 1)  # what meets the points
-    corner[seen, seen] -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), -1)
+    met = slice(0, c * k + 1)  # by the points
+    corner[met, met] -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), -1)
     eliminated = np.einsum("pij,pj->pi", inverse, n.point_side)
-    shared_side[seen] -= wk_flat.T @ eliminated.ravel()
+    shared_side[met] -= wk_flat.T @ eliminated.ravel()
     return Reduced(
-        poses=reduced.tocsc(),
+        poses=reduced,
         border=border,
         shared=corner,
         pose_side=n.pose_side.ravel() - w @ eliminated.ravel(),
@@ -221,34 +241,7 @@ def _damped(blocks: Floats, damping: float) -> Floats:
     return out
 
 
-class _Solver:
-    """Symmetric positive definite solves, scaled to a unit diagonal: dense where small, else sparse."""
-
-    def __init__(self, matrix: csc_matrix) -> None:
-        diagonal = matrix.diagonal()
-        if not np.all(diagonal > 0.0):
-            raise NotSolvableError(_UNDETERMINED)
-        self._scale = 1.0 / np.sqrt(diagonal)
-        size = matrix.shape[0]
-        if size <= _DENSE_UNKNOWNS:
-            scaled = matrix.toarray() * self._scale[:, None] * self._scale
-            try:
-                self._dense = cho_factor(scaled, overwrite_a=True, check_finite=False)
-            except np.linalg.LinAlgError as error:
-                raise NotSolvableError(_UNDETERMINED) from error
-            self._sparse = None
-        else:
-            scaled = matrix.multiply(self._scale[:, None]).multiply(self._scale).tocsc()
-            self._sparse = splu(
-                scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
-
-    def __call__(self, side: Floats) -> Floats:
-        scaled = self._scale[:, None] * side
-        solved = cho_solve(self._dense, scaled) if self._sparse is None else self._sparse.solve(scaled)
-        return np.asarray(self._scale[:, None] * solved)
-
-
 def _spd_solve(matrix: Floats, side: Floats) -> Floats:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(scale * np.linalg.solve(matrix * scale[:, None] * scale, scale * side))
+    """Scaled to a unit diagonal; side (s, r)."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))[:, None]
+    return np.asarray(scale * np.linalg.solve(matrix * scale * scale.T, scale * side))

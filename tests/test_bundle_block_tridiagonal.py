@@ -1,0 +1,75 @@
+"""Factors of blocks of frames, in groups, against the whole matrix."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import bsr_matrix
+
+from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.errors import NotSolvableError
+
+
+def _system(meets: np.ndarray, seed: int, b: int = 6) -> tuple[bsr_matrix, np.ndarray]:
+    """A positive definite matrix of (b, b) blocks where frames meet, as frames come in any order; the same
+    dense."""
+    rng = np.random.default_rng(seed)
+    f = len(meets)
+    shuffled = rng.permutation(f)
+    meets = (meets | meets.T | np.eye(f, dtype=bool))[np.ix_(shuffled, shuffled)]
+    dense = rng.normal(0.0, 1.0, (f, b, f, b)) * meets[:, None, :, None]
+    dense = dense.reshape(f * b, f * b) + dense.reshape(f * b, f * b).T
+    dense += np.diag(np.abs(dense).sum(axis=1) + rng.uniform(0.5, 2.0, f * b))
+    return bsr_matrix(dense, blocksize=(b, b)), dense
+
+
+def _near(places: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
+    return np.all(np.abs(places[:, None] - places[None]) <= reach, axis=2)
+
+
+def _grid(lines: int, per_line: int) -> np.ndarray:
+    return np.stack(np.divmod(np.arange(lines * per_line), per_line), axis=1)
+
+
+SHAPES = {
+    "one frame": np.ones((1, 1), dtype=bool),
+    "all meet": np.ones((40, 40), dtype=bool),
+    "a line": _near(_grid(1, 90), (0, 3)),
+    "six lines": _near(_grid(6, 25), (1, 3)),
+    "two parts and single frames": np.kron(np.eye(2, dtype=bool), _near(_grid(1, 50), (0, 2)))
+    & (np.arange(100) % 9 != 0)[:, None],
+    "a line that ends where it began": _near(_grid(1, 80), (0, 2)) | (_near(_grid(1, 80), (0, 2))[:, ::-1]),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_solutions_and_the_inverse_are_those_of_the_whole(shape: str) -> None:
+    matrix, dense = _system(SHAPES[shape], 3, 4 if shape == "six lines" else 6)
+    inverse = np.linalg.inv(dense)
+    factors = BlockTridiagonal(matrix)
+    side = np.random.default_rng(5).normal(0.0, 1.0, (len(dense), 3))
+    assert factors.solve(side) == pytest.approx(inverse @ side, rel=1e-9, abs=1e-13)
+    b = matrix.blocksize[0]
+    f = np.arange(len(dense) // b)
+    own = inverse.reshape(len(f), b, len(f), b)[f, :, f, :]
+    assert factors.inverse_blocks() == pytest.approx(own, rel=1e-9, abs=1e-13)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(2, 60), st.floats(0.0, 0.2), st.integers(0, 1000))
+def test_any_frames_may_meet(frames: int, share: float, seed: int) -> None:
+    meets = np.random.default_rng(seed).random((frames, frames)) < share
+    matrix, dense = _system(meets, seed, 3)
+    side = np.arange(3.0 * frames)[:, None] % 7.0
+    assert BlockTridiagonal(matrix).solve(side) == pytest.approx(
+        np.linalg.solve(dense, side), rel=1e-8, abs=1e-12
+    )
+
+
+def test_a_matrix_that_is_not_positive_definite() -> None:
+    _, dense = _system(SHAPES["a line"], 1)
+    for row, value in ((77, -3.0), (500, 0.0), (12, np.nan)):
+        bad = dense.copy()
+        bad[row, row] = value
+        with pytest.raises(NotSolvableError):
+            BlockTridiagonal(bsr_matrix(bad, blocksize=(6, 6)))
