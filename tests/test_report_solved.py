@@ -175,6 +175,8 @@ def test_ellipses_on_the_map_say_how_much_larger_they_are():
     x = [float(p.split(",")[0]) for p in first.get("points").split()]
     assert max(x) - min(x) == pytest.approx(100.0 * 640.0 / 600.0, abs=0.05)
     assert "drawn 100 times larger" in plot and "circle: 0.1 m" in plot
+    thinned = ellipse_map(at, outlines, np.full(2, 0.5), 100.0, label="l", most=1)
+    assert thinned.count("<polygon") == 1 and ", 1 of 2" in thinned
 
 
 def test_the_marked_value_stands_at_its_place():

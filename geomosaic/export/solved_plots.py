@@ -109,19 +109,22 @@ def ellipse_map(
     footprints_m: Sequence[Floats] = (),
     weak: NDArray[np.bool_] | None = None,
     width: float = 720,
+    most: int = 1500,
 ) -> str:
     """Error ellipses on a map, already larger than life by `factor`, as the picture says.
 
     Args: at_m (n, 2); outlines_m (n, corners, 2); semi_major_m (n,) for the legend's circle; footprints_m
     drawn below, and what the map encloses; weak (n,) ellipses in the second colour.
+    More than `most` are thinned evenly; the picture says so.
     """
-    seen = np.isfinite(outlines_m).all(axis=(1, 2))
+    known = np.flatnonzero(np.isfinite(outlines_m).all(axis=(1, 2)))
+    seen = known[:: max(1, -(-len(known) // most))]
     area = MapArea(np.concatenate([at_m, *footprints_m]), width)
     out = [
         tag("polygon", points=points(area.at(o)), fill="none", stroke="currentColor", stroke_opacity=0.2)
         for o in footprints_m
     ]
-    for i in np.flatnonzero(seen):
+    for i in seen:
         colour = COLOURS[1] if weak is not None and weak[i] else COLOURS[0]
         outline = points(area.at(outlines_m[i]))
         out.append(
@@ -130,7 +133,7 @@ def ellipse_map(
     out += [
         tag("circle", cx=float(x), cy=float(y), r=1.6, fill="currentColor") for x, y in area.at(at_m[seen])
     ]
-    typical = float(np.median(semi_major_m[seen])) if seen.any() else 0.0
+    typical = float(np.median(semi_major_m[seen])) if len(seen) else 0.0
     largest = min(typical, _LEGEND_RADIUS / (factor * area.px_per_m))
     legend = max((t for t in nice_ticks(0.0, largest, 4) if t <= largest), default=0.0)
     x, y = width / 2, area.height - 24
@@ -138,5 +141,8 @@ def ellipse_map(
         radius = legend * factor * area.px_per_m
         out.append(tag("circle", cx=x + radius, cy=y - radius + 3.0, r=radius, class_="axis"))
         out.append(text(x + 2 * radius + 8, y + 1, f"circle: {legend:g} m"))
-    out.append(text(x, y + 17, f"ellipses of 1 σ, drawn {factor:,.0f} times larger than the map"))
+    words = f"ellipses of 1 σ, drawn {factor:,.0f} times larger than the map"
+    if len(seen) < len(known):
+        words += f", {len(seen)} of {len(known)}"
+    out.append(text(x, y + 17, words))
     return document(width, area.height, [*out, *area.foot()], label)
