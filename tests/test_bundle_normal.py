@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, project
 from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
 from geomosaic.errors import NotSolvableError
 
@@ -85,6 +86,19 @@ def test_the_reduced_system_solves_the_whole_one(seed: int, numbers: int) -> Non
     assert reduced.propagate(gradient[:30], gradient[30:]) == pytest.approx(
         gradient.T @ inverse[:end, :end] @ gradient
     )
+
+
+def test_image_coordinates_without_derivatives_are_the_same() -> None:
+    rng = np.random.default_rng(4)
+    positions, points = rng.normal([3.0, -8.0, 90.0], 4.0, (50, 3)), rng.normal(0.0, 20.0, (50, 3))
+    points[7, 2] = 200.0
+    interior = np.tile([812.0, 403.0, 291.0, -0.11, 0.05, -0.02, 0.003, -0.002, 0.03], (50, 1))
+    turned, passing_m_per_s = exp_turn(rng.normal(0, 0.2, (50, 3))), rng.normal(0.0, 5.0, (50, 3))
+    for passed in (None, passing_m_per_s):
+        seen = positions, turned, interior, points, passed
+        image = image_from_ground(*seen)
+        np.testing.assert_allclose(image, project(*seen)[0], rtol=1e-13)
+        assert np.flatnonzero(np.isnan(image).any(axis=1)).tolist() == [7]
 
 
 def test_a_system_without_a_solution_says_so() -> None:

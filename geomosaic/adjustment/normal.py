@@ -23,7 +23,7 @@ class Normals:
     """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of k, p points of 3, and what all frames
     share: the ground's level and q unknowns of the mounting, which meet the poses alone.
 
-    The observations' own blocks (frame by point) are kept in order of frames, for the reduction.
+    The m observations' own blocks (point by frame) are kept, in order of points, for the reduction.
     """
 
     frame: Ints
@@ -37,8 +37,8 @@ class Normals:
     """(p, 3, 3)"""
     pose_interior: Floats
     """(f, 6, k), each frame with its own camera"""
-    pose_point: Floats
-    """(m, 6, 3), an observation each"""
+    point_pose: Floats
+    """(m, 3, 6), an observation each"""
     interior_point: Floats
     """(c, p, k, 3)"""
     pose_side: Floats
@@ -70,48 +70,43 @@ def build_normals(
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
     mounting (none here) with them.
 
-    Args: residual (m, 2) observed minus computed, weight (m,), derivatives as `collinearity.project`
-        gives them; counts: frames, cameras, points.
+    Args: frame, point (m,): in order of points; camera_of (f,); counts: frames, cameras, points;
+        residual (m, 2) observed minus computed, weight (m,), derivatives as `collinearity.project` gives
+        them.
     """
-    f, c, p = counts
-    k = by_interior.shape[2]
+    (f, c, p), k = counts, by_interior.shape[2]
     order, ends = _sorted(frame, f)
-    frame, point = frame[order], point[order]
-    pose_point = np.empty((len(order), 6, 3))
-    in_frame, in_point = np.empty((f, k + 7, k + 7)), np.zeros((c * p, k + 4, 3))
+    point_pose = np.empty((len(order), 3, 6))
+    in_frame, in_point = np.empty((f, k + 7, k + 7)), np.zeros((c * p, 3, k + 4))
     for first, last in _batches(ends):
-        some = slice(ends[first], ends[last])
-        which = order[some]
-        rows = np.empty((len(which), 2, k + 10))
-        rows[:, :, :6], rows[:, :, 6:-4] = by_pose[which], by_interior[which]
-        rows[:, :, -4], rows[:, :, -3:] = residual[which], by_point[which]
-        rows *= np.sqrt(weight[which])[:, None, None]
+        which = order[ends[first] : ends[last]]
+        parts = by_pose[which], by_interior[which], residual[which][:, :, None], by_point[which]
+        rows = np.concatenate(parts, axis=2) * np.sqrt(weight[which])[:, None, None]
         for i in range(first, last):
-            mine = rows[ends[i] - some.start : ends[i + 1] - some.start, :, :-3].reshape(-1, k + 7)
+            mine = rows[ends[i] - ends[first] : ends[i + 1] - ends[first], :, :-3].reshape(-1, k + 7)
             in_frame[i] = mine.T @ mine
-        by_rows = np.swapaxes(rows, 1, 2) @ rows[:, :, -3:]
-        pose_point[some] = by_rows[:, :6]
-        met, local = np.unique(camera_of[frame[some]] * p + point[some], return_inverse=True)
+        by_rows = np.swapaxes(rows[:, :, -3:], 1, 2) @ rows
+        point_pose[which] = by_rows[:, :, :6]
+        met, local = np.unique(camera_of[frame[which]] * p + point[which], return_inverse=True)
         into, starts = _sorted(local, len(met))
         summing = csr_matrix((np.ones(len(into)), into, starts), shape=(len(met), len(into)))
-        summed = summing @ by_rows[:, 6:].reshape(len(into), -1)
-        in_point[met] += summed.reshape(-1, k + 4, 3)
+        in_point[met] += (summing @ by_rows[:, :, 6:].reshape(len(into), -1)).reshape(-1, 3, k + 4)
     of_camera = np.eye(c)[camera_of].T
-    by_point_of = in_point.reshape(c, p, k + 4, 3)
-    both = by_point_of[:, :, k:].sum(axis=0)
+    by_camera = in_point.reshape(c, p, 3, k + 4)
+    both = by_camera[..., k:].sum(axis=0)
     return Normals(
         frame=frame,
         point=point,
         camera_of=camera_of,
         pose=in_frame[:, :6, :6].copy(),
         interior=np.tensordot(of_camera, in_frame[:, 6:-1, 6:-1], axes=1),
-        points=both[:, 1:].copy(),
+        points=both[..., 1:].copy(),
         pose_interior=in_frame[:, :6, 6:-1],
-        pose_point=pose_point,
-        interior_point=by_point_of[:, :, :k],
+        point_pose=point_pose,
+        interior_point=np.swapaxes(by_camera[..., :k], 2, 3),
         pose_side=in_frame[:, :6, -1].copy(),
         interior_side=of_camera @ in_frame[:, 6:-1, -1],
-        point_side=both[:, 0].copy(),
+        point_side=both[..., 0].copy(),
         level_point=np.zeros((p, 3)),
         level=0.0,
         level_side=0.0,
@@ -166,10 +161,7 @@ class Reduced:
         n = self.normals
         dp = pose.reshape(-1, 6)
         dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
-        moved = np.einsum("mij,mi->mj", n.pose_point, dp[n.frame])
-        side = n.point_side - np.stack(
-            [np.bincount(n.point, moved[:, k], minlength=len(n.points)) for k in range(3)], axis=1
-        )
+        side = n.point_side - (_points_by_frames(n) @ pose).reshape(-1, 3)
         side -= np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
         side -= level * n.level_point
         points = np.einsum("pij,pj->pi", self.points_inverse, side)
@@ -202,36 +194,60 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     f, (c, k) = len(n.pose), n.interior_side.shape
     pose, interior, points = (_damped(a, damping) for a in (n.pose, n.interior, n.points))
     inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
-    ends = np.searchsorted(n.frame, np.arange(f + 1))
-    shape = (6 * f, 3 * len(points))
-    w = bsr_matrix((n.pose_point, n.point, ends), shape=shape, blocksize=(6, 3))
-    wv = bsr_matrix((n.pose_point @ inverse[n.point], n.point, ends), shape=shape, blocksize=(6, 3))
+    by_camera = n.interior_point.transpose(1, 3, 0, 2).reshape(len(points), 3, c * k)
+    met = np.concatenate([by_camera, n.level_point[:, :, None], n.point_side[:, :, None]], axis=2)
+    flat = met.reshape(3 * len(points), -1)
+    less, less_beside = _met_through_points(n, inverse, flat)
+    less_shared = flat.T @ (inverse @ met).reshape(flat.shape)
     own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f), blocksize=(6, 6))
-    reduced = own - wv @ w.T.tobsr(blocksize=(3, 6))
-    by_camera = n.interior_point.transpose(1, 0, 2, 3).reshape(len(points), c * k, 3)
-    wk = np.swapaxes(np.concatenate([by_camera, n.level_point[:, None, :]], axis=1), 1, 2)
-    wk_flat = wk.reshape(3 * len(points), c * k + 1)
-    to_mounting = n.pose_mounting.reshape(6 * f, -1)
-    border = np.column_stack([-(wv @ wk_flat), to_mounting])
+    border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(6 * f, -1)])
     for i in range(c):
         rows = np.flatnonzero(n.camera_of == i)
         index = (6 * rows[:, None] + np.arange(6)).ravel()
         border[index, k * i : k * i + k] += n.pose_interior[rows].reshape(-1, k)
     corner = block_diag(*interior, n.level, _damped(n.mounting, damping))
+    corner[: c * k + 1, : c * k + 1] -= less_shared[:-1, :-1]
     shared_side = np.concatenate([n.interior_side.ravel(), [n.level_side], n.mounting_side])
-    met = slice(0, c * k + 1)  # by the points
-    corner[met, met] -= wk_flat.T @ np.einsum("pij,pjk->pik", inverse, wk).reshape(3 * len(points), -1)
-    eliminated = np.einsum("pij,pj->pi", inverse, n.point_side)
-    shared_side[met] -= wk_flat.T @ eliminated.ravel()
+    shared_side[: c * k + 1] -= less_shared[:-1, -1]
     return Reduced(
-        poses=reduced,
+        poses=own - less,
         border=border,
         shared=corner,
-        pose_side=n.pose_side.ravel() - w @ eliminated.ravel(),
+        pose_side=n.pose_side.ravel() - less_beside[:, -1],
         shared_side=shared_side,
         points_inverse=inverse,
         normals=n,
     )
+
+
+def _points_by_frames(n: Normals) -> bsr_matrix:
+    """The points' rows of the normal equations in the columns of the poses, (3p, 6f)."""
+    starts = np.searchsorted(n.point, np.arange(len(n.points) + 1))
+    shape = (3 * len(n.points), 6 * len(n.pose))
+    return bsr_matrix((n.point_pose, n.frame, starts), shape=shape, blocksize=(3, 6))
+
+
+def _met_through_points(n: Normals, inverse: Floats, beside: Floats) -> tuple[bsr_matrix, Floats]:
+    """W V^-1 W' and W V^-1 times beside (3p, r), with W the poses' rows in the columns of the points and V
+    the points' own blocks."""
+    by_frames = _points_by_frames(n)
+    order, ends = _sorted(n.frame, len(n.pose))
+    products, others = [], []
+    for first, last in _batches(ends):
+        which = order[ends[first] : ends[last]]
+        blocks = np.swapaxes(n.point_pose[which], 1, 2) @ inverse[n.point[which]]
+        starts, shape = ends[first : last + 1] - ends[first], (6 * (last - first), len(beside))
+        scaled = bsr_matrix((blocks, n.point[which], starts), shape=shape, blocksize=(6, 3))
+        products.append(scaled @ by_frames)
+        others.append(scaled @ beside)
+    counts = np.concatenate([np.diff(a.indptr) for a in products])
+    together = (
+        np.concatenate([a.data for a in products]),
+        np.concatenate([a.indices for a in products]),
+        np.concatenate([[0], np.cumsum(counts)]),
+    )
+    size = 6 * len(n.pose)
+    return bsr_matrix(together, shape=(size, size), blocksize=(6, 6)), np.concatenate(others)
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
-from scipy.sparse.linalg import splu
 
+from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
 from geomosaic.adjustment.misalignment import OffsetNet
 
 Floats = NDArray[np.float64]
@@ -61,8 +61,9 @@ def similarity_block(
         prior_weight = 1.0 / prior_sd**2
         prior_weight[:, 2:] *= position_weight[:, None]
         normal = design.T @ design.multiply(weight[:, None]).tocsc()
-        normal = (normal + coo_matrix((prior_weight.ravel(), (np.arange(4 * n),) * 2))).tocsc()
-        x = splu(normal).solve(prior_weight.ravel() * prior)
+        normal = normal + coo_matrix((prior_weight.ravel(), (np.arange(4 * n),) * 2))
+        side = (prior_weight.ravel() * prior)[:, None]
+        x = BlockTridiagonal(normal.tobsr(blocksize=(4, 4))).solve(side)[:, 0]
         miss = design @ x
         length = np.hypot(miss[:m], miss[m:])
         scale_m = max(1.5 * float(np.median(length)) if m else 0.0, net.step_m)
