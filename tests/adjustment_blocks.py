@@ -10,7 +10,7 @@ from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
 
@@ -56,17 +56,23 @@ def fly(
     relief=level,  # type: ignore[no-untyped-def]
     ground: GroundSurface | None = None,
     position_sd_m: np.ndarray = POSITION_SD_M,
+    there_and_back: bool = False,
+    readout_s: float = 0.0,
 ) -> Flown:
-    """Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
+    """At 15 m/s, each second line back if asked; all north otherwise. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
-    camera = Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02)
+    camera = Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
+    back = (np.arange(n) // per_line % 2 == 1) & there_and_back
+    velocities = np.where(back[:, None], [0.0, -15.0, 0.0], [0.0, 15.0, 0.0])
     at = np.array([[40.0 * (i // per_line), 18.0 * (i % per_line), 100.0] for i in range(n)])
     truth = Poses(
         at + rng.normal(0, [1.0, 1.0, 0.5], (n, 3)),
-        Rotation.from_yaw_pitch_roll(*rng.normal(0, np.radians([2.0, 1.0, 1.0]), (n, 3)).T).matrix,
+        about_z(np.pi * back)
+        @ Rotation.from_yaw_pitch_roll(*rng.normal(0, np.radians([2.0, 1.0, 1.0]), (n, 3)).T).matrix,
         np.zeros((n, 3)),
         np.zeros((n, 3)),
+        velocities,
     )
     low, high = at[:, :2].min(axis=0) - [35.0, 25.0], at[:, :2].max(axis=0) + [35.0, 25.0]
     plan = rng.uniform(low, high, (points, 2))
@@ -86,6 +92,7 @@ def fly(
         exp_turn(rng.normal(0, TURN_SD_RAD, (n, 3))) @ truth.rotations,
         np.tile(position_sd_m, (n, 1)),
         np.tile(TURN_SD_RAD, (n, 1)),
+        velocities,
     )
     flat = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
     block = Block(

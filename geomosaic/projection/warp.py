@@ -123,8 +123,8 @@ def frame_from_map(
     vertical = window.vertical @ pose.rotation.matrix
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
     limit = _radius_limit_sq(camera)
-    rolling = pose.velocity_m_per_s is not None and camera.readout_s != 0.0
-    velocity = pose.velocity_m_per_s @ pose.rotation.matrix if rolling else np.zeros(3)
+    velocity = np.zeros(3) if pose.velocity_m_per_s is None else pose.velocity_m_per_s @ pose.rotation.matrix
+    rolling = camera.readout_s != 0.0 and bool(velocity.any())
     col = np.empty((v.size, u.size), dtype=np.float32)
     row = np.empty_like(col)
     for top in range(0, v.size, _ROWS_AT_ONCE):

@@ -1,0 +1,124 @@
+"""Boresight, lever arm, lag and readout: conventions by absolute numbers, and found again in blocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import fly
+
+from geomosaic.adjustment.bundle import MOUNTING
+from geomosaic.adjustment.collinearity import exp_turn
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+
+EAST = np.array([[0.0, 12.0, 3.0]])
+
+
+def told(yaw: float, pitch: float, roll: float, at: list[float], velocity: np.ndarray | None = None) -> Poses:
+    rotation = Rotation.from_yaw_pitch_roll(*np.radians([yaw, pitch, roll])).matrix
+    return Poses(np.array([at]), rotation[None], np.ones((1, 3)), np.ones((1, 3)), velocity)
+
+
+def test_each_number_means_what_its_name_says() -> None:
+    """Heading east: forward is east, right is south. The told attitude is turned further than the camera's."""
+    camera = told(90.0, 0.0, 0.0, [10.0, 20.0, 100.0])
+    still = dict.fromkeys(MOUNTING, 0.0)
+    for name, value, heard in (
+        ("boresight_roll_deg", 2.0, told(90.0, 0.0, 2.0, [10.0, 20.0, 100.0])),
+        ("boresight_pitch_deg", -3.0, told(90.0, -3.0, 0.0, [10.0, 20.0, 100.0])),
+        ("boresight_yaw_deg", 4.0, told(94.0, 0.0, 0.0, [10.0, 20.0, 100.0])),
+        ("lever_arm_forward_m", 0.7, told(90.0, 0.0, 0.0, [10.7, 20.0, 100.0])),
+        ("lever_arm_right_m", 0.4, told(90.0, 0.0, 0.0, [10.0, 19.6, 100.0])),
+        ("lever_arm_down_m", -0.3, told(90.0, 0.0, 0.0, [10.0, 20.0, 100.3])),
+        ("gps_lag_s", 0.5, told(90.0, 0.0, 0.0, [10.0, 14.0, 98.5], EAST)),
+    ):
+        number = np.array(list((still | {name: value}).values())) * [*[np.pi / 180] * 3, 1, 1, 1, 1]
+        miss = pose_miss(heard, camera.positions_m, camera.rotations, number)
+        np.testing.assert_allclose(miss, 0.0, atol=1e-12, err_msg=name)
+
+
+def test_derivatives_are_those_of_finite_differences() -> None:
+    """Of what poses and mounting make of the told numbers: the miss falls as that rises."""
+    turn = np.array([[0.01, -0.02, 0.015]])
+    camera = told(33.0, 5.0, -7.0, [1.0, 2.0, 90.0], EAST)
+    heard = replace(camera, rotations=exp_turn(turn * 1e-3) @ camera.rotations)
+    number = np.array([1e-4, -2e-4, 1e-4, 0.3, -0.2, 0.5, 0.4])
+    by_pose, by_mounting = mounting_derivatives(heard, camera.rotations, number)
+
+    def miss(step: np.ndarray) -> np.ndarray:
+        rotations = exp_turn(step[None, 3:6]) @ camera.rotations
+        return pose_miss(heard, camera.positions_m + step[:3], rotations, number + step[6:])[0]
+
+    for k in range(13):
+        step = np.zeros(13)
+        step[k] = 1e-5
+        by = np.concatenate([by_pose[0], by_mounting[0]], axis=1)[:, k]
+        np.testing.assert_allclose(by, -(miss(step) - miss(-step)) / 2e-5, atol=1e-3)
+
+
+def _found(adjusted: Adjusted, name: str) -> tuple[float, float, bool]:
+    assert adjusted.shared is not None
+    k = adjusted.shared.names.index(name)
+    return adjusted.shared.found[k], adjusted.shared.sd[k], bool(adjusted.shared.held[k])
+
+
+SHARP = np.array([0.1, 0.1, 0.15])
+
+
+def test_boresight_and_lag_are_found_where_lines_run_both_ways() -> None:
+    flown = fly(5, 4, 6, noise_px=0.1, there_and_back=True, position_sd_m=SHARP)
+    assert flown.block.poses.velocities_m_per_s is not None
+    poses = replace(
+        flown.block.poses,
+        positions_m=flown.block.poses.positions_m - 0.4 * flown.block.poses.velocities_m_per_s,
+        rotations=flown.block.poses.rotations
+        @ Rotation.from_yaw_pitch_roll(*np.radians([1.5, -0.8, 2.0])).matrix,
+    )
+    block = replace(flown.block, poses=poses)
+    adjusted = METHODS["bundle"](block, Settings(boresight=True, gps_lag=True))
+    for name, truth in (
+        ("boresight_yaw_deg", 1.5), ("boresight_pitch_deg", -0.8), ("boresight_roll_deg", 2.0), ("gps_lag_s", 0.4),
+    ):  # fmt: skip
+        found, sd, held = _found(adjusted, name)
+        assert not held and abs(found - truth) < 3.5 * sd, name
+    assert _found(adjusted, "gps_lag_s")[1] < 0.01
+    off = np.linalg.norm((adjusted.poses.positions_m - flown.truth.positions_m)[:, :2], axis=1)
+    without = METHODS["bundle"](block, Settings()).poses.positions_m - flown.truth.positions_m
+    assert np.median(off) < 0.2 < 0.5 < np.median(np.linalg.norm(without[:, :2], axis=1))
+
+
+def test_a_horizontal_lever_arm_is_found_and_a_vertical_one_is_held() -> None:
+    flown = fly(6, 4, 6, noise_px=0.1, there_and_back=True, position_sd_m=SHARP)
+    shift = flown.truth.rotations @ np.array([-0.5, 0.9, 0.0])  # 0.5 m to the left, 0.9 m ahead
+    poses = replace(flown.block.poses, positions_m=flown.block.poses.positions_m + shift)
+    adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(lever_arm=True))
+    for name, truth in (("lever_arm_forward_m", 0.9), ("lever_arm_right_m", -0.5)):
+        found, sd, held = _found(adjusted, name)
+        assert not held and abs(found - truth) < 3.5 * sd < 0.4, name
+    assert _found(adjusted, "lever_arm_down_m")[2]
+    assert [w.code for w in adjusted.warnings if "lever_arm_down_m" in w.text] == ["not-determined"]
+
+
+@pytest.mark.parametrize("told_s", [0.0, 0.06])
+def test_a_rolling_shutter_is_found_from_what_was_told(told_s: float) -> None:
+    """15 m/s for 0.06 s: 9 px of stretch along the flight."""
+    flown = fly(7, 4, 6, noise_px=0.1, there_and_back=True, position_sd_m=SHARP, readout_s=0.06)
+    cameras = tuple(replace(c, readout_s=told_s) for c in flown.block.cameras)
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=cameras), Settings(rolling_shutter=True))
+    found, sd, held = _found(adjusted, "readout_s")
+    assert not held and abs(found - 0.06) < 3.5 * sd < 0.02
+    assert adjusted.cameras[0].readout_s == found
+    assert adjusted.figures["sigma_px"] < 0.13
+
+
+def test_without_velocities_a_lag_is_held_and_named() -> None:
+    flown = fly(8, 2, 5)
+    poses = replace(flown.block.poses, velocities_m_per_s=None)
+    adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(gps_lag=True))
+    assert _found(adjusted, "gps_lag_s")[::2] == (0.0, True)
+    assert "gps_lag_s" in " ".join(w.text for w in adjusted.warnings)
