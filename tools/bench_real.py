@@ -1,4 +1,4 @@
-"""Real surveys: a drone flight with turned frames, and the orientation conventions on other people's data.
+"""Real surveys: a drone flight with turned frames, its halves laid over each other, and other people's data.
 
     .venv/bin/python tools/bench_real.py [--shared ../shared] [--out out/bench-real]
 
@@ -20,25 +20,17 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import rasterio
+from bench_real_halves import halves
+from bench_real_ngi import ngi
+from bench_real_table import Row, print_table
 from osgeo import gdal
 from osgeo_utils.samples import validate_cloud_optimized_geotiff as cog
 
-from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.matching.features import grey, sift_features
-from geomosaic.matching.match import PairJob, match_pair
-from geomosaic.placement.prior import prior_poses
-from geomosaic.projection.footprint import ground_from_image
-from geomosaic.projection.relief import relief
-from geomosaic.survey.dem import read_heights
-from geomosaic.survey.model import Survey
-from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 TURNED = {f"DJI_00{n}.JPG" for n in range(24, 30)}
-Row = tuple[str, str, str, bool]
 
 
 def brighton(data: Path, out: Path) -> list[Row]:
@@ -86,53 +78,6 @@ def two_pose_files(data: Path) -> list[Row]:
     return [("odm_oblique: two pose files", f"{worst:.2f} deg apart at most", "< 3 deg", worst < 3.0)]
 
 
-def on_the_dem(data: Path) -> list[Row]:
-    """Frames projected on the DEM with their given poses land on their neighbours."""
-    folder = data / "ngi"
-    survey = read_survey(
-        folder, pos=folder / "ngi_xyz_opk.csv", camera=folder / "ngi_int_param.yaml",
-        dem=folder / "dem.tif", dem_offset_m=0.0,
-    )  # fmt: skip
-    apart = overlap_displacements_m(survey)
-    pixel_m = 9.22
-    worst = max(abs(np.array(v)).max() for v in apart.values())
-    pairs = ", ".join(f"{a}-{b}: {np.hypot(*v):.1f} m" for (a, b), v in apart.items())
-    return [
-        (
-            f"ngi on its DEM ({pairs})",
-            f"{worst:.1f} m = {worst / pixel_m:.2f} frame px",
-            "< 1 px",
-            worst < pixel_m,
-        )
-    ]
-
-
-def overlap_displacements_m(survey: Survey) -> dict[tuple[int, int], tuple[float, float]]:
-    """Median displacement (east, north) between the ground places of SIFT matches, per pair."""
-    heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=float)
-    poses: Poses = prior_poses(survey, heights, (0,) * len(heights))
-    assert survey.elevation is not None
-    with rasterio.open(survey.elevation.path) as source:
-        bounds = tuple(source.bounds)
-    raster = read_heights(survey.elevation, bounds)
-    low, high = poses.positions_m[:, :2].min(axis=0) - 6000, poses.positions_m[:, :2].max(axis=0) + 6000
-    ground = relief(survey.work_frame, raster, low, high, 24.0)
-    features, places = [], []
-    for i, frame in enumerate(survey.frames):
-        pixels, valid = read_pixels(frame, 1)
-        features.append(sift_features(grey(pixels, valid), valid, 1))
-        places.append(ground_from_image(poses[i], survey.camera_of(i), ground, features[i].image_px)[:, :2])
-    out = {}
-    for a in range(len(features)):
-        for b in range(a + 1, len(features)):
-            job = PairJob(features[a], features[b], places[a], places[b], 300.0, 2.0, 0.8, "auto", 12)
-            found = match_pair(job)
-            if len(found.left) >= 12 and not found.free:
-                apart = np.nanmedian(places[b][found.right] - places[a][found.left], axis=0)
-                out[a, b] = (float(apart[0]), float(apart[1]))
-    return out
-
-
 def main() -> int:
     """Runs all of it and prints the table."""
     parser = argparse.ArgumentParser(
@@ -145,10 +90,9 @@ def main() -> int:
     if not (data / "brighton_beach").is_dir():
         print(f"skipped: {data} has no brighton_beach; name the data with --shared")
         return 0
-    rows = two_pose_files(data) + on_the_dem(data) + brighton(data, args.out)
-    print("| what | found | wanted | |\n|---|---|---|---|")
-    for what, found, wanted, good in rows:
-        print(f"| {what} | {found} | {wanted} | {'ok' if good else 'MISSED'} |")
+    rows = two_pose_files(data) + ngi(data, args.out) + brighton(data, args.out)
+    rows += halves(data, args.out, args.out / "brighton")
+    print_table(rows)
     return 0 if all(row[3] for row in rows) else 1
 
 
