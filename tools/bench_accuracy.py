@@ -38,7 +38,8 @@ GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 SIZE = ["--width-px", "1336", "--height-px", "1002", "--k1", "0", "--k2", "0"]
 BLOCK = [*SIZE, "--lines", "3", "--frames-per-line", "8"]
 NAMED = {"turned-frame": "frame-turned", "wrong-yaw": "yaw-wrong", "position-outlier": "position-wrong"}
-"""What truth.json calls a thing that is wrong on purpose, and what a run's warning calls it."""
+"""What truth.json calls a thing that is wrong on purpose, and what a run's warning calls it. Of a frame with
+two things wrong one must be told: a picture turned by 180 degrees and a heading wrong by 180 cancel."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,8 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         for w in json.loads((folder / "truth" / "truth.json").read_text())["warnings"]
     }
     warned = {(w["code"], w["frame"]) for w in told["warnings"]}
+    once = [w for w in wrong if sum(frame == w[1] for _, frame in wrong) == 1]
+    named = {frame for code, frame in warned if code in NAMED.values()}
     row: dict[str, Any] = {
         "absolute_m": comparison.figures.absolute_rmse_m,
         "after_px": worst.after_similarity_px,
@@ -152,7 +155,8 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
     row["good"] = (
         all(bound is None or value <= bound for value, bound in bounds)
         and (not case.straight or abs(slope) <= 2.0 * slope_sd)
-        and wrong <= warned
+        and warned.issuperset(once)
+        and named.issuperset(frame for _, frame in wrong)
         and set(case.told) <= {code for code, _ in warned}
     )
     return row
