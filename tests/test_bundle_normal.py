@@ -25,7 +25,14 @@ def random_normals(
     m, f6, ck = len(frame), 6 * frames, numbers * cameras
     parts = rng.normal(0, 1, (m, 2, 6)), rng.normal(0, 1, (m, 2, numbers)), rng.normal(0, 1, (m, 2, 3))
     residual, weight = rng.normal(0, 1, (m, 2)), rng.uniform(0.5, 2.0, m)
-    n = build_normals(frame, point, camera_of, (frames, cameras, points), residual, weight, *parts)
+    counts = (frames, cameras, numbers, points)
+    n = build_normals(
+        frame,
+        point,
+        camera_of,
+        counts,
+        lambda which: (residual[which], weight[which], *(a[which] for a in parts)),
+    )
     level_point = rng.normal(0, 0.1, (points, 3))
     for block, prior in ((n.pose, 0.3), (n.interior, 0.2), (n.points, 1.0)):
         i = np.arange(block.shape[-1])

@@ -9,10 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.collinearity import INTERIOR, exp_turn, interior_of, passing, project
+from geomosaic.adjustment.collinearity import (
+    INTERIOR,
+    exp_turn,
+    image_from_ground,
+    interior_of,
+    passing,
+    project,
+)
 from geomosaic.adjustment.mounting import MOUNTING, Mounting, mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, Reduced, build_normals, reduce_normals
-from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
+from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight, lie_weight
 from geomosaic.adjustment.terrain import Terrain, add_terrain, surface_share, terrain_cost
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
@@ -26,8 +33,7 @@ MEASURED_SD_PX = 0.5
 NO_MOUNTING = Mounting(np.zeros(len(MOUNTING)))
 _LEAST_SIGMA_PX = 0.02
 _KNOWN = 1e-6
-_ERRORS_ALIKE = 5.0
-_DETERMINED = 0.7
+_DETERMINED = 0.9
 _ROUGH, _FINE = 1e-3, 1e-5
 _PRIOR_FACTORS = (0.1, 10.0)
 _STEPS_BETWEEN = 2
@@ -124,7 +130,7 @@ def solve_bundle(
     blunder stays outvoted.
 
     Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
-        lenses and points to go on from.
+        lenses, points and variance components to go on from.
     Raises: NotSolvableError if the system is singular.
     """
     state = _State(
@@ -140,6 +146,7 @@ def solve_bundle(
         "image": max(sigma_px, _median(length[~control])),
         "control": max(MEASURED_SD_PX, _median(length[control])),
     }
+    sigma |= again.sigma if again else {}
     held = np.zeros(_shared_miss(priors, state).size, dtype=bool)
     iterations = 0
     while True:
@@ -182,16 +189,15 @@ def _settle(
 def undetermined(bundle: Bundle, priors: Priors) -> Bools:
     """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
 
-    Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
-    is not what it seems. A number counts as determined if with image errors _ERRORS_ALIKE times as large its
-    deviation would still be below _DETERMINED of what it was before the pictures spoke.
+    A number counts as determined if its deviation is below _DETERMINED of what it was before the pictures
+    spoke. To hold the others costs next to nothing, and says so.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
     free = np.flatnonzero(sd > 0.0)
     after = np.concatenate([bundle.interior_sd.ravel(), bundle.mounting_sd])[free]
     relative = after / sd[free]
     covariance = bundle.shared_correlation[np.ix_(free, free)] * relative[:, None] * relative
-    told = (np.linalg.inv(covariance) - np.eye(len(free))) / _ERRORS_ALIKE**2
+    told = np.linalg.inv(covariance) - np.eye(len(free))
     out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
     while left.size:
         share = np.sqrt(np.diag(np.linalg.inv(told[np.ix_(left, left)] + np.eye(left.size))))
@@ -248,7 +254,7 @@ def _cost(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma:
 
 
 def _trust(priors: Priors, state: _State, sigma: dict[str, float]) -> Floats:
-    """Cauchy weights of each frame's position and attitude, (f, 6): a wild tag loses its say.
+    """Weights of each frame's position and attitude, (f, 6): a wild tag loses its say.
 
     A frame is wild against the bulk of the others, never all at once: else a whole block that shrinks
     or tips over would free itself from its positions.
@@ -256,19 +262,20 @@ def _trust(priors: Priors, state: _State, sigma: dict[str, float]) -> Floats:
     miss = _pose_miss(priors, state) / _pose_sd(priors, sigma)
     length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
     bulk = np.maximum(1.0, np.median(length, axis=0) / 1.5)
-    return np.repeat(cauchy_weight(length / bulk), 3, axis=1)
+    return np.repeat(lie_weight(length / bulk), 3, axis=1)
 
 
 def _trust_of(priors: Priors) -> Floats:
     return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
 
 
-def _projected(
+def _observed(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: _State
-) -> tuple[Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats, Floats | None]:
+    """What `project` and `image_from_ground` take, a row an observation."""
     camera, velocities = camera_of[tracks.frame], priors.poses.velocities_m_per_s
     heights = np.array([c.height_px for c in priors.cameras])[camera]
-    return project(
+    return (
         state.positions[tracks.frame],
         state.rotations[tracks.frame],
         state.interior[camera],
@@ -289,7 +296,7 @@ def _rolls(priors: Priors) -> bool:
 
 def _lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: _State) -> Floats:
     """Lengths of the image residuals, (m,); NaN behind the camera."""
-    image, *_ = _projected(tracks, camera_of, priors, state)
+    image = image_from_ground(*_observed(tracks, camera_of, priors, state))
     return np.asarray(np.linalg.norm(tracks.image_px - image, axis=1))
 
 
@@ -312,16 +319,20 @@ def _frame_share(tracks: Tracks, state: _State) -> Floats:
 def _normals(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: _State, sigma: dict[str, float]
 ) -> Normals:
-    image, by_pose, by_interior, by_point = _projected(tracks, camera_of, priors, state)
-    residual = tracks.image_px - image
-    seen = np.asarray(np.isfinite(residual).all(axis=1))
-    residual = np.where(seen[:, None], residual, 0.0)
     sd_px = _image_sd_px(tracks, priors, sigma)
-    weight = cauchy_weight(np.linalg.norm(residual, axis=1) / sd_px) / sd_px**2
-    weight = np.where(seen, weight, 0.0)
-    clean = [np.where(seen[:, None, None], a, 0.0) for a in (by_pose, by_interior, by_point)]
-    counts = (len(state.positions), len(state.interior), len(state.points))
-    n = build_normals(tracks.frame, tracks.point, camera_of, counts, residual, weight, *clean)
+
+    def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        some = Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
+        image, by_pose, by_interior, by_point = project(*_observed(some, camera_of, priors, state))
+        residual, sd = some.image_px - image, sd_px[which]
+        seen = np.isfinite(residual).all(axis=1)
+        weight = np.where(seen, cauchy_weight(np.linalg.norm(residual, axis=1) / sd) / sd**2, 0.0)
+        for a in (residual, by_pose, by_interior, by_point):
+            a[~seen] = 0.0
+        return residual, weight, by_pose, by_interior, by_point
+
+    counts = (len(state.positions), *state.interior.shape, len(state.points))
+    n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised)
     n = _with_priors(n, priors, state, sigma)
     if priors.terrain is None:
         return replace(n, level=1.0)
@@ -434,9 +445,22 @@ def _variance_components(
             continue
         total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[known].sum())
         factor = sigma[group]
-        sigma[group] = float(np.clip(factor * np.sqrt(total / r), *_PRIOR_FACTORS))
+        sigma[group] = float(np.clip(_believed(factor * np.sqrt(total / r), r), *_PRIOR_FACTORS))
         changes.append(float(abs(np.log(sigma[group] / factor))))
     return image_changed, max(changes)
+
+
+def _believed(factor: float, redundancy: float) -> float:
+    """A factor estimated from so many redundant observations, drawn to 1 where it may as well be chance.
+
+    Its logarithm is weighed with the probability that the stated deviation is wrong, by Schwarz's
+    approximation (1978) of the evidence: of 48 observations a factor of 1.1 is chance, one of 1.5 is not.
+    Else the covariance of a small block with rightly stated deviations would follow their draw.
+    """
+    variance = max(factor**2, 1e-6)
+    evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))
+    wrong = 1.0 / (1.0 + np.sqrt(redundancy) * np.exp(-min(evidence, 500.0)))
+    return float(np.exp(wrong * np.log(variance) / 2.0))
 
 
 def _finish(
@@ -445,7 +469,7 @@ def _finish(
     reduced = reduce_normals(_normals(tracks, camera_of, replace(priors, held=None), state, sigma))
     covariance, shared = reduced.covariance()
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    image, *_ = _projected(tracks, camera_of, priors, state)
+    image = image_from_ground(*_observed(tracks, camera_of, priors, state))
     residual = tracks.image_px - image
     cameras, mounting = state.interior.size, state.mounting.size
     solved = np.r_[0:cameras, cameras + 1 : len(shared)]

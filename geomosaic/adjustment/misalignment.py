@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block
-from geomosaic.projection.footprint import ground_from_image
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.projection.footprint import ground_from_images
+from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 
@@ -68,12 +72,26 @@ class OffsetNet:
         return [(int(a), int(b)) for a, b in self.pairs]
 
 
+def ties_on_ground(
+    block: Block, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
+) -> list[tuple[Floats, Floats]]:
+    """Where each pair's left and its right frame put its tie points, (k, 3) each; NaN where a ray misses."""
+    pairs = block.ties.pairs
+    if not pairs:
+        return []
+    length = np.array([len(t) for t in pairs])
+    frame = np.repeat([i for t in pairs for i in (t.left, t.right)], np.repeat(length, 2))
+    image_px = np.concatenate([px for t in pairs for px in (t.left_px, t.right_px)])
+    at = ground_from_images(frame, image_px, poses, cameras, ground)
+    both = np.split(at, np.cumsum(np.repeat(length, 2))[:-1])
+    return list(zip(both[::2], both[1::2], strict=True))
+
+
 def offset_net(block: Block) -> OffsetNet:
     """Projects a block's tie points to the ground once; points that miss it are left out."""
     left, right, pairs = [], [], []
-    for tie in block.ties.pairs:
-        a = ground_from_image(block.poses[tie.left], block.cameras[tie.left], block.ground, tie.left_px)
-        b = ground_from_image(block.poses[tie.right], block.cameras[tie.right], block.ground, tie.right_px)
+    on_ground = ties_on_ground(block, block.poses, block.cameras, block.ground)
+    for tie, (a, b) in zip(block.ties.pairs, on_ground, strict=True):
         seen = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
         if seen.any():
             pairs.append((tie.left, tie.right))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -60,28 +60,27 @@ def build_normals(
     frame: Ints,
     point: Ints,
     camera_of: Ints,
-    counts: tuple[int, int, int],
-    residual: Floats,
-    weight: Floats,
-    by_pose: Floats,
-    by_interior: Floats,
-    by_point: Floats,
+    counts: tuple[int, int, int, int],
+    linearised: Callable[[Ints], tuple[Floats, Floats, Floats, Floats, Floats]],
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
     mounting (none here) with them.
 
-    Args: frame, point (m,): in order of points; camera_of (f,); counts: frames, cameras, points;
-        residual (m, 2) observed minus computed, weight (m,), derivatives as `collinearity.project` gives
-        them.
+    Derivatives are asked for some frames at a time, so that no array of all of them is ever made.
+
+    Args: frame, point (m,): in order of points; camera_of (f,); counts: frames, cameras, numbers of a
+        camera, points. linearised: of some observations (n,) residuals (n, 2) observed minus computed,
+        weights (n,), and derivatives by pose, interior and point as `collinearity.project` gives them.
     """
-    (f, c, p), k = counts, by_interior.shape[2]
+    f, c, k, p = counts
     order, ends = _sorted(frame, f)
     point_pose = np.empty((len(order), 3, 6))
     in_frame, in_point = np.empty((f, k + 7, k + 7)), np.zeros((c * p, 3, k + 4))
     for first, last in _batches(ends):
         which = order[ends[first] : ends[last]]
-        parts = by_pose[which], by_interior[which], residual[which][:, :, None], by_point[which]
-        rows = np.concatenate(parts, axis=2) * np.sqrt(weight[which])[:, None, None]
+        residual, weight, by_pose, by_interior, by_point = linearised(which)
+        rows = np.concatenate([by_pose, by_interior, residual[:, :, None], by_point], axis=2)
+        rows *= np.sqrt(weight)[:, None, None]
         for i in range(first, last):
             mine = rows[ends[i] - ends[first] : ends[i + 1] - ends[first], :, :-3].reshape(-1, k + 7)
             in_frame[i] = mine.T @ mine

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.control import Spread, control_residuals, control_warnings
+from geomosaic.adjustment.misalignment import ties_on_ground
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
 
@@ -20,12 +20,8 @@ def residuals_m(
     block: Block, poses: Poses, cameras: tuple[Camera, ...], ground: GroundSurface
 ) -> tuple[Floats, ...]:
     """Per pair (k, 2): right minus left on the ground, east and north; NaN where a ray misses."""
-    out = []
-    for tie in block.ties.pairs:
-        left = ground_from_image(poses[tie.left], cameras[tie.left], ground, tie.left_px)
-        right = ground_from_image(poses[tie.right], cameras[tie.right], ground, tie.right_px)
-        out.append(right[:, :2] - left[:, :2])
-    return tuple(out)
+    on_ground = ties_on_ground(block, poses, cameras, ground)
+    return tuple(right[:, :2] - left[:, :2] for left, right in on_ground)
 
 
 def settled(

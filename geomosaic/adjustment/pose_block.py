@@ -8,15 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
+from geomosaic.adjustment.chosen_ground import (
+    DEM_SD_M,
+    chosen_ground,
+    flying_height_m,
+    levelled,
+    off_ground_m,
+)
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
 from geomosaic.adjustment.doubts import doubtful_positions, lying_tags, undetermined_wishes
-from geomosaic.adjustment.misalignment import offset_net
+from geomosaic.adjustment.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT, Mounting
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.similarity_block import similarity_block
-from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
@@ -24,8 +30,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
 from geomosaic.placement.reach import heights_above_ground_m
-from geomosaic.projection.footprint import ground_from_image
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.footprint import ground_from_images
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +40,6 @@ _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
 _READOUT_SD_S = 0.05
 _MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
-_DEM_SD_M = 1.0
 _DEM_LEVEL_SD_M = 2.0
 _ANY_RELIEF = 0.3
 _LEVEL_SD_SHARE = 0.04
@@ -61,7 +65,8 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     if not tracks.points and all(c.check for c in block.control):
         still = np.zeros((len(block.names), 2))
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
-    start = start_poses(block)
+    net = offset_net(block)
+    start = start_poses(block, net)
     cameras = tuple({c.name: c for c in block.cameras}.values())
     number = {c.name: k for k, c in enumerate(cameras)}
     camera_of = np.array([number[c.name] for c in block.cameras])
@@ -83,14 +88,15 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         solved = free
     else:
         priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
-    ground = _ground(block, settings, _of_ties(solved, kept)) if ties else block.ground
+    ground, relief_px = block.ground, float("nan")
+    if ties:
+        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept))
     if ties and ground.kind != "tie_surface":
-        off_m = _off_ground_m(block, ground, _of_ties(solved, kept))
-        near = replace(_believed_terrain(block), sd_share=off_m / _height_m(block))
+        off_m = off_ground_m(block, ground, _of_ties(solved, kept))
+        near = replace(_believed_terrain(block), sd_share=off_m / flying_height_m(block))
         solved = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
-        ground = _levelled(ground, _of_ties(solved, kept))
+        ground = levelled(ground, _of_ties(solved, kept))
     bundle = _of_ties(solved, kept)
-    net = offset_net(block)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
     shared = _shared(bundle, priors)
@@ -105,7 +111,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *undetermined_wishes(shared),
         ),
-        figures=_figures(bundle, kept),
+        figures=_figures(bundle, kept) | ({"ground_relief_px": relief_px} if np.isfinite(relief_px) else {}),
         spread=spread_of(bundle, camera_of),
     )
     return replace(
@@ -159,13 +165,13 @@ def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
     )
 
 
-def start_poses(block: Block) -> Poses:
+def start_poses(block: Block, net: OffsetNet) -> Poses:
     """POS turned, shifted and scaled over the ground so that the frames agree, see `similarity_block`."""
     poses = block.poses
     height = heights_above_ground_m(poses, block.ground)
     tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
     turn, nadir = similarity_block(
-        offset_net(block),
+        net,
         poses.positions_m[:, :2],
         np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt),
         np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
@@ -195,10 +201,7 @@ def _mounting(settings: Settings) -> Mounting:
 
 def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:
     """Each track's mean place on the ground from the start poses; tracks that miss it are dropped."""
-    at = np.full((len(tracks.frame), 3), np.nan)
-    for i in np.unique(tracks.frame):
-        mine = tracks.frame == i
-        at[mine] = ground_from_image(poses[i], block.cameras[i], block.ground, tracks.image_px[mine])
+    at = ground_from_images(tracks.frame, tracks.image_px, poses, block.cameras, block.ground)
     hit = np.isfinite(at).all(axis=1)
     lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
     keep = ~lost[tracks.point]
@@ -213,72 +216,16 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
 
 def _point_deviations(block: Block, points: Floats) -> Floats:
     """Tie points are free; all together, no further from the start than a flying height."""
-    return np.full((len(points), 3), _height_m(block) * np.sqrt(len(points)))
+    return np.full((len(points), 3), flying_height_m(block) * np.sqrt(len(points)))
 
 
 def _believed_terrain(block: Block) -> Terrain:
     """A DEM binds the points; what POS says of the ground's height only tells their common level."""
-    height = _height_m(block)
+    height = flying_height_m(block)
     if block.ground.kind == "dem":
-        return Terrain(block.ground, _DEM_SD_M / height, _DEM_LEVEL_SD_M)
+        return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
     level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
     return Terrain(block.ground, _ANY_RELIEF, float(level_sd_m))
-
-
-def _height_m(block: Block) -> float:
-    return float(np.median(heights_above_ground_m(block.poses, block.ground)))
-
-
-def _view(block: Block) -> float:
-    """How far relief moves the middle of a frame's outer half, per metre of height."""
-    return max(float(np.hypot(c.width_px, c.height_px)) / 4.0 / c.focal_length_px for c in block.cameras)
-
-
-def _least_relief_m(block: Block) -> float:
-    """Relief that moves a point by half a ground pixel: less than that is flat."""
-    return 0.5 * block.ground_pixel_m / _view(block)
-
-
-def _off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle) -> float:
-    """How far points lie off the ground: as the first solve found it on a DEM; flat is flat."""
-    if ground.kind == "flat":
-        return _least_relief_m(block)
-    off = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
-    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
-    return float(np.clip(spread, 0.5 * _least_relief_m(block), _DEM_SD_M))
-
-
-def _levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
-    """The ground's own shape at the level of the points: the frames' heights are theirs, also over a DEM
-    of another datum."""
-    above = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
-    return replace(ground, up_m=ground.up_m + level_m(above, bundle.points_sd_m[:, 2]))
-
-
-def _ground(block: Block, settings: Settings, bundle: Bundle) -> GroundSurface:
-    """A DEM stays; else flat at the points' own level, or their surface where relief shows."""
-    if block.ground.kind == "dem":
-        return block.ground
-    flat = _levelled(block.ground, bundle)
-    well = bundle.points_sd_m[:, 2] < 3.0 * np.median(bundle.points_sd_m[:, 2])
-    points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
-    if settings.ground == "flat" or len(points) < 50:
-        return flat
-    stiffness_m = 0.002 * float(np.median(heights_above_ground_m(bundle.poses, flat)))
-    low_m, high_m = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    surface = tie_surface(points, sd, low_m, high_m, stiffness_m, 25.0 * stiffness_m)
-    if settings.ground == "tie_surface":
-        return surface
-    relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
-    shown = float(np.sqrt(np.mean(np.square(relief - _bend(points, relief)))))
-    return surface if shown > _least_relief_m(block) else flat
-
-
-def _bend(points: Floats, relief: Floats) -> Floats:
-    """The part of the relief that a block without height control may have bent in: a paraboloid."""
-    e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / np.ptp(points[:, :2], axis=0).max()).T
-    terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
-    return np.asarray(terms @ np.linalg.lstsq(terms, relief, rcond=None)[0])
 
 
 def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:

@@ -108,7 +108,7 @@ class AdjustmentSolve(Stage):
         for name, value in adjusted.figures.items():
             context.metric(f"adjustment.{name}", value)
         context.metric("ground.kind", adjusted.ground.kind)
-        record_adjusted(context, survey, block, adjusted)
+        record_adjusted(context, survey, block, adjusted, params.ground)
         return {"adjusted": adjusted, "ground": adjusted.ground}
 
 

@@ -1,0 +1,78 @@
+"""The ground that goes with a solved bundle: a DEM, flat land, or the surface of the tie points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.bundle import Bundle
+from geomosaic.adjustment.model import Block
+from geomosaic.adjustment.surface import level_m, tie_surface
+from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+DEM_SD_M = 1.0
+"""What a DEM without a stated deviation is good to."""
+
+
+def flying_height_m(block: Block) -> float:
+    return float(np.median(heights_above_ground_m(block.poses, block.ground)))
+
+
+def _view(block: Block) -> float:
+    """How far relief moves the middle of a frame's outer half, per metre of height."""
+    return max(float(np.hypot(c.width_px, c.height_px)) / 4.0 / c.focal_length_px for c in block.cameras)
+
+
+def _least_relief_m(block: Block) -> float:
+    """Relief that moves a point by half a ground pixel: less than that is flat."""
+    return 0.5 * block.ground_pixel_m / _view(block)
+
+
+def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle) -> float:
+    """How far points lie off the ground: the spread about it of the best determined quarter as solved so
+    far, less what their own deviations explain; of flat ground less the bend, and at most what is flat."""
+    flat, least_m = ground.kind == "flat", _least_relief_m(block)
+    off = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
+    off = off - _bend(bundle.points_m, off) if flat else off
+    well = bundle.points_sd_m[:, 2] <= np.quantile(bundle.points_sd_m[:, 2], 0.25)
+    spread = 1.4826 * float(np.median(np.abs(off[well] - np.median(off[well]))))
+    own = float(np.median(bundle.points_sd_m[well, 2]))
+    rough = float(np.sqrt(max(spread**2 - own**2, 0.0)))
+    return float(np.clip(rough, 0.1 * least_m, least_m if flat else DEM_SD_M))
+
+
+def levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
+    """The ground's own shape at the level of the points: the frames' heights are theirs, also over a DEM
+    of another datum."""
+    above = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
+    return replace(ground, up_m=ground.up_m + level_m(above, bundle.points_sd_m[:, 2]))
+
+
+def chosen_ground(block: Block, asked: str, bundle: Bundle) -> tuple[GroundSurface, float]:
+    """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
+    ground pixels it moves points is the second, NaN where not known. asked: see `Settings.ground`."""
+    if block.ground.kind == "dem":
+        return block.ground, float("nan")
+    flat = levelled(block.ground, bundle)
+    well = bundle.points_sd_m[:, 2] < 3.0 * np.median(bundle.points_sd_m[:, 2])
+    points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
+    if asked == "flat" or len(points) < 50:
+        return flat, float("nan")
+    stiffness_m = 0.002 * float(np.median(heights_above_ground_m(bundle.poses, flat)))
+    low_m, high_m = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    surface = tie_surface(points, sd, low_m, high_m, stiffness_m, 25.0 * stiffness_m)
+    relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
+    shown = float(np.sqrt(np.mean(np.square(relief - _bend(points, relief)))))
+    relief_px = 0.5 * shown / _least_relief_m(block)
+    return surface if asked == "tie_surface" or relief_px > 0.5 else flat, relief_px
+
+
+def _bend(points: Floats, relief: Floats) -> Floats:
+    """The part of the relief that a block without height control may have bent in: a paraboloid."""
+    e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / np.ptp(points[:, :2], axis=0).max()).T
+    terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
+    return np.asarray(terms @ np.linalg.lstsq(terms, relief, rcond=None)[0])
