@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly
 
-from geomosaic.adjustment.bundle import MOUNTING
 from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
+from geomosaic.adjustment.mounting import MOUNTING, mounting_derivatives, pose_miss
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 

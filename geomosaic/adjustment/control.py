@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle import MEASURED_SD_PX, Bundle, Priors
+from geomosaic.adjustment.bundle_model import MEASURED_SD_PX, Bundle, Priors
 from geomosaic.adjustment.collinearity import interior_of, passing, project
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.tracks import Tracks

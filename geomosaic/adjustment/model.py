@@ -139,8 +139,8 @@ class Adjusted:
     the ground minus where the left one does, east and north, after the adjustment. ground: the surface
     that goes with the poses: the block's own, unless the method estimates it. control: of the block's
     control and check points that were measured in pictures. Of methods that solve for them:
-    pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), NaN for frames
-    that took no part; shared and image_residuals.
+    pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), of frames that took
+    no part that of their POS; shared and image_residuals.
     """
 
     poses: Poses

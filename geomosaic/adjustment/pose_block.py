@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle import Bundle, Priors, solve_bundle
+from geomosaic.adjustment.bundle import solve_bundle
+from geomosaic.adjustment.bundle_model import Bundle, Priors
 from geomosaic.adjustment.chosen_ground import (
     DEM_SD_M,
     chosen_ground,

@@ -1,0 +1,160 @@
+"""The equations of a bundle: its cost and its normal equations at the present state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.bundle_model import Priors, State
+from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of, passing, project
+from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
+from geomosaic.adjustment.normal import Normals, build_normals
+from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
+from geomosaic.adjustment.terrain import add_terrain, terrain_cost
+from geomosaic.adjustment.tracks import Tracks
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+KNOWN = 1e-6
+"""Prior deviation of what is known or held: next to nothing, in its unit or as a share of its deviation."""
+
+
+def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float]) -> float:
+    length = lengths_px(tracks, camera_of, priors, state) / image_sd_px(tracks, priors, sigma)
+    total = cauchy_cost(np.where(np.isfinite(length), length, 1e6))
+    total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, sigma)) ** 2).sum())
+    total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
+    total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
+    if priors.terrain is not None:
+        total += terrain_cost(
+            priors.terrain,
+            ~priors.control,
+            state.points,
+            state.positions,
+            frame_share(tracks, state),
+            state.level,
+        )
+    return total
+
+
+def normals_of(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float]
+) -> Normals:
+    sd_px = image_sd_px(tracks, priors, sigma)
+
+    def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        some = Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
+        image, by_pose, by_interior, by_point = project(*observed(some, camera_of, priors, state))
+        residual, sd = some.image_px - image, sd_px[which]
+        seen = np.isfinite(residual).all(axis=1)
+        weight = np.where(seen, cauchy_weight(np.linalg.norm(residual, axis=1) / sd) / sd**2, 0.0)
+        for a in (residual, by_pose, by_interior, by_point):
+            a[~seen] = 0.0
+        return residual, weight, by_pose, by_interior, by_point
+
+    counts = (len(state.positions), *state.interior.shape, len(state.points))
+    n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised)
+    n = _with_priors(n, priors, state, sigma)
+    if priors.terrain is None:
+        return replace(n, level=1.0)
+    share = frame_share(tracks, state)
+    return add_terrain(n, priors.terrain, ~priors.control, state.points, state.positions, share, state.level)
+
+
+def _with_priors(n: Normals, priors: Priors, state: State, sigma: dict[str, float]) -> Normals:
+    """Adds what was believed of poses, points, lenses and mounting."""
+    by_pose, by_mounting = mounting_derivatives(priors.poses, state.rotations, state.mounting)
+    weighted = (trust_of(priors) / pose_sd(priors, sigma) ** 2)[:, :, None]
+    miss = present_miss(priors, state)[:, :, None]
+    back = np.swapaxes(by_pose, 1, 2)
+    n.pose[:] += back @ (weighted * by_pose)
+    n.pose_side[:] += (back @ (weighted * miss))[:, :, 0]
+    n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / priors.points_sd_m**2
+    n.point_side[:] += (priors.points_m - state.points) / priors.points_sd_m**2
+    weight, off = 1.0 / shared_sd(priors) ** 2, shared_miss(priors, state)
+    c, k = state.interior.shape
+    i = np.arange(k)
+    n.interior[:, i, i] += weight[: c * k].reshape(c, k)
+    n.interior_side[:] += (weight * off)[: c * k].reshape(c, k)
+    if not priors.mounting.asked.any():
+        return n
+    return replace(
+        n,
+        pose_mounting=back @ (weighted * by_mounting),
+        mounting=np.einsum("fai,faj->ij", by_mounting, weighted * by_mounting) + np.diag(weight[c * k :]),
+        mounting_side=np.einsum("fai,fa->i", by_mounting, (weighted * miss)[:, :, 0])
+        + (weight * off)[c * k :],
+    )
+
+
+def pose_sd(priors: Priors, sigma: dict[str, float]) -> Floats:
+    """Deviations of the pose priors with their present factors, (f, 6); inf where nothing is known."""
+    position, turn = priors.poses.positions_sd_m, priors.poses.rotations_sd_rad
+    factor = np.array([sigma[g] for g in ("horizontal", "horizontal", "vertical", "tilt", "tilt", "yaw")])
+    sd = np.column_stack([position, turn]) * factor
+    return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
+
+
+def present_miss(priors: Priors, state: State) -> Floats:
+    """Told minus what present poses and mounting make of it, (f, 6)."""
+    return pose_miss(priors.poses, state.positions, state.rotations, state.mounting)
+
+
+def shared_sd(priors: Priors) -> Floats:
+    """Prior deviations of the shared unknowns, (s,): next to nothing for those that are known or held."""
+    sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
+    known = (sd == 0.0) if priors.held is None else (sd == 0.0) | priors.held
+    return np.where(known, KNOWN * np.where(sd == 0.0, 1.0, sd), sd)
+
+
+def shared_miss(priors: Priors, state: State) -> Floats:
+    """Given minus present, (s,)."""
+    given = np.stack([interior_of(c) for c in priors.cameras])
+    return np.concatenate([(given - state.interior).ravel(), -state.mounting])
+
+
+def trust_of(priors: Priors) -> Floats:
+    return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
+
+
+def observed(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State
+) -> tuple[Floats, Floats, Floats, Floats, Floats | None]:
+    """What `project` and `image_from_ground` take, a row an observation."""
+    camera, velocities = camera_of[tracks.frame], priors.poses.velocities_m_per_s
+    heights = np.array([c.height_px for c in priors.cameras])[camera]
+    return (
+        state.positions[tracks.frame],
+        state.rotations[tracks.frame],
+        state.interior[camera],
+        state.points[tracks.point],
+        passing(
+            velocities[tracks.frame] if velocities is not None and _rolls(priors) else None,
+            tracks.image_px[:, 1],
+            heights,
+        ),
+    )
+
+
+def _rolls(priors: Priors) -> bool:
+    """Whether any camera reads its rows one after the other, or may."""
+    readout = INTERIOR.index("readout_s")
+    return bool(priors.interior_sd[:, readout].any()) or any(c.readout_s for c in priors.cameras)
+
+
+def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Floats:
+    """Lengths of the image residuals, (m,); NaN behind the camera."""
+    image = image_from_ground(*observed(tracks, camera_of, priors, state))
+    return np.asarray(np.linalg.norm(tracks.image_px - image, axis=1))
+
+
+def image_sd_px(tracks: Tracks, priors: Priors, sigma: dict[str, float]) -> Floats:
+    """Present deviation of each observation, (m,): hand-measured control apart from tie points."""
+    return np.where(priors.control[tracks.point], sigma["control"], sigma["image"])
+
+
+def frame_share(tracks: Tracks, state: State) -> Floats:
+    """Each frame's share of the observations, (f,)."""
+    return np.bincount(tracks.frame, minlength=len(state.positions)) / max(len(tracks.frame), 1)
