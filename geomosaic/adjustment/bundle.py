@@ -27,6 +27,7 @@ from geomosaic.camera.exterior import Poses
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 _ROUGH, _FINE = 1e-3, 1e-5
 _STEPS_BETWEEN = 2
 _DAMPING = 1e-9
@@ -76,10 +77,10 @@ def solve_bundle(
         priors = replace(priors, held=held)
         state, priors, used = _settle(tracks, camera_of, priors, state, sigma, most)
         iterations += used
-        bundle = _finish(tracks, camera_of, priors, state, sigma, iterations)
-        held = bundle.held | undetermined(bundle, priors)
-        if np.array_equal(held, bundle.held):
-            return bundle
+        more = held | undetermined(tracks, camera_of, priors, state, sigma)
+        if np.array_equal(more, held):
+            return _finish(tracks, camera_of, priors, state, sigma, iterations)
+        held = more
         given = np.stack([interior_of(c) for c in priors.cameras])
         state = replace(
             state,
@@ -144,10 +145,19 @@ def _converge(
     return state, most
 
 
+def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:
+    """Prior variances of the held numbers in the order of `Reduced`, (s,): the ground's level stands between
+    the cameras' and the mounting's."""
+    sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
+    return np.insert(np.where(held, sd, 0.0) ** 2, priors.interior_sd.size, 0.0)[:unknowns]
+
+
 def _finish(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float], iterations: int
 ) -> Bundle:
-    reduced = reduce_normals(normals_of(tracks, camera_of, replace(priors, held=None), state, sigma))
+    reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, sigma))
+    if priors.held is not None and priors.held.any():
+        reduced = reduced.considering(_held_variance(priors, priors.held, len(reduced.shared)))
     covariance, shared = reduced.covariance()
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     image = image_from_ground(*observed(tracks, camera_of, priors, state))

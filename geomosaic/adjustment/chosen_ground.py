@@ -11,11 +11,18 @@ from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 DEM_SD_M = 1.0
 """What a DEM without a stated deviation is good to."""
+LEAST_POINTS = 50
+"""Fewer make no surface."""
+_SEEN_THRICE = 0.1
+_AS_WELL = 1.1
+_NEAR_FLAT = 3.0
+_BENT = 2.0
 
 
 def flying_height_m(block: Block) -> float:
@@ -52,23 +59,48 @@ def levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
     return replace(ground, up_m=ground.up_m + level_m(above, bundle.points_sd_m[:, 2]))
 
 
-def chosen_ground(block: Block, asked: str, bundle: Bundle) -> tuple[GroundSurface, float]:
+def chosen_ground(
+    block: Block, asked: str, bundle: Bundle, lengths: NDArray[np.intp]
+) -> tuple[GroundSurface, float]:
     """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
-    ground pixels it moves points is the second, NaN where not known. asked: see `Settings.ground`."""
+    ground pixels it moves points is the second, NaN where not known.
+
+    Where hardly a point is seen from three frames, the frames' tilts and the relief can't be told apart, and
+    flat ground is to be tried first, see `lies_flat`.
+
+    Args: asked: see `Settings.ground`; lengths (p,): in how many frames each point is seen.
+    """
     if block.ground.kind == "dem":
         return block.ground, float("nan")
-    flat = levelled(block.ground, bundle)
-    well = bundle.points_sd_m[:, 2] < 3.0 * np.median(bundle.points_sd_m[:, 2])
-    points, sd = bundle.points_m[well], bundle.points_sd_m[well, 2]
-    if asked == "flat" or len(points) < 50:
+    flat, points = levelled(block.ground, bundle), bundle.points_m
+    few = len(points) < LEAST_POINTS
+    if asked == "flat" or few or (asked == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
         return flat, float("nan")
-    stiffness_m = 0.002 * float(np.median(heights_above_ground_m(bundle.poses, flat)))
-    low_m, high_m = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    surface = tie_surface(points, sd, low_m, high_m, stiffness_m, 25.0 * stiffness_m)
+    surface = surface_of(block, flat, bundle)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
     shown = float(np.sqrt(np.mean(np.square(relief - _bend(points, relief)))))
     relief_px = 0.5 * shown / _least_relief_m(block)
     return surface if asked == "tie_surface" or relief_px > 0.5 else flat, relief_px
+
+
+def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
+    """Whether flat ground explains the pictures as well as free points do: the image residuals don't grow,
+    most points come to lie on it, and neither tilts nor heights are bent against what POS says of them."""
+    off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
+    return bool(
+        bound.sigma_px < _AS_WELL * free.sigma_px
+        and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
+        and all(bound.sigma[g] < _BENT * max(free.sigma[g], 1.0) for g in ("tilt", "vertical"))
+    )
+
+
+def surface_of(block: Block, flat: GroundSurface, bundle: Bundle) -> GroundSurface:
+    """The surface of the points, over all that points and frames cover; flat: about their level."""
+    outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
+    at = np.concatenate([bundle.points_m[:, :2], *outlines])
+    low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
+    height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
+    return tie_surface(bundle.points_m, bundle.points_sd_m[:, 2], low_m, high_m, height_m)
 
 
 def _bend(points: Floats, relief: Floats) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -169,11 +169,36 @@ class Reduced:
     def covariance(self) -> tuple[Floats, Floats]:
         """Covariances for unit weight, with all correlations: each pose's own (f, 6, 6), and the full matrix
         of what frames share (s, s)."""
-        y = self._factors.solve(self.border)
-        corner = self.shared - self.border.T @ y
-        shared = _spd_solve(corner, np.eye(len(corner)))
-        by_shared = y.reshape(-1, 6, len(corner))
+        shared = self.shared_covariance()
+        by_shared = self._by_border.reshape(-1, 6, len(shared))
         return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared
+
+    def shared_covariance(self) -> Floats:
+        """The second part of `covariance` alone."""
+        return _spd_solve(self.shared - self.border.T @ self._by_border, np.eye(len(self.shared)))
+
+    @cached_property
+    def _by_border(self) -> Floats:
+        return self._factors.solve(self.border)
+
+    def considering(self, variance: Floats) -> Reduced:
+        """The system whose covariances hold what is not known of shared unknowns that were not solved for.
+
+        Their estimate is no better than it was before, whatever the pictures say, and the others are as
+        wrong as that makes them (Schmidt's consider filter): the information left for them once all others
+        are eliminated is their prior's alone.
+
+        Args: variance (s,) for unit weight; 0 for those that were solved for.
+        """
+        held, free = np.flatnonzero(variance > 0.0), np.flatnonzero(variance == 0.0)
+        through_poses = self.border.T @ self._by_border
+        corner = self.shared - through_poses
+        meet = corner[np.ix_(free, held)]
+        through_shared = meet.T @ _spd_solve(corner[np.ix_(free, free)], meet)
+        shared = self.shared.copy()
+        own = through_poses[np.ix_(held, held)] + through_shared
+        shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
+        return replace(self, shared=shared)
 
     def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
         """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.

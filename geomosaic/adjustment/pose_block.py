@@ -11,10 +11,13 @@ from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.bundle_model import Bundle, Priors
 from geomosaic.adjustment.chosen_ground import (
     DEM_SD_M,
+    LEAST_POINTS,
     chosen_ground,
     flying_height_m,
     levelled,
+    lies_flat,
     off_ground_m,
+    surface_of,
 )
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
@@ -43,6 +46,7 @@ _READOUT_SD_S = 0.05
 _MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
 _DEM_LEVEL_SD_M = 2.0
 _ANY_RELIEF = 0.3
+_HILLS = 50.0
 _LEVEL_SD_SHARE = 0.04
 _LEAST_LEVEL_SD_M = 2.0
 _DATUM_IN_DOUBT = 3.0
@@ -81,7 +85,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         points_m=points,
         points_sd_m=_point_deviations(block, points),
         control=np.zeros(ties, dtype=bool),
-        terrain=_believed_terrain(block),
+        terrain=_believed_terrain(block, ties),
     )
     free = solve_bundle(kept, camera_of, priors, start) if ties else None
     seen, priors = with_control(kept, priors, block.control)
@@ -91,12 +95,17 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
     ground, relief_px = block.ground, float("nan")
     if ties:
-        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept))
+        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths)
     if ties and ground.kind != "tie_surface":
         off_m = off_ground_m(block, ground, _of_ties(solved, kept))
-        near = replace(_believed_terrain(block), sd_share=off_m / flying_height_m(block))
-        solved = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
-        ground = levelled(ground, _of_ties(solved, kept))
+        near = replace(_believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
+        bound = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
+        ground = levelled(ground, _of_ties(bound, kept))
+        tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
+        if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
+            ground = surface_of(block, ground, _of_ties(solved, kept))
+        else:
+            solved = bound
     bundle = _of_ties(solved, kept)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
@@ -188,9 +197,12 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
 
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
-    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked."""
+    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
+
+    The principal point is known no better than the focal length: small drones' are off by one in a hundred.
+    """
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
-    principal = _PRINCIPAL_SD * max(camera.width_px, camera.height_px)
+    principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
     lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
     return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
 
@@ -220,13 +232,17 @@ def _point_deviations(block: Block, points: Floats) -> Floats:
     return np.full((len(points), 3), flying_height_m(block) * np.sqrt(len(points)))
 
 
-def _believed_terrain(block: Block) -> Terrain:
-    """A DEM binds the points; what POS says of the ground's height only tells their common level."""
+def _believed_terrain(block: Block, points: int) -> Terrain:
+    """A DEM binds the points; what POS says of the ground's height only tells their common level.
+
+    Relief is alike over many points: all of them together say no more than 50 would. Else their number would
+    tilt the block until its hills lie level in the mean, against what the attitudes say.
+    """
     height = flying_height_m(block)
     if block.ground.kind == "dem":
         return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
     level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
-    return Terrain(block.ground, _ANY_RELIEF, float(level_sd_m))
+    return Terrain(block.ground, _ANY_RELIEF * np.sqrt(max(points / _HILLS, 1.0)), float(level_sd_m))
 
 
 def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:

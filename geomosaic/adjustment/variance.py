@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,7 @@ from geomosaic.adjustment.bundle_equations import (
     shared_sd,
     trust_of,
 )
-from geomosaic.adjustment.bundle_model import MEASURED_SD_PX, Bundle, Priors, State
+from geomosaic.adjustment.bundle_model import MEASURED_SD_PX, Priors, State
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight, lie_weight
 from geomosaic.adjustment.terrain import surface_share
@@ -23,7 +25,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _LEAST_SIGMA_PX = 0.02
-_DETERMINED = 0.9
+_DETERMINED = 0.7
+_ERRORS_ALIKE = 5.0
 _PRIOR_FACTORS = (0.1, 10.0)
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of residuals (2,) with a deviation of 1 each
 
@@ -102,17 +105,22 @@ def trust_in_tags(priors: Priors, state: State, sigma: dict[str, float]) -> Floa
     return np.repeat(lie_weight(length / bulk), 3, axis=1)
 
 
-def undetermined(bundle: Bundle, priors: Priors) -> Bools:
+def undetermined(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float]
+) -> Bools:
     """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
 
-    A number counts as determined if its deviation is below _DETERMINED of what it was before the pictures
-    spoke. To hold the others costs next to nothing, and says so.
+    Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
+    is not what it seems. A number counts as determined if with image errors _ERRORS_ALIKE times as large its
+    deviation would still be below _DETERMINED of what it was before pictures and POS spoke.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
-    free = np.flatnonzero(sd > 0.0)
-    after = np.concatenate([bundle.interior_sd.ravel(), bundle.mounting_sd])[free]
-    relative = after / sd[free]
-    covariance = bundle.shared_correlation[np.ix_(free, free)] * relative[:, None] * relative
+    wider = sigma | {"image": _ERRORS_ALIKE * sigma["image"]}
+    normals = normals_of(tracks, camera_of, replace(priors, held=None), state, wider)
+    shared = np.delete(reduce_normals(normals).shared_covariance(), priors.interior_sd.size, axis=0)
+    shared = np.delete(shared, priors.interior_sd.size, axis=1)
+    free = np.flatnonzero(sd[: len(shared)] > 0.0)
+    covariance = shared[np.ix_(free, free)] / np.outer(sd[free], sd[free])
     told = np.linalg.inv(covariance) - np.eye(len(free))
     out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
     while left.size:

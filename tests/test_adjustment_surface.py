@@ -1,0 +1,180 @@
+"""The ground from tie points: how it goes on beyond them, what it ignores, when flat ground is enough."""
+
+import numpy as np
+import pytest
+from adjustment_blocks import POSITION_SD_M, TURN_SD_RAD, Flown, fly, hills, level
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+
+from geomosaic.adjustment.collinearity import exp_turn
+from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.pose_block import pose_block
+from geomosaic.adjustment.surface import tie_surface
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.projection.ground import GroundSurface
+
+LOW, HIGH = np.array([-130.0, -110.0]), np.array([130.0, 110.0])
+
+
+def dome(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Hills of 20 m and 300 m from top to top, a fifth of a flying height of 100 m."""
+    return 312.0 + 10.0 * np.cos((east - 20.0) / 48.0) * np.cos((north + 30.0) / 48.0)
+
+
+def slope(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """A hillside that rises by a tenth to the north."""
+    return 0.1 * north + 0.0 * east
+
+
+def points(seed: int, n: int = 4000, noise_m: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    at = rng.uniform([-100.0, -80.0], [100.0, 80.0], (n, 2))
+    up = dome(*at.T) + rng.normal(0.0, noise_m, n)
+    return np.column_stack([at, up]), np.full(n, noise_m)
+
+
+def off_m(surface: GroundSurface, beyond_m: float) -> float:
+    """Largest miss along the line beyond_m outside the points."""
+    e, n = np.linspace(-100.0, 100.0, 41), np.linspace(-80.0, 80.0, 41)
+    sides = [(e, 0 * e + 80.0 + beyond_m), (e, 0 * e - 80.0 - beyond_m)]
+    sides += [(0 * n + 100.0 + beyond_m, n), (0 * n - 100.0 - beyond_m, n)]
+    return float(max(np.abs(surface.up_at(*at) - dome(*at)).max() for at in sides))
+
+
+def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
+    """The edge held level would be off by 2 m at 10 m and by 5 m at 25 m; the true slope straight on by 0.2
+    and 1.2 m, and slopes of noisy points by more."""
+    surface = tie_surface(*points(1), LOW, HIGH, 100.0)
+    assert surface.kind == "tie_surface"
+    assert (surface.east_0_m, surface.north_0_m) == (-130.0, -110.0)
+    assert surface.up_at(20.0, -30.0) == pytest.approx(322.0, abs=0.02)
+    assert surface.up_at(-70.0, 40.0) == pytest.approx(311.664, abs=0.02)
+    assert off_m(surface, 10.0) < 0.3
+    assert off_m(surface, 25.0) < 1.0
+
+
+def test_trees_do_not_lift_the_ground() -> None:
+    at, sd = points(2)
+    rng = np.random.default_rng(3)
+    for middle, reach in zip(rng.uniform(-90, 90, (40, 2)), rng.uniform(2.0, 7.0, 40), strict=True):
+        crown = np.linalg.norm(at[:, :2] - middle, axis=1) < reach
+        at[crown, 2] += rng.uniform(3.0, 10.0, crown.sum())
+    surface = tie_surface(at, sd, LOW, HIGH, 100.0)
+    e, n = np.meshgrid(np.linspace(-80.0, 80.0, 60), np.linspace(-60.0, 60.0, 50))
+    assert np.abs(surface.up_at(e, n) - dome(e, n)).max() < 0.3
+    assert np.mean(at[:, 2] - dome(*at[:, :2].T) > 1.0) > 0.05
+
+
+def test_a_finer_grid_gives_the_same_surface() -> None:
+    at, sd = points(4, 8000)
+    fine, coarse = (tie_surface(at[::k], sd[::k], LOW, HIGH, 100.0) for k in (1, 4))
+    assert coarse.spacing_m == pytest.approx(2.0 * fine.spacing_m, rel=0.05)
+    for reach_m, most_m in ((-5.0, 0.06), (10.0, 0.5)):
+        east, north = 100.0 + reach_m, 80.0 + reach_m
+        e, n = np.meshgrid(np.linspace(-east, east, 45), np.linspace(-north, north, 37))
+        assert np.abs(fine.up_at(e, n) - coarse.up_at(e, n)).max() < most_m
+
+
+def test_rough_ground_gets_a_softer_surface_than_smooth_ground() -> None:
+    """Hills of 6 m and 60 m from top to top: one stiffness for both would cut them by metres."""
+    at, sd = points(5, 3000)
+    at[:, 2] = 3.0 * np.sin(at[:, 0] / 9.5) * np.cos(at[:, 1] / 9.5)
+    surface = tie_surface(at, sd, LOW, HIGH, 100.0)
+    e, n = np.meshgrid(np.linspace(-90.0, 90.0, 60), np.linspace(-70.0, 70.0, 50))
+    off = surface.up_at(e, n) - 3.0 * np.sin(e / 9.5) * np.cos(n / 9.5)
+    assert np.sqrt(np.mean(off**2)) < 0.15
+
+
+@given(st.floats(0.02, 50.0), st.integers(0, 1000))
+@examples(max_examples=8, deadline=None)
+def test_a_block_of_another_size_gets_the_surface_of_that_size(factor: float, seed: int) -> None:
+    at, sd = points(seed, 300)
+    one = tie_surface(at, sd, LOW, HIGH, 100.0)
+    other = tie_surface(factor * at, factor * sd, factor * LOW, factor * HIGH, factor * 100.0)
+    assert other.spacing_m == pytest.approx(factor * one.spacing_m)
+    assert other.up_m / factor == pytest.approx(one.up_m, rel=1e-5)
+
+
+def line(seed: int, base_m: float, relief=level, frames: int = 8) -> Block:  # type: ignore[no-untyped-def]
+    """One line of frames that reach 60 m along it, 100 m above zero, base_m apart."""
+    rng = np.random.default_rng(seed)
+    camera = Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02)
+    at = np.array([[0.0, base_m * i, 100.0] for i in range(frames)])
+    attitude = rng.normal(0, np.radians([2.0, 1.0, 1.0]), (frames, 3))
+    rotations = Rotation.from_yaw_pitch_roll(*attitude.T).matrix
+    none = np.zeros((frames, 3))
+    truth = Poses(at + rng.normal(0, [1.0, 1.0, 0.5], (frames, 3)), rotations, none, none)
+    plan = rng.uniform([-35.0, -25.0], [35.0, at[-1, 1] + 25.0], (1200, 2))
+    land = np.column_stack([plan, relief(*plan.T)])
+    seen = [truth[i].image_from_ground(camera, land) for i in range(frames)]
+    inside = [np.all((px > 5.0) & (px < [795.0, 595.0]), axis=1) for px in seen]
+    measured = [px + rng.normal(0, 0.3, px.shape) for px in seen]
+    ties = []
+    for i in range(frames):
+        for j in range(i + 1, frames):
+            both = np.flatnonzero(inside[i] & inside[j]).astype(np.int32)
+            if len(both) >= 12:
+                ties.append(TiePair(i, j, measured[i][both], measured[j][both], both, both))
+    poses = Poses(
+        truth.positions_m + rng.normal(0, POSITION_SD_M, (frames, 3)),
+        exp_turn(rng.normal(0, TURN_SD_RAD, (frames, 3))) @ truth.rotations,
+        np.tile(POSITION_SD_M, (frames, 1)),
+        np.tile(TURN_SD_RAD, (frames, 1)),
+    )
+    flat = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
+    names = tuple(f"{i:03d}.jpg" for i in range(frames))
+    order = tuple(range(frames))
+    return Block(names, (camera,) * frames, poses, flat, TiePoints(tuple(ties)), order, (0,) * frames, 0.1)
+
+
+@pytest.mark.parametrize("base_m", [48.0, 42.0])
+def test_a_line_of_pairs_over_flat_land_is_flat(base_m: float) -> None:
+    """20 and 30 % overlap: no point in three frames, and free points bend by metres with the frames' tilts."""
+    block = line(1, base_m)
+    auto = pose_block(block, Settings())
+    assert auto.ground.kind == "flat"
+    assert auto.figures["sigma_px"] == pytest.approx(0.3, rel=0.15)
+    bent = pose_block(block, Settings(ground="tie_surface")).ground
+    n = np.linspace(-20.0, base_m * 7 + 20.0, 80)
+    assert np.ptp(bent.up_at(0 * n, n)) > 3.0
+
+
+@pytest.mark.parametrize(("base_m", "relief"), [(48.0, hills), (42.0, slope), (24.0, slope), (24.0, hills)])
+def test_a_line_over_relief_is_not_flattened(base_m, relief) -> None:  # type: ignore[no-untyped-def]
+    assert pose_block(line(2, base_m, relief), Settings()).ground.kind == "tie_surface"
+
+
+def tilt_of(adjusted: Adjusted, flown: Flown) -> np.ndarray:
+    """Mean turn of the frames against the truth about east and north, rad."""
+    turn = adjusted.poses.rotations @ np.swapaxes(flown.truth.rotations, 1, 2)
+    return np.array([turn[:, 2, 1].mean(), turn[:, 0, 2].mean()])
+
+
+def test_a_hillside_does_not_tilt_the_block() -> None:
+    """The attitudes' mean is good to 0.3 degrees over the root of 18, 1.2 mrad; the hillside rises by 100."""
+    flown = fly(3, points=3000, relief=slope)
+    adjusted = pose_block(flown.block, Settings())
+    assert adjusted.ground.kind == "tie_surface"
+    assert np.abs(tilt_of(adjusted, flown)).max() < 3.0 * 1.3e-3
+    assert adjusted.figures["sigma_tilt"] < 1.5
+    e, n = np.meshgrid(np.linspace(0.0, 80.0, 9), np.linspace(0.0, 90.0, 10))
+    rise = np.polyfit(n.ravel(), adjusted.ground.up_at(e, n).ravel(), 1)[0]
+    assert rise == pytest.approx(0.1, abs=0.005)
+
+
+def test_the_surface_reaches_as_far_as_the_frames() -> None:
+    """Corners that one frame alone sees have no points, yet a ground."""
+    flown = fly(4, relief=hills)
+    ground = pose_block(flown.block, Settings()).ground
+    rows, cols = ground.up_m.shape
+    last = ground.east_0_m + (cols - 1) * ground.spacing_m, ground.north_0_m + (rows - 1) * ground.spacing_m
+    outlines = [
+        flown.truth[i].image_from_ground(c, [[ground.east_0_m, 45.0, 0.0], [last[0], 45.0, 0.0]])
+        for i, c in enumerate(flown.block.cameras)
+    ]
+    cols_px = np.array(outlines)[..., 0]
+    assert not ((cols_px > 30.0) & (cols_px < 770.0)).any()
