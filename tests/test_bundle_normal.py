@@ -95,6 +95,32 @@ def test_the_reduced_system_solves_the_whole_one(seed: int, numbers: int) -> Non
     )
 
 
+def test_held_numbers_keep_their_variance_and_make_the_others_wrong_by_it() -> None:
+    """Of the whole matrix M: P_uu = M_uu^-1 + S V S' with S = -M_uu^-1 M_uh, and P_hh = V."""
+    n, whole = random_normals(3)
+    held, given = np.array([30, 35, 41]), np.array([0.7, 1.9, 0.04])
+    others = np.setdiff1d(np.arange(len(whole)), held)
+    alone = np.linalg.inv(whole[np.ix_(others, others)])
+    lever = -alone @ whole[np.ix_(others, held)]
+    want = np.zeros((len(whole), len(whole)))
+    want[np.ix_(others, others)] = alone + lever @ np.diag(given) @ lever.T
+    want[np.ix_(others, held)] = lever * given
+    want[np.ix_(held, others)] = (lever * given).T
+    want[np.ix_(held, held)] = np.diag(given)
+    reduced = reduce_normals(n)
+    end = 30 + len(reduced.shared)
+    variance = np.zeros(len(reduced.shared))
+    variance[held - 30] = given
+    considered = reduced.considering(variance)
+    by_frame, shared = considered.covariance()
+    assert by_frame[3] == pytest.approx(want[18:24, 18:24])
+    assert shared == pytest.approx(want[30:end, 30:end])
+    gradient = np.random.default_rng(1).normal(0, 1, (end, 3))
+    assert considered.propagate(gradient[:30], gradient[30:]) == pytest.approx(
+        gradient.T @ want[:end, :end] @ gradient
+    )
+
+
 def test_image_coordinates_without_derivatives_are_the_same() -> None:
     rng = np.random.default_rng(4)
     positions, points = rng.normal([3.0, -8.0, 90.0], 4.0, (50, 3)), rng.normal(0.0, 20.0, (50, 3))
