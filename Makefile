@@ -38,8 +38,14 @@ unit: setup ## pytest, two workers
 bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)
 	$(PY) tools/bench_paper.py --out out/bench-paper
 
-bench-accuracy: setup ## accuracy on simulated surveys against their truth (about an hour)
+bench-accuracy: bench-monte-carlo bench-speed ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
+
+bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
+	$(PY) tools/bench_monte_carlo.py --out out/bench-monte-carlo
+
+bench-speed: setup ## 1,000 frames with 300,000 image observations (about a minute)
+	$(PY) tools/bench_speed.py --whole
 
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
 	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
@@ -51,4 +57,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-real format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-real format clean
