@@ -93,7 +93,7 @@ def test_strong_correlations_come_first_and_held_numbers_not_at_all():
         ("flat", 0.31, "flat", "chosen by parameter"),
         ("tie_surface", 0.2, "auto",
          "chosen by parameter, though relief moves points by 0.2 px at the mosaic's resolution"),
-        ("flat", None, "auto", "no DEM was given, and the relief is not known"),
+        ("flat", None, "auto", "no DEM was given; pictures and attitudes agree with level ground"),
     ],
 )  # fmt: skip
 def test_the_ground_has_a_reason(solved, tmp_path, kind, relief_px, asked, reason):
@@ -213,6 +213,6 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
 def test_methods_without_a_covariance_still_say_on_what_ground(tmp_path):
     page = Page(render_report(**made_up_run(tmp_path, with_comparison=False)))
     words = " ".join(page.words.split())
-    assert "Ground: flat ground (no DEM was given, and the relief is not known)" in words
+    assert "Ground: flat ground (no DEM was given; pictures and attitudes agree with level ground)" in words
     assert "What all frames share" not in words and "Correlations" not in words
     assert "cameras" in {a.get("id") for _, a in page.tags}

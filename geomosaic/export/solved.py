@@ -68,7 +68,7 @@ def ground_reason(adjusted: Adjusted, asked: str = "auto") -> str:
     if asked != "auto":
         return "chosen by parameter"
     if relief_px is None:
-        return "no DEM was given, and the relief is not known"
+        return "no DEM was given; pictures and attitudes agree with level ground"
     moves = f"relief moves points by {relief_px:.2g} px at the mosaic's resolution"
     if kind == "tie_surface" and relief_px > _HALF_PIXEL:
         return f"{moves}, more than half a pixel"
