@@ -15,6 +15,7 @@ from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 DEM_SD_M = 1.0
 """What a DEM without a stated deviation is good to."""
 LEAST_POINTS = 50
@@ -39,12 +40,13 @@ def _least_relief_m(block: Block) -> float:
     return 0.5 * block.ground_pixel_m / _view(block)
 
 
-def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle) -> float:
+def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle, part: Ints) -> float:
     """How far points lie off the ground: the spread about it of the best determined quarter as solved so
-    far, less what their own deviations explain; of flat ground less the bend, and at most what is flat."""
+    far, less what their own deviations explain; of flat ground less each part's bend, and at most what is
+    flat. part: see `chosen_ground`."""
     flat, least_m = ground.kind == "flat", _least_relief_m(block)
     off = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
-    off = off - _bend(bundle.points_m, off) if flat else off
+    off = off - _bends(bundle.points_m, off, part) if flat else off
     well = bundle.points_sd_m[:, 2] <= np.quantile(bundle.points_sd_m[:, 2], 0.25)
     spread = 1.4826 * float(np.median(np.abs(off[well] - np.median(off[well]))))
     own = float(np.median(bundle.points_sd_m[well, 2]))
@@ -60,7 +62,7 @@ def levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
 
 
 def chosen_ground(
-    block: Block, asked: str, bundle: Bundle, lengths: NDArray[np.intp]
+    block: Block, asked: str, bundle: Bundle, lengths: Ints, part: Ints
 ) -> tuple[GroundSurface, float]:
     """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
     ground pixels it moves points is the second, NaN where not known.
@@ -68,7 +70,8 @@ def chosen_ground(
     Where hardly a point is seen from three frames, the frames' tilts and the relief can't be told apart, and
     flat ground is to be tried first, see `lies_flat`.
 
-    Args: asked: see `Settings.ground`; lengths (p,): in how many frames each point is seen.
+    Args: asked: see `Settings.ground`; lengths (p,): in how many frames each point is seen; part (p,): the
+        number of the connected part of the block that each belongs to: each may lie at its own level.
     """
     if block.ground.kind == "dem":
         return block.ground, float("nan")
@@ -78,7 +81,7 @@ def chosen_ground(
         return flat, float("nan")
     surface = surface_of(block, flat, bundle)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
-    shown = float(np.sqrt(np.mean(np.square(relief - _bend(points, relief)))))
+    shown = float(np.sqrt(np.mean(np.square(relief - _bends(points, relief, part)))))
     relief_px = 0.5 * shown / _least_relief_m(block)
     return surface if asked == "tie_surface" or relief_px > 0.5 else flat, relief_px
 
@@ -103,8 +106,17 @@ def surface_of(block: Block, flat: GroundSurface, bundle: Bundle) -> GroundSurfa
     return tie_surface(bundle.points_m, bundle.points_sd_m[:, 2], low_m, high_m, height_m)
 
 
+def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:
+    """What of the relief each part of a block without height control may have bent in, (p,)."""
+    out = np.zeros(len(points))
+    for k in np.unique(part):
+        out[part == k] = _bend(points[part == k], relief[part == k])
+    return out
+
+
 def _bend(points: Floats, relief: Floats) -> Floats:
-    """The part of the relief that a block without height control may have bent in: a paraboloid."""
-    e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / np.ptp(points[:, :2], axis=0).max()).T
+    """The paraboloid that is nearest to the relief."""
+    extent_m = max(float(np.ptp(points[:, :2], axis=0).max()), 1.0)
+    e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / extent_m).T
     terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
     return np.asarray(terms @ np.linalg.lstsq(terms, relief, rcond=None)[0])

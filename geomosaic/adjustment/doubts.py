@@ -16,6 +16,8 @@ _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 _SCALE_IN_DOUBT = 4.0
 _SHIFT_IN_DOUBT = 5.0
+_DRIFTS = 3.0
+_DRIFTS_CLEARLY = 5.0
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
 
 
@@ -82,6 +84,31 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
         )
         out.append(Warn("scale-doubtful", "", text))
     return out
+
+
+def drifting_heights(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
+    """A line through given minus adjusted heights of the frames `seen`, in order of flight.
+
+    Told where from end to end it rises by more than three stated deviations of a height, and by more than
+    five of its own.
+    """
+    order = [i for i in block.sequence if i in set(seen.tolist())]
+    if len(order) < 4:
+        return []
+    off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
+    share = np.linspace(-0.5, 0.5, len(order))
+    rise_m = float(share @ off_m / (share @ share))
+    left = off_m - off_m.mean() - rise_m * share
+    rise_sd_m = float(np.sqrt(left @ left / (len(order) - 2) / (share @ share)))
+    stated_m = float(np.median(block.poses.positions_sd_m[order, 2]))
+    if abs(rise_m) < max(_DRIFTS * stated_m, _DRIFTS_CLEARLY * rise_sd_m):
+        return []
+    first, last = (off_m.mean() + rise_m * x for x in (-0.5, 0.5))
+    text = (
+        f"heights drift: they are given {first:+.1f} m off at {block.names[order[0]]} and {last:+.1f} m at "
+        f"{block.names[order[-1]]} (stated deviation {stated_m:.1f} m); set by the pictures"
+    )
+    return [Warn("heights-drift", block.names[order[0]], text)]
 
 
 def undetermined_wishes(shared: SharedUnknowns) -> list[Warn]:

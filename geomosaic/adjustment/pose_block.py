@@ -21,7 +21,12 @@ from geomosaic.adjustment.chosen_ground import (
 )
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
-from geomosaic.adjustment.doubts import doubtful_positions, lying_tags, undetermined_wishes
+from geomosaic.adjustment.doubts import (
+    doubtful_positions,
+    drifting_heights,
+    lying_tags,
+    undetermined_wishes,
+)
 from geomosaic.adjustment.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT, Mounting
@@ -33,6 +38,7 @@ from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
+from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_images
 
@@ -95,9 +101,10 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
     ground, relief_px = block.ground, float("nan")
     if ties:
-        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths)
+        part = _parts(block, kept)
+        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
     if ties and ground.kind != "tie_surface":
-        off_m = off_ground_m(block, ground, _of_ties(solved, kept))
+        off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
         near = replace(_believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
         bound = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
         ground = levelled(ground, _of_ties(bound, kept))
@@ -119,6 +126,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         warnings=(
             *lying_tags(block, bundle.poses),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
+            *drifting_heights(block, bundle.poses, np.unique(seen.frame)),
             *undetermined_wishes(shared),
         ),
         figures=_figures(bundle, kept) | ({"ground_relief_px": relief_px} if np.isfinite(relief_px) else {}),
@@ -210,6 +218,15 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
 def _mounting(settings: Settings) -> Mounting:
     asked = [settings.boresight] * 3 + [settings.lever_arm] * 3 + [settings.gps_lag]
     return Mounting(np.where(asked, _MOUNTING_SD, 0.0))
+
+
+def _parts(block: Block, tracks: Tracks) -> NDArray[np.intp]:
+    """Number of the connected part of the block that each track's frames belong to, (p,)."""
+    number = np.zeros(len(block.names), dtype=np.intp)
+    pairs = [(t.left, t.right) for t in block.ties.pairs]
+    for k, frames in enumerate(connected_parts(len(block.names), pairs)):
+        number[frames] = k
+    return np.asarray(number[tracks.frame[np.unique(tracks.point, return_index=True)[1]]])
 
 
 def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:

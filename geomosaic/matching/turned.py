@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import about_z
 from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.prior import COURSE_YAW_SD_DEG
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+_TOGETHER = 0.7
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 
@@ -57,6 +60,27 @@ def turned_frames(n: int, costs_m: list[tuple[int, int, Floats]], cap_m: float) 
     return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
 
 
+def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> dict[int, float]:
+    """Frames found turned whose heading is what is wrong, not their picture; and the heading (rad) that goes
+    with their course.
+
+    A picture turned after the flight keeps a heading that fits the course as the others' do; of a heading
+    that was kept from another line the turned one fits better. Only told where heading and course go together
+    in the frames that weren't turned; else a platform may fly backward, and the pictures count as turned.
+
+    Args: yaw_rad, course_rad (n,) as tagged and as flown; NaN where unknown.
+    """
+    off = np.exp(1j * (yaw_rad - course_rad))
+    known = np.isfinite(off)
+    straight = [i for i in range(len(off)) if known[i] and i not in turns]
+    usual = complex(np.mean(off[straight])) if straight else 0j
+    if abs(usual) < _TOGETHER:
+        return {}
+    as_told = (off / usual).real
+    wrong = [i for i, q in turns.items() if known[i] and (off[i] * (-1j) ** q / usual).real > as_told[i]]
+    return {i: float((course_rad[i] + np.angle(usual)) % (2.0 * np.pi)) for i in wrong}
+
+
 def _votes(n: int, costs: list[tuple[int, int, Floats]]) -> Ints:
     """The turn that each frame's pairs would best like, weighed by how much they gain."""
     votes = np.zeros((n, 4))
@@ -99,3 +123,14 @@ def righted(poses: Poses, turns: dict[int, int]) -> Poses:
     for i, quarters in turns.items():
         rotations[i] = poses[i].rotation.turned(quarters).matrix
     return replace(poses, rotations=rotations)
+
+
+def reheaded(poses: Poses, headings_rad: dict[int, float]) -> Poses:
+    """Poses of which some have another heading, known as well as a course tells it; they turn about the
+    vertical, their tilts with them."""
+    rotations, sd_rad = poses.rotations.copy(), poses.rotations_sd_rad.copy()
+    for i, heading in headings_rad.items():
+        yaw = poses[i].rotation.yaw_pitch_roll()[0]
+        rotations[i] = about_z(yaw - heading) @ poses.rotations[i]
+        sd_rad[i, 2] = max(float(sd_rad[i, 2]), np.radians(COURSE_YAW_SD_DEG))
+    return replace(poses, rotations=rotations, rotations_sd_rad=sd_rad)

@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, reduction_for
 from geomosaic.matching.match import PairJob, match_pair
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.search import CHECKS
-from geomosaic.matching.turned import righted, turn_costs_m, turned_frames
+from geomosaic.matching.turned import headed_wrong, reheaded, righted, turn_costs_m, turned_frames
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
+from geomosaic.placement.prior import courses_deg
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
@@ -33,7 +35,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
@@ -91,6 +93,17 @@ class MatchingSift(Stage):
             costs.append((a, b, turn_costs_m(ground_m[a][i], ground_m[b][j], nadir[a], nadir[b])))
         cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
         turns = turned_frames(len(frames), costs, cap_m)
+        yaw = Rotation(placement.poses.rotations).yaw_pitch_roll()[0]
+        course = np.radians(courses_deg(placement.poses.positions_m, placement.lines))
+        headings = headed_wrong(turns, yaw, course)
+        for frame, heading in headings.items():
+            context.warn(
+                "yaw-wrong",
+                frames[frame].name,
+                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
+                f"about {np.degrees(heading):.0f}; set by its neighbours",
+            )
+        turns = {i: quarters for i, quarters in turns.items() if i not in headings}
         for frame, quarters in turns.items():
             context.warn(
                 "frame-turned",
@@ -104,7 +117,7 @@ class MatchingSift(Stage):
             "ties": TiePoints(tuple(pairs), tuple(untied)),
             "placement": replace(
                 placement,
-                poses=righted(placement.poses, turns),
+                poses=reheaded(righted(placement.poses, turns), headings),
                 turned=tuple(turns.get(i, 0) for i in range(len(frames))),
             ),
         }

@@ -1,0 +1,71 @@
+"""Headings and heights that lie: told from turned pictures, set right with their tilts, named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import fly
+
+from geomosaic.adjustment.doubts import drifting_heights
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Settings
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.matching.turned import headed_wrong, reheaded
+
+COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
+
+
+def test_a_picture_turned_after_the_flight_keeps_a_heading_that_fits_its_course() -> None:
+    yaw = COURSE + np.radians([2.0, -3.0, 1.0, 4.0, -2.0, 0.0, 1.0, -1.0])
+    assert headed_wrong({3: 2, 4: 2, 5: 2}, yaw, COURSE) == {}
+    assert headed_wrong({3: 1, 4: 3}, yaw, COURSE) == {}
+
+
+@pytest.mark.parametrize("mount_deg", [0.0, 90.0, 180.0])
+def test_a_heading_kept_from_the_line_before_is_found(mount_deg: float) -> None:
+    """However the camera is mounted: what counts is what is usual in the other lines."""
+    yaw = COURSE + np.radians(mount_deg + np.array([2.0, -3.0, 1.0, 180.0, 178.0, 183.0, 1.0, -1.0]))
+    found = headed_wrong({3: 2, 4: 2, 5: 2}, yaw, COURSE)
+    assert {i: np.degrees(h) for i, h in found.items()} == pytest.approx(
+        dict.fromkeys([3, 4, 5], (210.0 + mount_deg) % 360.0), abs=0.01
+    )
+    quarter = COURSE + np.radians([2.0, -3.0, 1.0, 90.0, -90.0, 0.0, 1.0, -1.0])
+    assert list(headed_wrong({3: 1, 4: 3}, quarter, COURSE)) == [3, 4]
+    assert headed_wrong({3: 3, 4: 1}, quarter, COURSE) == {}, "turned by the other quarter would be worse"
+
+
+def test_a_platform_that_flies_backward_tells_nothing() -> None:
+    yaw = np.radians([30.0] * 8)
+    course = np.where(np.arange(8) % 2, COURSE[0], COURSE[3])
+    assert headed_wrong({2: 2, 3: 2}, yaw, course) == {}
+    assert headed_wrong({2: 2}, np.full(8, np.nan), course) == {}
+
+
+def test_another_heading_takes_the_tilt_along_and_is_known_as_a_course_is() -> None:
+    """Told 40 degrees, looking 6 degrees forward and 2 left: so it did, from another heading."""
+    told = Rotation.from_yaw_pitch_roll(*np.radians([[40.0, 40.0], [6.0, 6.0], [2.0, 2.0]])).matrix
+    poses = Poses(np.zeros((2, 3)), told, np.ones((2, 3)), np.radians(np.tile([0.3, 0.3, 1.0], (2, 1))))
+    right = reheaded(poses, {1: np.radians(155.0)})
+    yaw, pitch, roll = (float(np.degrees(a)) for a in right[1].rotation.yaw_pitch_roll())
+    assert (yaw, pitch, roll) == pytest.approx((155.0, 6.0, 2.0))
+    np.testing.assert_array_equal(right.rotations[0], told[0])
+    np.testing.assert_allclose(np.degrees(right.rotations_sd_rad), [[0.3, 0.3, 1.0], [0.3, 0.3, 20.0]])
+
+
+def test_heights_that_drift_are_named_with_both_ends_and_do_no_harm() -> None:
+    flown = fly(4, lines=2, per_line=6)
+    drift = np.zeros((12, 3))
+    drift[:, 2] = np.linspace(-22.0, 6.0, 12)
+    poses = replace(flown.block.poses, positions_m=flown.block.poses.positions_m + drift)
+    block = replace(flown.block, poses=poses)
+    adjusted = METHODS["bundle"](block, Settings())
+    (warning,) = [w for w in adjusted.warnings if w.code == "heights-drift"]
+    assert (
+        warning.frame == "000.jpg" and "011.jpg" in warning.text and "stated deviation 2.0 m" in warning.text
+    )
+    up = adjusted.poses.positions_m[:, 2] - flown.truth.positions_m[:, 2]
+    assert np.std(up) < 0.5
+    honest = METHODS["bundle"](flown.block, Settings())
+    assert not [w for w in honest.warnings if w.code == "heights-drift"]
+    assert drifting_heights(block, adjusted.poses, np.arange(3)) == [], "three frames say nothing"
