@@ -68,6 +68,8 @@ CASES = [
     Case("k1 unknown", [*BLOCK, "--k1", "-0.08", "--no-lens-told"], 0.3),
     Case("hills, DEM", [*BLOCK, "--relief-m", "20"], 0.3, dem=True),
     Case("hills, no DEM", [*BLOCK, "--relief-m", "20"], 0.6, 1.2),
+    Case("hills, no DEM, as if flat", [*BLOCK, "--relief-m", "20"],
+         mosaic=["--set", "adjustment.solve.ground=flat"]),
     Case("line of 200", [*SIZE, "--kind", "line", "--frames-per-line", "200", "--forward-overlap", "0.6",
                          "--heading-deg", "91.7"], jumps_px=0.7, straight=True),
     Case("the paper's nine", ["--kind", "paper", "--scale", "0.2"], pairs_px=0.5, gsd_m=0.5),
