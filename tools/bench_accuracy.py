@@ -48,7 +48,8 @@ class Case:
 
     pairs_px: the largest misalignment of a tied pair by the paper's equation 5. straight: the error must not
     grow or fall with the frame number. parts: how many parts without ties to each other the survey has; each
-    is judged alone. told: warnings that must be there besides those of frames that are wrong on purpose.
+    is judged alone. ground: see the stage adjustment.solve. told: warnings that must be there
+    besides those of frames that are wrong on purpose.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Case:
     straight: bool = False
     parts: int = 1
     told: tuple[str, ...] = ()
+    ground: str = "auto"
     dem: bool = False
     gsd_m: float = 0.1
 
@@ -69,7 +71,7 @@ CASES = [
     Case("hills, DEM", [*BLOCK, "--relief-m", "20"], 0.3, dem=True),
     Case("hills, no DEM", [*BLOCK, "--relief-m", "20"], 0.6, 1.2),
     Case("hills, no DEM, as if flat", [*BLOCK, "--relief-m", "20"],
-         mosaic=["--set", "adjustment.solve.ground=flat"]),
+         ground="flat"),
     Case("line of 200", [*SIZE, "--kind", "line", "--frames-per-line", "200", "--forward-overlap", "0.6",
                          "--heading-deg", "91.7"], jumps_px=0.7, straight=True),
     Case("the paper's nine", ["--kind", "paper", "--scale", "0.2"], pairs_px=0.5, gsd_m=0.5),
@@ -106,6 +108,7 @@ def run(case: Case, out: Path, seed: int, method: str = "bundle") -> dict[str, A
     if method == RIVALS[0] and bundle.exists():
         shutil.copytree(bundle / "work", target / "work")
     options = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json", "--adjust", method]
+    options += ["--set", f"adjustment.solve.ground={case.ground}"] if case.ground != "auto" else []
     options += ["--dem", folder / "truth" / "dem.tif", "--dem-offset", "0"] if case.dem else []
     _call("mosaic", folder / "frames", "-o", target, *options,
           "--gsd", case.gsd_m, "--reference", folder / "truth" / "ortho.tif")  # fmt: skip
