@@ -94,7 +94,7 @@ def make_survey(
                 bands=bands,
                 dtype=dtype,
                 camera=camera.name,
-                position=Position(*(float(x) for x in geodetic[i]), 50.0, 0.7, 0.7, "test"),
+                position=Position(*(float(x) for x in geodetic[i]), 50.0, 0.7, 0.7, 0.7, "test"),
                 attitude=Attitude(0.0, 0.0, 0.0, 1.0, 0.3, "test"),
                 time_s=1.7e9 + 2.0 * i,
             )

@@ -50,7 +50,7 @@ def made_up_run(
     frames = tuple(
         Frame(
             name, f"/survey/{name}", 1000, 750, 3, "uint8", CAMERA.name,
-            Position(11.5, 48.1, 620.0, 100.0, 1.5, 2.0, "EXIF"),
+            Position(11.5, 48.1, 620.0, 100.0, 1.5, 1.5, 2.0, "EXIF"),
             Attitude(0.0, 0.0, 0.0, 1.0, 0.3, "XMP"), time_s=1_718_003_000.0 + 2.0 * i,
         )
         for i, name in enumerate(names)

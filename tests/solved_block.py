@@ -43,7 +43,7 @@ def solved_block() -> Solved:
     frames = tuple(
         Frame(
             name, f"/survey/{name}", camera.width_px, camera.height_px, 3, "uint8", camera.name,
-            Position(11.5, 48.1, 620.0, 100.0, 1.5, 2.0, "t"), Attitude(0.0, 0.0, 0.0, 1.0, 0.3, "t"),
+            Position(11.5, 48.1, 620.0, 100.0, 1.5, 1.5, 2.0, "t"), Attitude(0.0, 0.0, 0.0, 1.0, 0.3, "t"),
         )
         for name in names
     )  # fmt: skip

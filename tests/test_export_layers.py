@@ -49,7 +49,7 @@ def one_frame(lon: float, lat: float, yaw_deg: float, pitch_deg: float, roll_deg
     poses = Poses(position, work, np.array([[0.3, 0.4, 0.9]]), np.radians([[0.02, 0.03, 0.05]]))
     frame = Frame(
         'a,"b.jpg', "/x", 240, 180, 3, "uint8", "cam",
-        Position(lon, lat, 800.0, None, 1.0, 1.0, "t"), Attitude(None, None, None, 1.0, 1.0, "t"),
+        Position(lon, lat, 800.0, None, 1.0, 1.0, 1.0, "t"), Attitude(None, None, None, 1.0, 1.0, "t"),
     )  # fmt: skip
     survey = Survey((frame,), (CAMERA,), home, "EPSG:32632")
     turned = Rotation.from_yaw_pitch_roll(*np.radians([yaw_deg - 2.5, 0.0, 0.0])).matrix

@@ -16,7 +16,7 @@ def _survey(heights: list[float | None]) -> Survey:
     frames = tuple(
         Frame(
             f"{i}.jpg", f"/{i}.jpg", 640, 480, 3, "uint8", "camera",
-            Position(11.0, y, h, None, 1.5, 2.0, "test"), Attitude(None, None, None, 3.0, 3.0, "test"),
+            Position(11.0, y, h, None, 1.5, 1.5, 2.0, "test"), Attitude(None, None, None, 3.0, 3.0, "test"),
         )
         for i, (y, h) in enumerate(zip(lat, heights, strict=True))
     )  # fmt: skip

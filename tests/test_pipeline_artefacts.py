@@ -66,7 +66,7 @@ def test_arrays_come_back_with_type_shape_and_bytes(array: NDArray[Any]) -> None
 def test_a_survey_comes_back_equal() -> None:
     frame = Frame(
         "a b.jpg", "/x/a b.jpg", 4000, 3000, 3, "uint8", "cam",
-        Position(7.125, 51.5, None, 80.25, 1.5, 3.0, "exif"),
+        Position(7.125, 51.5, None, 80.25, 1.5, 1.25, 3.0, "exif"),
         Attitude(12.5, None, -0.25, 3.0, 0.5, "xmp"), time_s=1700000000.125,
     )  # fmt: skip
     camera = Camera("cam", 4000, 3000, 3666.5, 2000.25, 1499.75, k1=-0.1, focal_length_sd_px=math.inf)

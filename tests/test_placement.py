@@ -41,7 +41,7 @@ def frame_at(
     lon, lat, height = (float(v) for v in HOME.geodetic_from_enu(np.array([enu]))[0])
     return Frame(
         "a.jpg", "/a.jpg", 800, 600, 3, "uint8", "cam",
-        Position(lon, lat, height, None, 1.5, sd_vertical_m, "test"),
+        Position(lon, lat, height, None, 1.5, 1.5, sd_vertical_m, "test"),
         Attitude(yaw, pitch, 0.0, 1.0, 0.3, "test"),
     )  # fmt: skip
 

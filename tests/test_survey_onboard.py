@@ -198,12 +198,13 @@ def test_rtk_tells_its_own_accuracy() -> None:
     )
     position = onboard_position(exif, fixed)
     assert position is not None
-    assert (position.sd_horizontal_m, position.sd_vertical_m, position.source) == (0.041, 0.072, "rtk-fixed")
+    assert (position.sd_east_m, position.sd_north_m, position.sd_vertical_m) == (0.041, 0.035, 0.072)
+    assert position.source == "rtk-fixed"
     assert position.height_ellipsoidal_m == 51.5
     assert not onboard_heights(exif, fixed).datum_unknown
     bare = onboard_position(exif, dji(RtkFlag="50"))
     assert bare is not None
-    assert (bare.sd_horizontal_m, bare.sd_vertical_m) == (0.03, 0.05)
+    assert (bare.sd_east_m, bare.sd_north_m, bare.sd_vertical_m) == (0.03, 0.03, 0.05)
     plain = onboard_position(exif, dji(RtkFlag="0", RtkStdLon="0.01", RtkStdLat="0.01", RtkStdHgt="0.01"))
     assert plain is not None
     assert (plain.sd_horizontal_m, plain.sd_vertical_m, plain.source) == (5.0, 15.0, "exif")

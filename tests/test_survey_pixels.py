@@ -21,7 +21,7 @@ from geomosaic.survey.pixels import read_pixels
 
 def frame(path: Path, mask: Path | None = None) -> Frame:
     h = read_header(path)
-    nowhere = Position(9.0, 48.0, None, None, 1.0, 1.0, "test")
+    nowhere = Position(9.0, 48.0, None, None, 1.0, 1.0, 1.0, "test")
     level = Attitude(None, None, None, 1.0, 1.0, "test")
     return Frame(
         path.name, str(path), h.width_px, h.height_px, h.bands, h.dtype, "c", nowhere, level,

@@ -36,7 +36,7 @@ def test_named_columns_in_any_order_with_units(tmp_path: Path) -> None:
     )
     row = file.rows[0]
     assert (row.name, row.lon_deg, row.lat_deg, row.height_ellipsoidal_m) == ("a.jpg", 9.125, 48.765, 512.25)
-    assert (row.yaw_deg, row.roll_deg, row.sd_horizontal_m) == (90.0, -1.5, 0.04)
+    assert (row.yaw_deg, row.roll_deg, row.sd_north_m) == (90.0, -1.5, 0.04)
     assert row.pitch_deg == pytest.approx(math.degrees(0.1))
     assert row.height_above_ground_m == pytest.approx(99.9744)
     assert codes(file) == {"pos-attitude-convention"}
@@ -75,7 +75,7 @@ def test_geo_txt_of_opendronemap(tmp_path: Path) -> None:
     assert MapProjection("EPSG:32615").map_from_geodetic(a.lon_deg, a.lat_deg) == pytest.approx(
         [576700.25, 5188000.5]
     )
-    assert (a.height_ellipsoidal_m, a.sd_horizontal_m, a.sd_vertical_m) == (198.609, 0.02, 0.04)
+    assert (a.height_ellipsoidal_m, a.sd_east_m, a.sd_vertical_m) == (198.609, 0.02, 0.04)
     assert a.pitch_deg == pytest.approx(2.0, abs=0.01)  # gimbal: nadir is -90
     assert a.yaw_deg == pytest.approx(36.0, abs=0.01)  # a gimbal's roll at the nadir turns the heading
     assert (b.name, b.height_ellipsoidal_m, b.yaw_deg) == ("DJI_0029.JPG", None, None)
@@ -101,7 +101,7 @@ def test_pix4d_with_and_without_header(tmp_path: Path) -> None:
     ):
         row = pos(tmp_path, text).rows[0]
         assert (row.name, row.lat_deg, row.lon_deg) == ("IMG_3165.JPG", 46.2345612, 6.5611445)
-        assert (row.height_ellipsoidal_m, row.sd_horizontal_m, row.sd_vertical_m) == (539.931, 0.5, 0.75)
+        assert (row.height_ellipsoidal_m, row.sd_east_m, row.sd_vertical_m) == (539.931, 0.5, 0.75)
     assert "pos-header-assumed" in codes(pos(tmp_path, line))
 
 
@@ -183,7 +183,7 @@ def test_our_own_positions_are_read_back(tmp_path: Path) -> None:
     row = file.rows[0]
     assert (row.lon_deg, row.lat_deg, row.height_ellipsoidal_m) == (9.1, 48.7, 512.5)
     assert (row.yaw_deg, row.pitch_deg, row.roll_deg) == (350.5, 5.0, 3.0)
-    assert row.sd_horizontal_m == pytest.approx(math.sqrt((0.03**2 + 0.04**2) / 2))
+    assert (row.sd_east_m, row.sd_north_m) == (0.03, 0.04)
     assert (row.sd_vertical_m, row.sd_yaw_deg) == (0.06, 0.7)
     assert row.sd_tilt_deg == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
     assert codes(file) == set()

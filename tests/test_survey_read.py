@@ -118,7 +118,7 @@ def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> Non
     survey = read_survey(folder, pos=table)
     first, second = survey.frames
     assert (first.position.lon_deg, second.position.lon_deg) == (9.12346, 9.12375)
-    assert (first.position.sd_horizontal_m, first.position.sd_vertical_m) == (0.02, 15.0)
+    assert (first.position.sd_east_m, first.position.sd_vertical_m) == (0.02, 15.0)
     assert first.position.height_ellipsoidal_m == 412.5
     assert first.position.source == "pos, height from exif"
     assert first.attitude.yaw_deg == pytest.approx(37.0)

@@ -102,7 +102,7 @@ def prior_poses(
         positions_m=positions,
         rotations=work_from_local @ local,
         positions_sd_m=np.array(
-            [[f.position.sd_horizontal_m] * 2 + [f.position.sd_vertical_m] for f in frames]
+            [[f.position.sd_east_m, f.position.sd_north_m, f.position.sd_vertical_m] for f in frames]
         ),
         rotations_sd_rad=np.radians(np.column_stack([sd_tilt, sd_tilt, sd_yaw])),
         velocities_m_per_s=velocities_m_per_s(positions, np.array([or_nan(f.time_s) for f in frames]), lines),

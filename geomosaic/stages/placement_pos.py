@@ -29,7 +29,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"placement": Placement}
 

@@ -22,7 +22,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 1
+    version = 2
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):

@@ -20,7 +20,8 @@ class Position:
     lat_deg: float
     height_ellipsoidal_m: float | None
     height_above_ground_m: float | None
-    sd_horizontal_m: float
+    sd_east_m: float
+    sd_north_m: float
     sd_vertical_m: float
     source: str
 

@@ -112,7 +112,8 @@ def _position(row: PosRow, own: Position | None) -> Position:
         row.lat_deg,
         row.height_ellipsoidal_m,
         row.height_above_ground_m,
-        row.sd_horizontal_m or default.sd_horizontal_m,
+        row.sd_east_m or default.sd_horizontal_m,
+        row.sd_north_m or default.sd_horizontal_m,
         row.sd_vertical_m or default.sd_vertical_m,
         "pos",
     )

@@ -60,11 +60,11 @@ def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:
         if lon is None or lat is None or (lon == 0.0 and lat == 0.0) or abs(lat) > 90.0 or abs(lon) > 180.0:
             return None
     heights = onboard_heights(exif, xmp)
-    sd_horizontal, sd_vertical, source = _position_accuracy(xmp)
-    return Position(lon, lat, heights.height_m, heights.above_ground_m, sd_horizontal, sd_vertical, source)
+    return Position(lon, lat, heights.height_m, heights.above_ground_m, *_position_accuracy(xmp))
 
 
-def _position_accuracy(xmp: Xmp) -> tuple[float, float, str]:
+def _position_accuracy(xmp: Xmp) -> tuple[float, float, float, str]:
+    """Standard deviations east, north and up, and where they come from."""
     source = {50.0: "rtk-fixed", 34.0: "rtk-float"}.get(number(xmp, "drone-dji:RtkFlag") or 0.0, "exif")
     if source != "exif":
         stated = [number(xmp, f"drone-dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
@@ -72,12 +72,16 @@ def _position_accuracy(xmp: Xmp) -> tuple[float, float, str]:
         horizontal = number(xmp, "Camera:GPSXYAccuracy")
         stated = [horizontal, horizontal, number(xmp, "Camera:GPSZAccuracy")]
     default = POSITION[source]
-    lon, lat, height = (s if s is not None and s > 0.0 else None for s in stated)
-    return (
-        default.sd_horizontal_m if lon is None or lat is None else max(lon, lat, RTK_SD_FLOOR_M[0]),
-        default.sd_vertical_m if height is None else max(height, RTK_SD_FLOOR_M[1]),
-        source,
+    east, north, up = (
+        max(s, floor) if s is not None and s > 0.0 else usual
+        for s, floor, usual in zip(
+            stated,
+            (RTK_SD_FLOOR_M[0], *RTK_SD_FLOOR_M),
+            (default.sd_horizontal_m, default.sd_horizontal_m, default.sd_vertical_m),
+            strict=True,
+        )
     )
+    return east, north, up, source
 
 
 def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:

@@ -84,7 +84,8 @@ class PosRow:
     yaw_deg: float | None = None
     pitch_deg: float | None = None
     roll_deg: float | None = None
-    sd_horizontal_m: float | None = None
+    sd_east_m: float | None = None
+    sd_north_m: float | None = None
     sd_vertical_m: float | None = None
     sd_yaw_deg: float | None = None
     sd_tilt_deg: float | None = None
@@ -133,7 +134,8 @@ def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "
                 yaw_deg=yaw,
                 pitch_deg=pitch,
                 roll_deg=roll,
-                sd_horizontal_m=_sd(table, row, "sd_horizontal", "sd_e", "sd_n"),
+                sd_east_m=_sd(table, row, "sd_horizontal", "sd_e"),
+                sd_north_m=_sd(table, row, "sd_horizontal", "sd_n"),
                 sd_vertical_m=_sd(table, row, "sd_vertical"),
                 sd_yaw_deg=_sd(table, row, "sd_yaw"),
                 sd_tilt_deg=_sd(table, row, "sd_tilt", "sd_omega", "sd_phi"),
