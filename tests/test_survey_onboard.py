@@ -207,7 +207,7 @@ def test_rtk_tells_its_own_accuracy() -> None:
     assert (bare.sd_east_m, bare.sd_north_m, bare.sd_vertical_m) == (0.03, 0.03, 0.05)
     plain = onboard_position(exif, dji(RtkFlag="0", RtkStdLon="0.01", RtkStdLat="0.01", RtkStdHgt="0.01"))
     assert plain is not None
-    assert (plain.sd_horizontal_m, plain.sd_vertical_m, plain.source) == (5.0, 15.0, "exif")
+    assert (plain.sd_east_m, plain.sd_vertical_m, plain.source) == (5.0, 15.0, "exif")
     assert onboard_heights(exif, {}).datum_unknown
 
 
