@@ -16,6 +16,11 @@ from geomosaic.ccd.volumes import BLOCK_LINES, volume
 from geomosaic.survey.strips import StripGeometry
 
 _COARSE_SD_PX = 1.2
+# The way through the volumes, everywhere: little, but nothing runs off where nothing else is known.
+_ANCHOR_SD_PX = 10.0
+_FAR_PX = 3.5
+# What the cubic kernel leaves of the sub-pixel phase.
+_RESAMPLING_SD_PX = 0.008
 _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 
@@ -36,27 +41,28 @@ def joint(
     if knots < 16:
         return tuple(_nothing(overlap) for overlap in overlaps)
     centres = np.arange(knots) * float(step) + (step - 1) / 2
-    offsets, weights = _start(pairs, lines, centres, settings)
-    now = smooth(offsets, weights, FIRST_HABITS)
+    coarse, weights = _start(pairs, lines, centres, settings)
+    level = np.median(coarse, axis=1)
+    now = smooth(coarse, weights, level, FIRST_HABITS)
     habits = FIRST_HABITS
     cells: list[Cells] = []
     for scale, rounds in ((2, 2), (1, 2)):
         ready = [pictures(pair, scale) for pair in pairs]
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
-            now, cells, habits = _refined(ready, now, centres, lines, step, habits, last)
+            now, cells, habits = _refined(ready, now, coarse, centres, lines, step, habits, last)
     return tuple(
         _of_pair(pair, overlap, geometry, now, k, cells[k], centres, lines)
         for k, (pair, overlap) in enumerate(zip(pairs, overlaps, strict=True))
     )
 
 
-def _start(
-    pairs: list[RowPair], lines: int, centres: Floats, settings: Settings
-) -> tuple[Floats, Floats]:
+def _start(pairs: list[RowPair], lines: int, centres: Floats, settings: Settings) -> tuple[Floats, Floats]:
     """Offsets and their information at the knots, from correlation volumes."""
     blocks = max(lines // BLOCK_LINES, 1)
-    volumes = np.zeros((len(pairs), blocks, settings.search_lines_px // 2 * 2 + 1, settings.search_cols_px // 2 * 2 + 1))
+    volumes = np.zeros(
+        (len(pairs), blocks, settings.search_lines_px // 2 * 2 + 1, settings.search_cols_px // 2 * 2 + 1)
+    )
     brightness = np.zeros((len(pairs), blocks))
     for k, pair in enumerate(pairs):
         volumes[k] = volume(pair, blocks, settings.search_cols_px, settings.search_lines_px)
@@ -71,32 +77,56 @@ def _start(
 
 
 def _refined(
-    ready: list[Pictures], now: Smoothed, centres: Floats, lines: int, step: int, habits: Habits, last: bool
+    ready: list[Pictures],
+    now: Smoothed,
+    coarse: Floats,
+    centres: Floats,
+    lines: int,
+    step: int,
+    habits: Habits,
+    last: bool,
 ) -> tuple[Smoothed, list[Cells], Habits]:
     """One round: cells measured along the curves, implausible ones set back, curves drawn anew."""
     at = np.arange(lines, dtype=np.float64)
     k, knots = now.own.shape[:2]
-    offset, information = np.zeros((k, knots, 2)), np.zeros((k, knots, 2, 2))
+    offset, measured = coarse.copy(), np.zeros((k, knots, 2, 2))
     cells = []
+    near = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
     for p, given in enumerate(ready):
-        curve = _between(centres, now.offsets_px[p], at)
-        cell = measure(given, curve, knots, step)
+        cell = measure(given, _between(centres, now.offsets_px[p], at), knots, step)
         cells.append(cell)
-        offset[p, : len(cell.fit)], information[p, : len(cell.fit)] = cell.offset_px, cell.information
+        good = near[p, : len(cell.fit)]
+        measured[p, : len(cell.fit)] = cell.information * good[:, None, None]
+        found = np.flatnonzero(np.trace(measured[p], axis1=1, axis2=2) > 0)
+        offset[p, found] = cell.offset_px[found]
+    anchor = _ANCHOR_SD_PX**-2 * np.eye(2)
+    level = _level(now, measured)
+    information, factor = measured, 1.0
     for _ in range(2):
-        solution = smooth(offset, information, habits)
-        information = information * _plausible(offset - solution.offsets_px, information)[..., None, None]
+        solution = smooth(offset, information + anchor, level, habits)
+        weight, factor = _plausible(offset - solution.offsets_px, measured)
+        information = measured * (weight / factor)[..., None, None]
     known = np.trace(information, axis1=2, axis2=3) > 2 * _MEASURED_SD_PX**-2
     habits = learned(solution, known, habits)
-    return smooth(offset, information, habits, covariance=last), cells, habits
+    final = smooth(offset, information + anchor, level, habits, covariance=last)
+    return final, cells, habits
 
 
-def _plausible(residual: Floats, information: Floats) -> Floats:
-    """Weights (pairs, knots) of residuals in units of their deviation: Cauchy's, at three of the middle ones."""
-    size = np.sqrt(np.einsum("kni,knij,knj->kn", residual, information, residual) / 2)
-    used = size[np.trace(information, axis1=2, axis2=3) > 0]
-    scale = max(float(np.median(used)) * 1.2, 0.3) if used.size else 1.0
-    return 1.0 / (1.0 + (size / (3.0 * scale)) ** 2)
+def _level(now: Smoothed, measured: Floats) -> Floats:
+    """(pairs, 2) where each pair's curves lie in the mean, by what was measured of them."""
+    weight = (np.trace(measured, axis1=2, axis2=3) > 0) + 1e-6
+    return np.asarray((now.offsets_px * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None])
+
+
+def _plausible(residual: Floats, information: Floats) -> tuple[Floats, float]:
+    """Weights (pairs, knots) of residuals, Cauchy's at three deviations; and the variance factor, at least 1.
+
+    The factor is by the middle one of the squares: 2 ln 2 for two numbers of unit deviation.
+    """
+    square = np.einsum("kni,knij,knj->kn", residual, information, residual)
+    used = square[np.trace(information, axis1=2, axis2=3) > 0]
+    factor = max(float(np.median(used)) / (2 * np.log(2.0)), 1.0) if used.size else 1.0
+    return 1.0 / (1.0 + square / (18.0 * factor)), factor
 
 
 def _between(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
@@ -106,7 +136,14 @@ def _between(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
 
 
 def _of_pair(
-    pair: RowPair, overlap: Overlap, geometry: StripGeometry, now: Smoothed, k: int, cells: Cells, centres: Floats, lines: int
+    pair: RowPair,
+    overlap: Overlap,
+    geometry: StripGeometry,
+    now: Smoothed,
+    k: int,
+    cells: Cells,
+    centres: Floats,
+    lines: int,
 ) -> PairOffsets:
     """A pair's curves as offsets of its left strip's lines."""
     assert now.covariance is not None
@@ -115,11 +152,13 @@ def _of_pair(
     curve = _between(centres, now.offsets_px[k], u)
     at = left_lines(pair, curve[1], n)
     col, line = of_left(pair, geometry, at, curve)
-    sd = np.sqrt(np.maximum(np.diagonal(now.covariance[k], axis1=1, axis2=2), 0.0))
+    sd = np.sqrt(np.maximum(np.diagonal(now.covariance[k], axis1=1, axis2=2), 0.0) + _RESAMPLING_SD_PX**2)
     sd_col, sd_line = (np.interp(at, centres, sd[:, axis]) for axis in (0, 1))
     own = np.zeros(len(centres), dtype=bool)
     own[: len(cells.fit)] = (cells.fit >= 0.25) & (np.trace(cells.information, axis1=1, axis2=2) > 0)
-    return PairOffsets(k_of(overlap), col, line, sd_col, sd_line, _labels(own, centres, at, np.maximum(sd_col, sd_line)))
+    return PairOffsets(
+        k_of(overlap), col, line, sd_col, sd_line, _labels(own, centres, at, np.maximum(sd_col, sd_line))
+    )
 
 
 def k_of(overlap: Overlap) -> int:

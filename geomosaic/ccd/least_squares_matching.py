@@ -17,7 +17,7 @@ from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import flattened
 
-# cv2.remap knows 32 steps to a pixel; offsets are rounded to them so that what is measured is exact.
+# cv2.remap knows 32 steps to a pixel, and its cubic kernel does not keep a ramp: `_lands` says where a step lands.
 _STEP = 1.0 / 32.0
 # What resampling, aliasing and relief within a cell leave, as a shift of the picture by so many pixels.
 _MISFIT_PX = 0.06
@@ -56,10 +56,14 @@ def pictures(pair: RowPair, scale: int) -> Pictures:
     valid = pair.valid
     if scale == 2:
         n, w = lead.shape[0] // 2 * 2, lead.shape[1] // 2 * 2
-        lead, trail = (cv2.resize(x[:n, :w], (w // 2, n // 2), interpolation=cv2.INTER_AREA) for x in (lead, trail))
+        lead, trail = (
+            cv2.resize(x[:n, :w], (w // 2, n // 2), interpolation=cv2.INTER_AREA) for x in (lead, trail)
+        )
         valid = valid[:n, :w].reshape(n // 2, 2, w // 2, 2).all(axis=(1, 3))
     gain = float(np.std(lead[valid]) / max(np.std(trail[valid]), 1e-9)) if valid.any() else 1.0
-    lead, trail = (cv2.GaussianBlur(x, (0, 0), 0.8) for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0))))
+    lead, trail = (
+        cv2.GaussianBlur(x, (0, 0), 0.8) for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
+    )
     return Pictures(lead, trail, valid, pair.nominal_col / scale, scale)
 
 
@@ -93,21 +97,23 @@ def measure(given: Pictures, curve_px: Floats, knots: int, knot_lines: int) -> C
     shape = (knots, lines, _COL_GROUPS, cols // _COL_GROUPS)
     facts = _sums(seen.astype(np.float32), shape)
     sums = _centred([across, along, lead - moved], seen.astype(np.float32), shape, facts)
-    level = _sums(lead * lead, shape)
-    return _weighed(sums, facts, level, whole - [[given.nominal_col], [0.0]], lines, s)
+    return _weighed(sums, facts, _lands(whole) - [[given.nominal_col], [0.0]], lines, s)
 
 
-def _weighed(sums: Floats, facts: Floats, level: Floats, at: Floats, lines: int, scale: int) -> Cells:
+def _weighed(sums: Floats, facts: Floats, at: Floats, lines: int, scale: int) -> Cells:
     """Cells to knots. sums (3, 3, knots, groups): centred products of both gradients and the difference."""
-    del level
     knots = facts.shape[0]
     normal = np.moveaxis(sums[:2, :2], (0, 1), (2, 3))
     right = np.moveaxis(sums[:2, 2], 0, 2)
     enough = facts >= 0.5 * facts.max(initial=1.0)
     ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12)
-    shift = np.linalg.solve(normal + ridge[..., None, None] * np.eye(2) + 1e-9 * np.eye(2), right[..., None])[..., 0]
+    shift = np.linalg.solve(normal + ridge[..., None, None] * np.eye(2) + 1e-9 * np.eye(2), right[..., None])[
+        ..., 0
+    ]
     shift = np.clip(shift, -1.0, 1.0)
-    rest = np.maximum(sums[2, 2] - 2 * (shift * right).sum(-1) + np.einsum("kgi,kgij,kgj->kg", shift, normal, shift), 0.0)
+    rest = np.maximum(
+        sums[2, 2] - 2 * (shift * right).sum(-1) + np.einsum("kgi,kgij,kgj->kg", shift, normal, shift), 0.0
+    )
     count = np.maximum(facts, 1.0)
     rest, gradient = rest / count, np.trace(normal, axis1=2, axis2=3) / count
     noise = noise_floor(rest[enough])
@@ -124,6 +130,21 @@ def _weighed(sums: Floats, facts: Floats, level: Floats, at: Floats, lines: int,
     mean[known] = np.linalg.solve(safe, pull[known][..., None])[..., 0]
     centre = at.reshape(2, knots, lines).mean(axis=2).T
     return Cells(scale * (centre + mean), total / scale**2, (weight > 0.5).mean(axis=1))
+
+
+def _lands(at: Floats) -> Floats:
+    """Where the picture that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
+    steps = np.arange(32, dtype=np.float32) * np.float32(_STEP)
+    ramp = np.arange(16, dtype=np.float32)[None, :]
+    centre = cv2.remap(
+        ramp,
+        steps[None, :] + 8,
+        np.zeros((1, 32), np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    beside = centre[0].astype(np.float64) - 8.0 - steps
+    return np.asarray(at + beside[np.rint(at / _STEP).astype(np.int64) % 32])
 
 
 def noise_floor(rest: Floats) -> float:
@@ -156,6 +177,11 @@ def _remap(image: Images, cols: Images, lines: Images, how: int) -> Images:
         low = int(np.clip(np.floor(lines[part].min()) - 4, 0, len(image) - 1))
         high = int(np.clip(np.ceil(lines[part].max()) + 5, low + 1, len(image)))
         out[part] = cv2.remap(
-            image[low:high], cols[part], lines[part] - np.float32(low), how, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+            image[low:high],
+            cols[part],
+            lines[part] - np.float32(low),
+            how,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
         )
     return out

@@ -14,26 +14,34 @@ import numpy as np
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
-from geomosaic.ccd.model import Floats
+from geomosaic.ccd.model import Flags, Floats
 
 _OWN_PX = 20.0
 _MOTION_PX = 50.0
+_MOTION_ORDER = 12
+_OWN_ORDER, _OWN_STRIDE = 3, 4
+_MOST_RADIUS = 0.9995
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A linear prediction of a curve's knot from the ones before: weights (order,), deviation of what is left."""
+    """A linear prediction of a curve's knot from some before, `stride` knots apart.
+
+    weights (order,), the nearest first; sd_px: deviation of what is left. With a stride the chains that
+    lie between one another tell nearly the same, and each counts as its share.
+    """
 
     weights: Floats
     sd_px: float
+    stride: int = 1
 
 
 @dataclass(frozen=True)
 class Habits:
     """What is expected of the curves: of motion and own parts, columns and lines each."""
 
-    motion: tuple[Curve, Curve]
-    own: tuple[Curve, Curve]
+    motion: tuple[tuple[Curve, ...], tuple[Curve, ...]]
+    own: tuple[tuple[Curve, ...], tuple[Curve, ...]]
 
 
 @dataclass(frozen=True)
@@ -51,16 +59,23 @@ class Smoothed:
 
 STRAIGHT = np.array([2.0, -1.0])
 FIRST_HABITS = Habits(
-    (Curve(STRAIGHT, 0.15), Curve(STRAIGHT, 0.15)), (Curve(STRAIGHT, 0.004), Curve(STRAIGHT, 0.01))
+    ((Curve(STRAIGHT, 0.15),), (Curve(STRAIGHT, 0.15),)),
+    (
+        (Curve(STRAIGHT, 0.01), Curve(np.array([0.995]), 0.05, _OWN_STRIDE)),
+        (Curve(STRAIGHT, 0.02), Curve(np.array([0.99]), 0.08, _OWN_STRIDE)),
+    ),
 )
 
 
-def smooth(offset_px: Floats, information: Floats, habits: Habits, covariance: bool = False) -> Smoothed:
+def smooth(offset_px: Floats, information: Floats, level_px: Floats, habits: Habits, covariance: bool = False) -> Smoothed:
     """The most probable curves.
 
-    Args: offset_px (pairs, knots, 2) measured, information (pairs, knots, 2, 2) its inverse covariance.
+    Args: offset_px (pairs, knots, 2) measured, information (pairs, knots, 2, 2) its inverse covariance;
+    level_px (pairs, 2): about where each pair's curves lie, to which they return where nothing is known.
     """
     k, n = offset_px.shape[:2]
+    common = np.median(level_px, axis=0)
+    offset_px = offset_px - level_px[:, None]
     size = 2 * (k + 1)
     diagonal = np.zeros((n, size, size))
     right = np.zeros((n, size))
@@ -85,62 +100,92 @@ def smooth(offset_px: Floats, information: Floats, habits: Habits, covariance: b
                 for p in range(1, k + 1)
             ]
         )
-    return Smoothed(x[:, 0], np.moveaxis(x[:, 1:], 1, 0), sums)
+    own = np.moveaxis(x[:, 1:], 1, 0) + (level_px - common)[:, None]
+    return Smoothed(x[:, 0] + common, own, sums)
 
 
-def learned(solution: Smoothed, known: Floats, before: Habits) -> Habits:
+def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
     """Habits of the curves of a solution, from where they were well measured.
 
     Args: known (pairs, knots) bool.
     """
-    any_known = known.sum(axis=0) >= 1
-    motion = tuple(
-        _fitted([solution.motion[:, axis]], [any_known], 12, 0.004, before.motion[axis]) for axis in (0, 1)
-    )
-    own = tuple(
-        _fitted(list(solution.own[:, :, axis]), list(known), 3, 0.001, before.own[axis]) for axis in (0, 1)
-    )
-    return Habits((motion[0], motion[1]), (own[0], own[1]))
+    any_known = known.any(axis=0)
+    shared = solution.motion - solution.motion[any_known].mean(axis=0) if any_known.any() else solution.motion
+    mean = np.stack([_mean(own, good) for own, good in zip(solution.own, known, strict=True)])
+    own = solution.own - mean[:, None]
+    motion = [
+        (_fitted([shared[:, axis]], [any_known], _MOTION_ORDER, 1, 0.004) or before.motion[axis][0],)
+        for axis in (0, 1)
+    ]
+    apart = []
+    for axis in (0, 1):
+        curves = list(own[:, :, axis])
+        slow = _fitted(curves, list(known), _OWN_ORDER, _OWN_STRIDE, 0.003) or before.own[axis][1]
+        apart.append((_bending(curves, list(known), before.own[axis][0]), slow))
+    return Habits((motion[0], motion[1]), (apart[0], apart[1]))
 
 
-def _fitted(curves: list[Floats], known: list[Floats], order: int, least_px: float, before: Curve) -> Curve:
-    """Least squares over all stretches known throughout, drawn a little to a straight line."""
-    past, now = [], []
+def _mean(curve: Floats, known: Flags) -> Floats:
+    return np.asarray((curve[known] if known.any() else curve).mean(axis=0))
+
+
+def _windows(
+    curves: list[Floats], known: list[Flags], order: int, stride: int
+) -> tuple[Floats, Floats]:
+    """Knots (m,) and the ones before them (m, order), the nearest first, where all are known."""
+    past, now = [np.zeros((0, order))], [np.zeros(0)]
     for curve, good in zip(curves, known, strict=True):
-        if len(curve) <= order + 1:
-            continue
-        windows = np.lib.stride_tricks.sliding_window_view(curve, order + 1)
-        whole = np.lib.stride_tricks.sliding_window_view(good, order + 1).all(axis=1)
-        past.append(windows[whole, order - 1 :: -1] if order > 0 else windows[whole, :0])
-        now.append(windows[whole, order])
-    if not now or sum(map(len, now)) < 20 * order:
+        if len(curve) > order * stride:
+            windows = np.lib.stride_tricks.sliding_window_view(curve, order * stride + 1)[:, ::-stride]
+            whole = np.lib.stride_tricks.sliding_window_view(good, order * stride + 1)[:, ::-stride].all(axis=1)
+            past.append(windows[whole, 1:])
+            now.append(windows[whole, 0])
+    return np.concatenate(now), np.concatenate(past)
+
+
+def _fitted(
+    curves: list[Floats], known: list[Flags], order: int, stride: int, least_px: float
+) -> Curve | None:
+    """Least squares over all stretches known throughout; None where these are too few."""
+    y, a = _windows(curves, known, order, stride)
+    if len(y) < 15 * order:
+        return None
+    normal = a.T @ a + len(y) * 0.1 * least_px**2 * np.eye(order)
+    weights = _stable(np.linalg.solve(normal, a.T @ y))
+    return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
+
+
+def _bending(curves: list[Floats], known: list[Flags], before: Curve) -> Curve:
+    y, a = _windows(curves, known, 2, 1)
+    if len(y) < 30:
         return before
-    a, y = np.concatenate(past), np.concatenate(now)
-    straight = np.zeros(order)
-    straight[:2] = STRAIGHT
-    rest = y - a @ straight
-    ridge = 1e-3 * len(y) * least_px**2 + 1e-9
-    weights = straight + np.linalg.solve(a.T @ a + ridge * np.eye(order), a.T @ rest)
-    left = y - a @ weights
-    # Half of what is left counts by its middle: a few bad knots do not make the curve wild.
-    sd = max(float(np.sqrt(np.mean(left**2))), least_px)
-    return Curve(weights, sd)
+    return Curve(STRAIGHT, max(1.2 * float(np.sqrt(np.mean((y - a @ STRAIGHT) ** 2))), 0.001))
+
+
+def _stable(weights: Floats) -> Floats:
+    """The prediction whose roots lie inside the unit circle, so that nothing grows where nothing is measured."""
+    roots = np.roots(np.concatenate([[1.0], -weights]))
+    size = np.abs(roots)
+    if not size.size or size.max() <= _MOST_RADIUS:
+        return weights
+    roots = np.where(size > _MOST_RADIUS, roots * (_MOST_RADIUS / np.maximum(size, 1e-12)), roots)
+    return -np.real(np.poly(roots))[1:]
 
 
 def _bands(habits: Habits, knots: int, pairs: int) -> list[Floats]:
     """Bands of the curves' precision: bands[d] (knots - d, 2 + 2 pairs) joins knot j and j + d."""
     each = [*habits.motion, *(habits.own * pairs)]
-    reach = max(len(curve.weights) for curve in each)
+    reach = max(len(curve.weights) * curve.stride for curves in each for curve in curves)
     out = [np.zeros((max(knots - d, 0), len(each))) for d in range(reach + 1)]
-    for column, curve in enumerate(each):
-        taps = np.concatenate([-curve.weights[::-1], [1.0]]) / curve.sd_px
-        order = len(curve.weights)
-        rows = knots - order
-        if rows <= 0:
-            continue
-        for i in range(order + 1):
-            for j in range(i, order + 1):
-                out[j - i][i : i + rows, column] += taps[i] * taps[j]
+    for column, curves in enumerate(each):
+        for curve in curves:
+            taps = np.concatenate([-curve.weights[::-1], [1.0]]) / (curve.sd_px * curve.stride**0.5)
+            order, step = len(curve.weights), curve.stride
+            rows = knots - order * step
+            for i in range(order + 1):
+                for j in range(i, order + 1):
+                    if rows > 0:
+                        out[(j - i) * step][i * step : i * step + rows, column] += taps[i] * taps[j]
     return out
 
 
@@ -161,5 +206,7 @@ def _matrix(diagonal: Floats, bands: list[Floats]) -> bsr_matrix:
     order = np.lexsort((columns, rows))
     starts = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))])
     return bsr_matrix(
-        (np.concatenate(blocks)[order], columns[order], starts), shape=(n * size, n * size), blocksize=(size, size)
+        (np.concatenate(blocks)[order], columns[order], starts),
+        shape=(n * size, n * size),
+        blocksize=(size, size),
     )

@@ -38,24 +38,24 @@ def best_path(volumes: Floats, cost: float) -> Ints:
 
     A step is one bin at most along lines and along columns, from one block to the next.
 
-    Args: volumes (pairs, blocks, l, c) evidence for every shift. cost: of a step of one bin.
-    Returns: (pairs, blocks, 2) indices into l and c.
+    Args: volumes (pairs, blocks, h, c) evidence for every shift. cost: of a step of one bin.
+    Returns: (pairs, blocks, 2) indices into h and c.
     """
-    k, n, l, c = volumes.shape
+    k, n, h, c = volumes.shape
     steps = sorted(((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)), key=lambda s: (abs(s[0]) + abs(s[1]), s))
-    came = np.zeros((n, k, l, c), dtype=np.int8)
+    came = np.zeros((n, k, h, c), dtype=np.int8)
     score = volumes[:, 0].copy()
-    padded = np.full((k, l + 2, c + 2), -np.inf)
+    padded = np.full((k, h + 2, c + 2), -np.inf)
     for t in range(1, n):
         padded[:, 1:-1, 1:-1] = score
         candidates = np.stack(
-            [padded[:, 1 + i : 1 + i + l, 1 + j : 1 + j + c] - cost * (i * i + j * j) for i, j in steps]
+            [padded[:, 1 + i : 1 + i + h, 1 + j : 1 + j + c] - cost * (i * i + j * j) for i, j in steps]
         )
         came[t] = candidates.argmax(axis=0)
         score = candidates.max(axis=0) + volumes[:, t]
     path = np.zeros((k, n, 2), dtype=np.intp)
     pairs, moves = np.arange(k), np.array(steps)
-    path[:, -1] = np.stack(np.unravel_index(score.reshape(k, -1).argmax(axis=1), (l, c)), axis=1)
+    path[:, -1] = np.stack(np.unravel_index(score.reshape(k, -1).argmax(axis=1), (h, c)), axis=1)
     for t in range(n - 1, 0, -1):
         path[:, t - 1] = path[:, t] + moves[came[t, pairs, path[:, t, 0], path[:, t, 1]]]
     return path
@@ -63,12 +63,12 @@ def best_path(volumes: Floats, cost: float) -> Ints:
 
 def shifted(volume: Floats, by: Ints) -> Floats:
     """The volume with every block moved: out[t, i, j] = volume[t, i + by[t, 0], j + by[t, 1]], 0 beyond."""
-    n, l, c = volume.shape
-    i = np.arange(l)[None, :, None] + by[:, 0, None, None]
+    n, h, c = volume.shape
+    i = np.arange(h)[None, :, None] + by[:, 0, None, None]
     j = np.arange(c)[None, None, :] + by[:, 1, None, None]
-    inside = (i >= 0) & (i < l) & (j >= 0) & (j < c)
+    inside = (i >= 0) & (i < h) & (j >= 0) & (j < c)
     t = np.arange(n)[:, None, None]
-    return np.where(inside, volume[t, np.clip(i, 0, l - 1), np.clip(j, 0, c - 1)], 0.0)
+    return np.where(inside, volume[t, np.clip(i, 0, h - 1), np.clip(j, 0, c - 1)], 0.0)
 
 
 def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coarse:
@@ -79,7 +79,7 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
     the best slow path taken for its own part. A second layer, clouds, is tried wherever the volumes
     hint at one, and taken where it explains more than a path through one layer does.
 
-    Args: volumes (pairs, blocks, l, c). brightness: (pairs, blocks) mean grey of the blocks.
+    Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
     best, evidence = _solve(volumes, rounds)
     layers: list[Layer] = []
@@ -124,9 +124,9 @@ def _ground_first(
 
 def _solve(volumes: Floats, rounds: int, start: Ints | None = None) -> tuple[Ints, float]:
     """Paths (pairs, blocks, 2) as indices, and the evidence along them."""
-    k, n, l, c = volumes.shape
-    middle = np.array([l // 2, c // 2])
-    prior = -0.5 * (((np.arange(l) - l // 2) / (0.5 * l)) ** 2)[:, None] - 0.5 * (
+    k, n, h, c = volumes.shape
+    middle = np.array([h // 2, c // 2])
+    prior = -0.5 * (((np.arange(h) - h // 2) / (0.5 * h)) ** 2)[:, None] - 0.5 * (
         ((np.arange(c) - c // 2) / (0.5 * c)) ** 2
     )
     if start is None:
@@ -139,18 +139,18 @@ def _solve(volumes: Floats, rounds: int, start: Ints | None = None) -> tuple[Int
         summed = sum(shifted(volumes[p], own[p]) for p in range(k)) + prior
         motion = best_path(summed[None], 40.0)[0] - middle
         own = _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]) + 0.1 * prior) - middle
-    path = np.clip(motion[None] + own + middle, 0, (l - 1, c - 1))
+    path = np.clip(motion[None] + own + middle, 0, (h - 1, c - 1))
     return path, float(volumes[np.arange(k)[:, None], np.arange(n), path[..., 0], path[..., 1]].sum())
 
 
 def _slow_parts(volumes: Floats) -> Ints:
     """The best slow paths (pairs, blocks, 2), from evidence already straightened by the shared motion."""
-    k, n, l, c = volumes.shape
+    k, n, h, c = volumes.shape
     windows = -(-n // _WINDOW_BLOCKS)
-    padded = np.zeros((k, windows * _WINDOW_BLOCKS, l, c))
+    padded = np.zeros((k, windows * _WINDOW_BLOCKS, h, c))
     padded[:, :n] = volumes
-    path = best_path(padded.reshape(k, windows, _WINDOW_BLOCKS, l, c).sum(axis=2), 15.0)
-    return np.repeat(path, _WINDOW_BLOCKS, axis=1)[:, :n]
+    path = best_path(padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2), 15.0)
+    return np.asarray(np.repeat(path, _WINDOW_BLOCKS, axis=1)[:, :n], dtype=np.intp)
 
 
 def block_centres(blocks: int) -> Floats:

@@ -67,8 +67,10 @@ def left_lines(pair: RowPair, dline_px: Floats, lines: int) -> Floats:
     if pair.side > 0:
         return t
     u = np.arange(len(dline_px), dtype=np.float64)
-    return np.interp(t, np.maximum.accumulate(u + dline_px), u) + np.minimum(t - (u[0] + dline_px[0]), 0.0) + (
-        np.maximum(t - (u[-1] + dline_px[-1]), 0.0)
+    return (
+        np.interp(t, np.maximum.accumulate(u + dline_px), u)
+        + np.minimum(t - (u[0] + dline_px[0]), 0.0)
+        + (np.maximum(t - (u[-1] + dline_px[-1]), 0.0))
     )
 
 

@@ -42,9 +42,7 @@ def volume(pair: RowPair, blocks: int, search_cols_px: int, search_lines_px: int
     Returns: (blocks, 2 search_lines_px // 2 + 1, 2 search_cols_px // 2 + 1); shift 0 in the middle.
     """
     reach_l, reach_c = search_lines_px // 2, search_cols_px // 2
-    lead, trail = (
-        _band_passed(halved(flattened(image, pair.valid))) for image in (pair.lead, pair.trail)
-    )
+    lead, trail = (_band_passed(halved(flattened(image, pair.valid))) for image in (pair.lead, pair.trail))
     shift = pair.nominal_col // 2
     w = lead.shape[1]
     begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
