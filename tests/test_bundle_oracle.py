@@ -1,0 +1,241 @@
+"""The bundle against an oracle: the same cost written down apart from it, minimised by scipy's least squares.
+
+The oracle takes nothing from the solver but the deviations it settled on and which numbers it held: own
+residuals by `Pose.image_from_ground`, derivatives by differences, all unknowns in one dense system, begun from
+what was told.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import fly, hills
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation as Turn
+
+from geomosaic.adjustment.bundle import solve_bundle
+from geomosaic.adjustment.bundle_model import Bundle, Priors
+from geomosaic.adjustment.tracks import Tracks, join_tracks
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.rotation import Rotation
+from geomosaic.projection.footprint import ground_from_images
+
+LENS = ("focal_length_px", "principal_col_px", "principal_row_px", "k1", "k2", "k3", "p1", "p2")
+LENS_SDS = {
+    "some of the lens, all determined": [120.0, 120.0, 120.0, 0.1, 0.0, 0.0, 0.0, 0.0],
+    "all of the lens, in part held": [10.0, 10.0, 10.0, 0.1, 0.1, 0.1, 0.003, 0.003],
+}
+OFF_PX = {7: [2.5, -1.0], 60: [0.0, 3.0], 131: [-1.5, 1.5]}
+"""Observations with an error of 5 to 14 deviations."""
+CAUCHY = 3.0
+STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """The cost of a block as a sum of squares. Unknowns are changes from what was told, in units of `size`:
+    of each pose (east, north, up; turn from the left), of the lens, of each point."""
+
+    tracks: Tracks
+    priors: Priors
+    solved: Bundle
+
+    @property
+    def size(self):
+        """Prior deviations: of poses those the solver settled on, of the lens and points those told."""
+        s = self.solved.sigma
+        factor = np.array([s["horizontal"]] * 2 + [s["vertical"]] + [s["tilt"]] * 2 + [s["yaw"]])
+        poses = self.priors.poses
+        pose = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad]) * factor
+        return np.concatenate([
+            pose.ravel(), self.priors.interior_sd[0, :8], self.priors.points_sd_m.ravel()
+        ])  # fmt: skip
+
+    @property
+    def free(self):
+        """Which unknowns are solved for."""
+        free = self.size > 0.0
+        free[self.lens] &= ~self.solved.held[:8]
+        return np.flatnonzero(free)
+
+    @property
+    def lens(self):
+        n = 6 * len(self.priors.poses)
+        return slice(n, n + 8)
+
+    def of_solver(self):
+        """The solver's solution."""
+        told, found = self.priors.poses, self.solved.poses
+        turn = Turn.from_matrix(found.rotations @ np.swapaxes(told.rotations, 1, 2)).as_rotvec()
+        pose = np.column_stack([found.positions_m - told.positions_m, turn])
+        after, before = self.solved.cameras[0], self.priors.cameras[0]
+        lens = [getattr(after, name) - getattr(before, name) for name in LENS]
+        points = self.solved.points_m - self.priors.points_m
+        off = np.concatenate([pose.ravel(), lens, points.ravel()])
+        return np.divide(off, self.size, out=np.zeros_like(off), where=self.size > 0.0)
+
+    def image(self, x):
+        """Residuals over the image's deviation, (m, 2)."""
+        pose, lens, points = np.split(x * self.size, [self.lens.start, self.lens.stop])
+        told, before = self.priors.poses, self.priors.cameras[0]
+        camera = replace(before, **{k: getattr(before, k) + v for k, v in zip(LENS, lens, strict=True)})
+        at = self.priors.points_m + points.reshape(-1, 3)
+        out = np.empty((len(self.tracks.frame), 2))
+        for i, change in enumerate(pose.reshape(-1, 6)):
+            seen = self.tracks.frame == i
+            rotation = Rotation(Turn.from_rotvec(change[3:]).as_matrix() @ told.rotations[i])
+            here = Pose(told.positions_m[i] + change[:3], rotation)
+            out[seen] = self.tracks.image_px[seen] - here.image_from_ground(
+                camera, at[self.tracks.point[seen]]
+            )
+        return out / self.solved.sigma_px
+
+    def derivatives(self, x):
+        """Of `image`, (m, 2, n), by central differences: an observation sees one frame, the lens, one point."""
+        n, m = len(x), np.arange(len(self.tracks.frame))
+        pose, lens = np.arange(self.lens.start), np.arange(self.lens.start, self.lens.stop)
+        seen = [6 * self.tracks.frame + k for k in range(6)]
+        seen += [self.lens.stop + 3 * self.tracks.point + k for k in range(3)]
+        together = [pose[k::6] for k in range(6)] + [np.arange(self.lens.stop + k, n, 3) for k in range(3)]
+        out = np.zeros((len(m), 2, n))
+        for unknowns, column in zip([*together, *lens[:, None]], [*seen, *lens], strict=True):
+            step = np.zeros(n)
+            step[unknowns] = STEP
+            out[m, :, column] = (self.image(x + step) - self.image(x - step)) / (2.0 * STEP)
+        return out
+
+    def solve(self):
+        """The unknowns at the least of sum rho(|image|) + sum x^2, begun with squares for rho.
+
+        rho(s) = c^2 log(1 + s^2 / c^2): each image residual is shortened to a square root of rho.
+        """
+        x = np.zeros(len(self.size))
+
+        def all_of(free):
+            x[self.free] = free
+            return x.copy()
+
+        def rows(free, c):
+            r = self.image(all_of(free))
+            s2 = (r**2).sum(axis=1, keepdims=True)
+            return np.concatenate([(r * np.sqrt(c**2 * np.log1p(s2 / c**2) / s2)).ravel(), free])
+
+        def slopes(free, c):
+            now = all_of(free)
+            r, by = self.image(now), self.derivatives(now)[:, :, self.free]
+            s2 = (r**2).sum(axis=1)
+            rho, weight = c**2 * np.log1p(s2 / c**2), 1.0 / (1.0 + s2 / c**2)
+            short = np.sqrt(rho / s2)
+            less = (weight / short - short) / s2
+            by = (
+                short[:, None, None] * by
+                + (less[:, None] * r)[:, :, None] * np.einsum("ma,man->mn", r, by)[:, None]
+            )
+            return np.concatenate([by.reshape(-1, len(free)), np.eye(len(free))])
+
+        found = np.zeros(len(self.free))
+        for c in (1e4, CAUCHY):
+            found = least_squares(
+                rows, found, slopes, method="lm", xtol=1e-9, ftol=1e-12, gtol=1e-15, args=(c,)
+            ).x
+        return all_of(found)
+
+    def covariance(self, x):
+        """(J'PJ)^-1 of all unknowns in the units of `size`, P with Cauchy's weights; what is held is as
+        unknown as it was, and the others follow it."""
+        n = len(self.size)
+        r = self.image(x)
+        root = np.repeat(1.0 / np.sqrt(1.0 + (r**2).sum(axis=1) / CAUCHY**2), 2)
+        jacobian = self.derivatives(x).reshape(-1, n) * root[:, None]
+        free, held = self.free, self.lens.start + np.flatnonzero(self.solved.held[:8])
+        own = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free] + np.eye(len(free)))
+        follow = -own @ jacobian[:, free].T @ jacobian[:, held]
+        out = np.zeros((n, n))
+        out[np.ix_(free, free)] = own + follow @ follow.T
+        out[np.ix_(free, held)] = follow
+        out[np.ix_(held, free)] = follow.T
+        out[held, held] = 1.0
+        return self.turned_from_here(x, out)
+
+    def turned_from_here(self, x, covariance):
+        """The covariance with turns counted from the attitudes found, not from those told."""
+        onward = np.eye(len(x))
+        for i, turn in enumerate((x * self.size)[: self.lens.start].reshape(-1, 6)[:, 3:]):
+            here = 6 * i + 3 + np.arange(3)
+            back = Turn.from_rotvec(turn).inv()
+            steps = [(Turn.from_rotvec(turn + u) * back).as_rotvec() / STEP for u in STEP * np.eye(3)]
+            size = self.size[here]
+            onward[np.ix_(here, here)] = np.column_stack(steps) * size / size[:, None]
+        return onward @ covariance @ onward.T
+
+
+@pytest.fixture(scope="module", params=LENS_SDS)
+def both(request):
+    """The solver's solution in an oracle, and what the oracle finds for the same block: six frames over hills,
+    71 points, three observations off."""
+    block = fly(11, 2, 3, points=90, relief=hills, there_and_back=True).block
+    tracks = join_tracks(block.ties)
+    image_px = tracks.image_px.copy()
+    image_px[list(OFF_PX)] += list(OFF_PX.values())
+    tracks = replace(tracks, image_px=image_px)
+    at = ground_from_images(tracks.frame, image_px, block.poses, block.cameras, block.ground)
+    points = (
+        np.stack([np.bincount(tracks.point, column) for column in at.T], axis=1) / tracks.lengths[:, None]
+    )
+    priors = Priors(
+        poses=block.poses,
+        cameras=block.cameras[:1],
+        interior_sd=np.array([[*LENS_SDS[request.param], 0.0]]),
+        points_m=points,
+        points_sd_m=np.full(points.shape, 5.0),
+        control=np.zeros(len(points), dtype=bool),
+    )
+    solved = solve_bundle(tracks, np.zeros(6, dtype=np.intp), priors, block.poses)
+    oracle = Oracle(tracks, priors, solved)
+    x = oracle.solve()
+    covariance = oracle.covariance(x)
+    return oracle, x, covariance
+
+
+def test_the_block_is_what_it_should_be(both, request):
+    """What is compared has free and held numbers, observations without much say, and no tag that lies."""
+    oracle, x, _ = both
+    held = [name for name, h in zip(LENS, oracle.solved.held, strict=False) if h]
+    some = "some" in request.node.callspec.params["both"]
+    assert held == ([] if some else ["focal_length_px", "k2", "k3", "p2"])
+    assert np.all(oracle.solved.weight[list(OFF_PX)] < 0.5)
+    assert np.linalg.norm(x[: oracle.lens.start].reshape(-1, 3), axis=1).max() < 3.0
+
+
+def test_poses_lens_and_points_are_those_of_the_least_cost(both):
+    """To a hundredth of their deviations: the solver stops where a step gains 1e-5 of the cost, and takes a
+    told attitude's derivative for that at no miss."""
+    oracle, x, covariance = both
+    off = (x - oracle.of_solver())[oracle.free]
+    sd = np.sqrt(np.diag(covariance))[oracle.free]
+    assert np.abs(off / sd).max() < 0.01
+    assert np.abs(x[oracle.free] / sd).max() > 1.0
+
+
+def test_stated_covariances_are_those_of_the_whole_system(both):
+    oracle, _, covariance = both
+    sized = covariance * np.outer(oracle.size, oracle.size)
+    stated = oracle.solved.pose_covariance
+    for i, own in enumerate(stated):
+        here = slice(6 * i, 6 * i + 6)
+        sd = np.sqrt(np.diag(sized[here, here]))
+        assert np.abs((own - sized[here, here]) / np.outer(sd, sd)).max() < 0.01
+    free = np.flatnonzero(oracle.priors.interior_sd[0, :8])
+    lens = sized[oracle.lens, oracle.lens][np.ix_(free, free)]
+    sd = np.sqrt(np.diag(lens))
+    assert oracle.solved.interior_sd[0, free] == pytest.approx(sd, rel=0.002)
+    assert oracle.solved.shared_correlation[np.ix_(free, free)] == pytest.approx(
+        lens / np.outer(sd, sd), abs=0.01
+    )
+
+
+def test_another_width_of_cauchys_function_would_show(both, monkeypatch):
+    oracle, _, covariance = both
+    monkeypatch.setitem(globals(), "CAUCHY", 2.8)
+    off = (oracle.solve() - oracle.of_solver())[oracle.free]
+    assert np.abs(off / np.sqrt(np.diag(covariance))[oracle.free]).max() > 0.02
