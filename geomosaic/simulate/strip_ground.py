@@ -199,11 +199,15 @@ class Clouds:
         self._seed = plan.seed
         largest = max(int(plan.cloud_size_m / plan.ground_pixel_m / CLOUD_CELL_PX / 2.0), 2)
         self._scales = tuple(max(int(largest / 2.0**k), 1) for k in range(9) if largest / 2.0**k >= 1.0)
-        columns = np.unique(np.floor(overlap_cols / CLOUD_CELL_PX).astype(int))
-        first, last = (int(np.floor(v / CLOUD_CELL_PX)) for v in (overlap_rows.min(), overlap_rows.max()))
-        shape = (max(last - first, 1), 1)
-        field = np.concatenate([self._field(int(c), first, shape).ravel() for c in columns])
-        self._threshold = float(np.quantile(field, 1.0 - plan.cloud_cover))
+        cells = np.unique(
+            np.floor(np.stack([overlap_cols, overlap_rows]) / CLOUD_CELL_PX).astype(int), axis=1
+        )
+        field = []
+        for col in np.unique(cells[0]):
+            rows = cells[1, cells[0] == col]
+            column = self._field(int(col), int(rows.min()), (int(np.ptp(rows)) + 1, 1))
+            field.append(column[rows - rows.min(), 0])
+        self._threshold = float(np.quantile(np.concatenate(field), 1.0 - plan.cloud_cover))
 
     def _field(self, col: int, row: int, shape: tuple[int, int]) -> Floats32:
         total = np.zeros(shape, dtype=np.float32)

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.errors import FileError, InputError
+from geomosaic.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
 from geomosaic.geodesy.local import ecef_from_geodetic
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.simulate.strip_plan import JITTER_HZ, StripPlan
@@ -28,11 +29,15 @@ def scene_crs(plan: StripPlan) -> str:
     """The map of the scene: oblique Mercator on the track, x as columns grow, y against the lines.
 
     The track is its y axis, flown towards -y, so that a north-up picture of this map looks like the strips.
+    It is true to scale at the plan's mean height.
     """
     back_deg = (plan.course_deg + 180.0) % 360.0
+    lat, azimuth = np.radians(plan.lat_deg), np.radians(back_deg)
+    bend = np.cos(azimuth) ** 2 / meridian_radius_m(lat) + np.sin(azimuth) ** 2 / prime_vertical_radius_m(lat)
+    scale = float(1.0 + plan.ground_height_m * bend)
     return (
         f"+proj=omerc +lat_0={plan.lat_deg!r} +lonc={plan.lon_deg!r} +alpha={back_deg!r}"
-        " +gamma=0 +k_0=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs +type=crs"
+        f" +gamma=0 +k_0={scale!r} +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs +type=crs"
     )
 
 

@@ -13,6 +13,8 @@ from geomosaic.errors import InputError
 from geomosaic.survey.strips import Ccd, StripGeometry
 
 JITTER_HZ = (1.1, 4.7, 22.0)
+_EARTH_RADIUS_M = 6371000.0
+_HIGHEST_M = 2e6
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,12 @@ class StripPlan:
             raise InputError(
                 f"{self.lines} lines are no more than the rows' separation", mend="give more lines"
             )
+        if not 0.0 < self.altitude_m < _HIGHEST_M:
+            raise InputError(
+                f"{self.parallax_m_per_line:g} m of height for a line between rows "
+                f"{self.row_separation_lines:g} lines apart wants an orbit above 2000 km",
+                mend="give a smaller parallax_m_per_line or row_separation_lines",
+            )
         for name, each in (("dead", 1), ("short", 2), ("lost", 3), ("repeated", 3)):
             for fault in self.faults(name, each):
                 if not 1 <= fault[0] <= self.ccds:
@@ -113,8 +121,12 @@ class StripPlan:
 
     @property
     def altitude_m(self) -> float:
-        """Flying height above the ground: the height of one line's parallax times the rows' separation."""
-        return self.parallax_m_per_line * self.row_separation_lines
+        """Flying height above the ground, from the height of one line's parallax between the rows.
+
+        The rows' rays meet the ground at an angle of separation * pixel * (1 / altitude + 1 / R): the second
+        part is the turn of the vertical between the two places from which they look.
+        """
+        return 1.0 / (1.0 / (self.parallax_m_per_line * self.row_separation_lines) - 1.0 / _EARTH_RADIUS_M)
 
     @property
     def pixel_rad(self) -> float:

@@ -145,11 +145,6 @@ class Scene:
             self._hidden(pair + 1, (0, plan.overlap_px), seen_at),
         )
 
-    def ideal_line(self, line: Floats) -> Floats:
-        """Where on the map (2, n) the ideal line's middle looks at level ground of the plan's height."""
-        middle = np.full((line.size, 1), self.scene_width_px / 2.0)
-        return np.asarray(self._seen[IDEAL].rays(middle, line).on(None)[0][..., 0])
-
     def _seen_by(self, ccd: int) -> Seen:
         plan, ideal = self.plan, ccd == IDEAL
         spare = plan.row_separation_lines + 100.0
@@ -197,12 +192,14 @@ class Scene:
         return hills(plan.seed, plan.ground_height_m, plan.relief_m, plan.relief_wavelength_m, at)
 
     def _overlap_places(self) -> tuple[Floats, Floats]:
-        """World columns and rows along the middles of the overlaps, by the nominal geometry."""
+        """World columns and rows that the left strips' lines see in the overlaps' middles, nominally."""
         plan = self.plan
-        step = plan.width_px - plan.overlap_px
-        middles = step * np.arange(1, plan.ccds) + plan.overlap_px / 2.0 - self.scene_width_px / 2.0
-        rows = np.arange(0.0, plan.lines, 8.0) - plan.lines / 2.0
-        col, row = np.meshgrid(middles, rows)
+        pair = np.arange(plan.ccds - 1)
+        middles = (pair + 1) * (plan.width_px - plan.overlap_px) + plan.overlap_px / 2.0
+        ahead = [plan.row_separation_lines / 2.0 * plan.geometry().side(int(k)) for k in pair]
+        lines = np.arange(0.0, plan.lines, 8.0) - plan.lines / 2.0
+        row = lines[:, None] + np.array(ahead)
+        col = np.broadcast_to(middles - self.scene_width_px / 2.0, row.shape)
         return col.ravel(), row.ravel()
 
     def _targets(self) -> Floats:

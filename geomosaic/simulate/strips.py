@@ -53,6 +53,12 @@ class SimulatedStrips:
     truth: Path
     targets: Path | None
 
+    def files(self) -> list[Path]:
+        """All of them that were written, the models' tables too."""
+        named = [p for p in (*dataclasses.astuple(self), *self.strips) if isinstance(p, Path)]
+        tables = [t for m in (self.model, self.true_model) for t in m.parent.glob(f"{m.stem}_*.csv")]
+        return sorted({*named, *tables})
+
 
 def _silent(done: int, total: int, text: str) -> None:
     return None

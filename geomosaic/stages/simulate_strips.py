@@ -113,7 +113,7 @@ class SimulateStrips(Stage):
         wind_m_per_s: float = param(_PLAN.wind_m_per_s, help="wind that moves them", unit="m/s", ge=0, le=80)
         wind_deg: float = param(
             _PLAN.wind_deg,
-            help="where it blows to: 0 against the lines' backs, with the flight; 90 towards higher columns",
+            help="where it blows to: 0 ahead with the flight, 90 to higher columns",
             unit="deg",
             ge=-360,
             le=360,
@@ -159,8 +159,8 @@ class SimulateStrips(Stage):
         values = params.model_dump()
         scene = values.pop("true_scene")
         plan = StripPlan(seed=context.seed, **values)
-        simulate_strips(context.run_folder, plan, scene=scene, progress=context.progress)
-        for path in sorted(p for p in context.run_folder.rglob("*") if p.is_file()):
+        paths = simulate_strips(context.run_folder, plan, scene=scene, progress=context.progress)
+        for path in paths.files():
             context.keep(path)
-        context.metric("simulate.strips", sum(1 for lines in plan.geometry().lines if lines))
+        context.metric("simulate.strips", len(paths.strips))
         return {"truth_file": context.run_file("truth/truth.json")}

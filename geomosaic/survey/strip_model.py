@@ -33,8 +33,9 @@ def read_model(path: Path) -> Pushbroom:
     Raises: `FileError` or `InputError` naming the file and what is wrong.
     """
     path = Path(path)
+    content = _bytes(path)
     try:
-        entry = yaml.safe_load(_bytes(path).decode("utf-8-sig"))
+        entry = yaml.safe_load(content.decode("utf-8-sig"))
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         raise FileError("is no valid YAML", file=path, mend=_MEND) from error
     if not isinstance(entry, dict):
@@ -99,8 +100,9 @@ def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
     if not isinstance(name, str) or not name or "\0" in name:
         raise InputError(f"names {name!r} as a table", file=model, mend="give a CSV file's path")
     path = model.absolute().parent / name
+    content = _bytes(path)
     try:
-        rows = list(csv.reader(io.StringIO(_bytes(path).decode("utf-8-sig"))))
+        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))
     except (ValueError, csv.Error) as error:
         raise FileError("is no table of text", file=path, mend=_MEND) from error
     if not rows or tuple(cell.strip() for cell in rows[0]) != columns:
