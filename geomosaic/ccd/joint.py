@@ -17,7 +17,7 @@ from geomosaic.survey.strips import StripGeometry
 
 _COARSE_SD_PX = 1.2
 # The way through the volumes, everywhere: little, but nothing runs off where nothing else is known.
-_ANCHOR_SD_PX = 10.0
+_ANCHOR_SD_PX = 40.0
 _FAR_PX = 3.5
 # What the cubic kernel leaves of the sub-pixel phase.
 _RESAMPLING_SD_PX = 0.008

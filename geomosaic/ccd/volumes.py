@@ -14,16 +14,26 @@ _PIXELS_PER_FACT = 4.0
 _MOST_EVIDENCE = 12.0
 
 
-def flattened(image: Images, valid: Flags, lines: int = 257) -> Images:
-    """The picture without its columns' running means: column pattern, gain steps and slow shade are gone.
+def flattened(image: Images, valid: Flags, detail_px: float = 8.0) -> Images:
+    """Fine detail without column pattern: what the blurred picture (Gaussian, detail_px) leaves of it.
 
-    Args: image, valid (n, w). lines: of the running mean, odd. Returns: (n, w), 0 where not valid.
+    A column's gain is the middle of its ratios to the columns about it, over all lines; what is bright for a
+    while, a cloud, so leaves no mark on the ground before and after it.
+
+    Args: image, valid (n, w). Returns: (n, w), 0 where not valid.
     """
     weight = valid.astype(np.float32)
-    size = (1, min(lines, 2 * len(image) - 1))
-    total = cv2.boxFilter(image * weight, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    count = cv2.boxFilter(weight, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray((image - total / np.maximum(count, 1.0)) * weight, dtype=np.float32)
+    given = image * weight
+    rows = np.flatnonzero(valid.all(axis=1))
+    if rows.size:
+        some = given[rows[:: max(1, rows.size // 2048)]]
+        around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
+        gain = np.median((some + 1.0) / (around + 1.0), axis=0)
+        given = given / np.clip(gain, 0.5, 2.0).astype(np.float32)
+    blurred = cv2.GaussianBlur(given, (0, 0), detail_px)
+    if not valid.all():
+        blurred /= np.maximum(cv2.GaussianBlur(weight, (0, 0), detail_px), 1e-3)
+    return np.asarray((given - blurred) * weight, dtype=np.float32)
 
 
 def halved(image: Images) -> Images:
