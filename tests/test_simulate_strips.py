@@ -568,6 +568,59 @@ def test_a_model_that_can_t_be_read_is_named(
     assert str(tmp_path) in str(caught.value)
 
 
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> SimulatedStrips:
+    """A scene of the same camera, 300 km to the east."""
+    plan = StripPlan(**{**SMALL, "lon_deg": 104.0, "parallax_m_per_line": 1000.0})
+    return simulate_strips(tmp_path_factory.mktemp("elsewhere"), plan, scene=False)
+
+
+@pytest.mark.parametrize(
+    ("keep", "text"),
+    [(("model", "dem"), r"is of another scene: its middle is 31\d km from where the model looks"),
+     (("dem",), r"is of another scene: its middle \(104.000, 38.200 deg\) is not on dem.tif")],
+)  # fmt: skip
+def test_an_rpc_of_another_scene_is_named(
+    spots: SimulatedStrips, elsewhere: SimulatedStrips, keep: tuple[str, ...], text: str
+) -> None:
+    entry = yaml.safe_load(spots.geometry.read_text())
+    entry = {k: v for k, v in entry.items() if k in keep or k not in ("dem", "model")}
+    path = spots.geometry.with_name("other.yaml")
+    try:
+        path.write_text(yaml.safe_dump({**entry, "rpc": str(elsewhere.rpc)}))
+        with pytest.raises(InputError, match=text) as caught:
+            read_geometry(path)
+        assert "scene_RPC.TXT" in str(caught.value)
+    finally:
+        path.unlink()
+
+
+def test_companions_that_don_t_fit_are_named(spots: SimulatedStrips, tmp_path: Path) -> None:
+    for file in spots.geometry.parent.glob("*.*"):
+        shutil.copy(file, tmp_path / file.name)
+    entry = yaml.safe_load(spots.geometry.read_text())
+    path = tmp_path / "geometry.yaml"
+    ccds = entry["ccds"]
+    small = (
+        spots.rpc.read_text()
+        .replace("LINE_OFF: 299.5", "LINE_OFF: 49.5")
+        .replace("LINE_SCALE: 300", "LINE_SCALE: 50")
+    )
+    (tmp_path / "small_RPC.TXT").write_text(small)
+    for changes, text in (
+        ({"line_rate_hz": 3000.0}, "model.yaml: has 3272.4 lines a second, the geometry 3000"),
+        ({"ccds": ccds[:2]}, "model.yaml: has looks for 3 CCDs, the geometry has 2"),
+        ({"rpc": "model.yaml"}, "model.yaml: is no RPC and no raster that holds one"),
+        ({"rpc": "ccd1.tif"}, "ccd1.tif: the RPC has no LINE_OFF"),
+        ({"rpc": "small_RPC.TXT"}, "some 288 x 100 px, where the strips make 288 x 600"),
+        ({"dem": "model.yaml"}, "model.yaml: is no raster that GDAL reads"),
+    ):
+        path.write_text(yaml.safe_dump({**entry, **changes}))
+        with pytest.raises(InputError) as caught:
+            read_geometry(path)
+        assert text in str(caught.value)
+
+
 def test_a_model_of_text_and_a_table_of_text(spots: SimulatedStrips, tmp_path: Path) -> None:
     (tmp_path / "model.yaml").write_text("{")
     with pytest.raises(FileError, match="is no valid YAML"):

@@ -14,6 +14,8 @@ import yaml
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.survey.elevation import check_dem
+from geomosaic.survey.strip_companions import check_rpc, checked_model
 
 _MAX_BYTES: Final = 1 << 20
 _MOST_CCDS: Final = 64
@@ -79,8 +81,8 @@ def read_geometry(path: Path) -> StripGeometry:
     """The geometry of a YAML file, held against the strips it names; paths count from its folder.
 
     `ccds` (`path` and `row`, left to right; no `path` where a CCD is dead) and `line_rate_hz` are needed,
-    the rest has defaults. `bit_depth` is the files' where it isn't given. DEM, RPC and model must be there;
-    what they hold is read by those who use them, but for an RPC of another scene.
+    the rest has defaults. `bit_depth` is the files' where it isn't given. DEM, RPC and model, where named,
+    must be readable and fit: as many CCDs, the same line rate, the same scene.
 
     Raises: `FileError` or `InputError` with one line that names the file and the mend.
     """
@@ -117,6 +119,7 @@ def read_geometry(path: Path) -> StripGeometry:
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
+    _check_companions(geometry)
     return geometry
 
 
@@ -254,3 +257,14 @@ def _check(geometry: StripGeometry, path: Path) -> None:
             file=path,
             mend="give longer strips, or correct row_separation_lines",
         )
+
+
+def _check_companions(geometry: StripGeometry) -> None:
+    """`FileError` or `InputError` where the DEM, the RPC or the model aren't of these strips' scene."""
+    g, model = geometry, None
+    if g.dem is not None:
+        check_dem(g.dem)
+    if g.model is not None:
+        model = checked_model(g.model, len(g.ccds), g.line_rate_hz)
+    if g.rpc is not None:
+        check_rpc(g.rpc, (g.scene_width_px, max(g.lines)), g.ground_pixel_m, model, g.dem)
