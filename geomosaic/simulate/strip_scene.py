@@ -218,7 +218,8 @@ def _between(places: Floats, count: int) -> Floats:
     """Places (2, n, count) at every column out of (2, n, m) at every _COARSE_PX-th."""
     step, part = np.divmod(np.arange(count), _COARSE_PX)
     weight = part / _COARSE_PX
-    return np.asarray(places[..., step] * (1.0 - weight) + places[..., step + 1] * weight)
+    before, after = np.take(places, step, axis=-1), np.take(places, step + 1, axis=-1)
+    return np.asarray(before + (after - before) * weight)
 
 
 def _file_line(acquired: Lines, line: Floats) -> Floats:

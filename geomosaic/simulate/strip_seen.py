@@ -18,7 +18,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 Floats = NDArray[np.float64]
 Heights = Callable[[Floats, Floats], Floats]
 _NODE_LINES = 400
-_NODE_COLS = 6
+_NODE_COLS = 4
 _STEP_RAD = 2e-5
 _STEP_M = 2000.0
 _RELIEF_ROUNDS = 4  # heights move a ray's foot by less than a fifteenth of themselves
@@ -79,7 +79,7 @@ class Seen:
         lines_of = np.concatenate([nodes[:, :, :3], moved[:, :, None]], axis=2)
         weights = self._weights(np.asarray(cols, dtype=np.float64))
         how = "ncqd,mc->qdnm" if weights.ndim == 2 else "ncqd,nmc->qdnm"
-        middle, rise, bend, moved_xy = np.einsum(how, lines_of, weights, optimize=True)
+        middle, rise, bend, moved_xy = np.ascontiguousarray(np.einsum(how, lines_of, weights, optimize=True))
         return Rays(middle + moved_xy, rise - moved_xy / self._altitude_m, bend, self.base_m)
 
     def _weights(self, cols: Floats) -> Floats:
