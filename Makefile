@@ -47,6 +47,9 @@ bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao b
 bench-speed: setup ## 1,000 frames with 300,000 image observations (about a minute)
 	$(PY) tools/bench_speed.py --whole
 
+bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
+	$(PY) tools/bench_oracle.py
+
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
 	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
 
@@ -57,4 +60,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-real format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-oracle bench-real format clean
