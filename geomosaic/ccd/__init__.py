@@ -1,0 +1,1 @@
+"""What is special to the strips of staggered CCDs: overlaps, offsets line by line, radiometry."""

@@ -1,0 +1,94 @@
+"""Clouds as a second layer: moved against the ground by one vector, the wind's and their height's, everywhere.
+
+Correlation alone can't say which of two layers is the ground; but ground + vector is seen where there are clouds
+and ground - vector nowhere, so that a path which may change layers for a fixed vector is the ground's all the
+way, or the cloud's all the way. Which of the two is settled once for the scene (`clouds_are_second`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft2, rfft2
+from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter1d
+
+from geomosaic.ccd.model import Floats
+
+_AROUND_BLOCKS = 31
+_LEAST_BINS = 1
+_PEAK = 5.0
+_NOTABLE = 0.004
+_SECOND_COSTS = 1.0
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Clouds against the ground, in bins of the volumes: lines, columns."""
+
+    lines: int
+    cols: int
+
+
+def layer_candidates(volumes: Floats, most: int = 4) -> list[Layer]:
+    """Vectors between two layers, most probable first: peaks of the volumes' correlation with themselves.
+
+    Args: volumes (pairs, blocks, l, c). Only one of a vector and its opposite is given.
+    """
+    k, n, l, c = volumes.shape
+    size = (2 * l, 2 * c)
+    peaks = np.where(volumes >= maximum_filter(volumes, size=(1, 1, 3, 3)), volumes, 0.0)
+    near = uniform_filter1d(np.maximum(peaks - _PEAK, 0.0), min(_AROUND_BLOCKS, n), axis=1, mode="nearest")
+    total = np.zeros(size)
+    for pair in near:
+        spectrum = rfft2(pair, s=size)
+        total += irfft2((spectrum.real**2 + spectrum.imag**2).sum(axis=0), s=size)
+    lag_l = np.fft.fftfreq(size[0], 1 / size[0]).astype(int)[:, None]
+    lag_c = np.fft.fftfreq(size[1], 1 / size[1]).astype(int)[None, :]
+    share = (l - np.abs(lag_l)) * (c - np.abs(lag_c))
+    total = gaussian_filter(total, 0.6, mode="wrap")
+    one_half = (lag_l > 0) | ((lag_l == 0) & (lag_c > 0))
+    far = (np.abs(lag_l) > _LEAST_BINS) | (np.abs(lag_c) > _LEAST_BINS)
+    # A single layer that moves gives what its two profiles give; the rest is another layer's.
+    excess = np.where(lag_c == 0, total, total - total[:, :1] * total[:1] / max(total[0, 0], 1e-12))
+    peak = (excess >= maximum_filter(excess, 3, mode="wrap")) & one_half & far & (share > 0)
+    rows, cols = np.nonzero(peak & (excess > _NOTABLE * total[0, 0]))
+    order = np.argsort(-excess[rows, cols], kind="stable")[:most]
+    return [Layer(int(lag_l[rows[i], 0]), int(lag_c[0, cols[i]])) for i in order]
+
+
+def either_layer(volumes: Floats, layers: list[Layer]) -> Floats:
+    """For every shift of the ground, the evidence of the layer that explains a block best."""
+    l, c = volumes.shape[2:]
+    out = volumes
+    for layer in layers:
+        spread = maximum_filter(volumes, size=(1, 1, 3, 3), mode="constant") - _SECOND_COSTS
+        to_l, from_l = _slices(layer.lines, l)
+        to_c, from_c = _slices(layer.cols, c)
+        out = out.copy() if out is volumes else out
+        out[:, :, to_l, to_c] = np.maximum(out[:, :, to_l, to_c], spread[:, :, from_l, from_c])
+    return out
+
+
+def second_layer(volumes: Floats, layer: Layer, path: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(pairs, blocks): where the second layer explains more than the first along paths (pairs, blocks, 2)."""
+    l, c = volumes.shape[2:]
+    spread = maximum_filter(volumes, size=(1, 1, 3, 3), mode="constant")
+    return _along(spread, path + (layer.lines, layer.cols), l, c) > _along(spread, path, l, c) + 2.0
+
+
+def _along(volumes: Floats, path: NDArray[np.intp], l: int, c: int) -> Floats:
+    inside = (path[..., 0] >= 0) & (path[..., 0] < l) & (path[..., 1] >= 0) & (path[..., 1] < c)
+    k, n = path.shape[:2]
+    at = volumes[
+        np.arange(k)[:, None], np.arange(n), np.clip(path[..., 0], 0, l - 1), np.clip(path[..., 1], 0, c - 1)
+    ]
+    return np.where(inside, at, 0.0)
+
+
+def _slices(shift: int, size: int) -> tuple[slice, slice]:
+    """Where out[i] takes in[i + shift]."""
+    if abs(shift) >= size:
+        return slice(0, 0), slice(0, 0)
+    return slice(max(0, -shift), size - max(0, shift)), slice(max(0, shift), size + min(0, shift))

@@ -1,0 +1,187 @@
+"""Sub-pixel offsets of small cells by least squares, and how much each is to be believed.
+
+Ackermann 1984 (high precision digital image correlation), with shifts alone: the curve that is refined bends
+along the lines, so that within a cell of some lines nothing else is left. Gradients are means of both
+pictures', which keeps noise from drawing the shift towards zero. A cell's residuals are held
+against what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from geomosaic.ccd.model import Flags, Floats, Images
+from geomosaic.ccd.rows import RowPair
+from geomosaic.ccd.volumes import flattened
+
+# cv2.remap knows 32 steps to a pixel, and its cubic kernel does not keep a ramp: `_lands` says where a step lands.
+_STEP = 1.0 / 32.0
+# What resampling, aliasing and relief within a cell leave, as a shift of the picture by so many pixels.
+_MISFIT_PX = 0.06
+_MOST_RATIO = 1.8
+_HOPELESS_RATIO = 5.0
+_COL_GROUPS = 4
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """A pair made ready: smoothed, without column pattern. scale: pixels of the strips to one of these."""
+
+    lead: Images
+    trail: Images
+    valid: Flags
+    nominal_col: float
+    scale: int
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Measured against the curve that was given, per knot.
+
+    offset_px: (knots, 2) dcol, dline of the whole, weighted mean of the knot's cells. information:
+    (knots, 2, 2) px^-2, zero where nothing was measured. fit: (knots,) share of the cells that fit.
+    """
+
+    offset_px: Floats
+    information: Floats
+    fit: Floats
+
+
+def pictures(pair: RowPair, scale: int) -> Pictures:
+    """Both strips smoothed to about the sampling; scale 2 halves them."""
+    lead, trail = flattened(pair.lead, pair.valid), flattened(pair.trail, pair.valid)
+    valid = pair.valid
+    if scale == 2:
+        n, w = lead.shape[0] // 2 * 2, lead.shape[1] // 2 * 2
+        lead, trail = (
+            cv2.resize(x[:n, :w], (w // 2, n // 2), interpolation=cv2.INTER_AREA) for x in (lead, trail)
+        )
+        valid = valid[:n, :w].reshape(n // 2, 2, w // 2, 2).all(axis=(1, 3))
+    gain = float(np.std(lead[valid]) / max(np.std(trail[valid]), 1e-9)) if valid.any() else 1.0
+    lead, trail = (
+        cv2.GaussianBlur(x, (0, 0), 0.8) for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
+    )
+    return Pictures(lead, trail, valid, pair.nominal_col / scale, scale)
+
+
+def measure(given: Pictures, curve_px: Floats, knots: int, knot_lines: int) -> Cells:
+    """Offsets at every knot, from a curve near them.
+
+    Args: curve_px (2, n) dcol, dline of every line of the strips, n >= knots * knot_lines.
+    """
+    s = given.scale
+    lines = knot_lines // s
+    n = min(knots * lines, len(given.lead))
+    knots = n // lines
+    n = knots * lines
+    curve = curve_px[:, : n * s].reshape(2, n, s).mean(axis=2) / s
+    whole = np.rint((curve + [[given.nominal_col], [0.0]]) / _STEP) * _STEP
+    w = given.lead.shape[1]
+    first = max(0, int(np.ceil(2.0 - float(np.median(whole[0])))))
+    last = min(w, int(np.floor(w - 2.0 - float(np.median(whole[0])))))
+    cols = (last - first) // _COL_GROUPS * _COL_GROUPS
+    if cols <= 0 or knots == 0:
+        return Cells(np.zeros((knots, 2)), np.zeros((knots, 2, 2)), np.zeros(knots))
+    map_col = (np.arange(first, first + cols)[None, :] + whole[0][:, None]).astype(np.float32)
+    map_line = np.repeat((np.arange(n) + whole[1])[:, None], cols, axis=1).astype(np.float32)
+    moved = _remap(given.trail, map_col, map_line, cv2.INTER_CUBIC)
+    seen = _remap(given.valid.astype(np.float32), map_col, map_line, cv2.INTER_LINEAR) > 0.999
+    lead = given.lead[:n, first : first + cols]
+    seen &= given.valid[:n, first : first + cols]
+    mean = 0.5 * (lead + moved)
+    across = cv2.Sobel(mean, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
+    along = cv2.Sobel(mean, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
+    shape = (knots, lines, _COL_GROUPS, cols // _COL_GROUPS)
+    facts = _sums(seen.astype(np.float32), shape)
+    sums = _centred([across, along, lead - moved], seen.astype(np.float32), shape, facts)
+    return _weighed(sums, facts, _lands(whole) - [[given.nominal_col], [0.0]], lines, s)
+
+
+def _weighed(sums: Floats, facts: Floats, at: Floats, lines: int, scale: int) -> Cells:
+    """Cells to knots. sums (3, 3, knots, groups): centred products of both gradients and the difference."""
+    knots = facts.shape[0]
+    normal = np.moveaxis(sums[:2, :2], (0, 1), (2, 3))
+    right = np.moveaxis(sums[:2, 2], 0, 2)
+    enough = facts >= 0.5 * facts.max(initial=1.0)
+    ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12)
+    shift = np.linalg.solve(normal + ridge[..., None, None] * np.eye(2) + 1e-9 * np.eye(2), right[..., None])[
+        ..., 0
+    ]
+    shift = np.clip(shift, -1.0, 1.0)
+    rest = np.maximum(
+        sums[2, 2] - 2 * (shift * right).sum(-1) + np.einsum("kgi,kgij,kgj->kg", shift, normal, shift), 0.0
+    )
+    count = np.maximum(facts, 1.0)
+    rest, gradient = rest / count, np.trace(normal, axis1=2, axis2=3) / count
+    noise = noise_floor(rest[enough])
+    expected = noise + _MISFIT_PX**2 * gradient
+    ratio = rest / np.maximum(expected, 1e-12)
+    weight = np.where(ratio < _MOST_RATIO, 1.0, (_MOST_RATIO / np.maximum(ratio, 1e-9)) ** 2)
+    weight *= (ratio < _HOPELESS_RATIO) & enough & (np.abs(shift).max(-1) < 1.0)
+    information = (weight / np.maximum(expected, 1e-12))[..., None, None] * normal
+    total = information.sum(axis=1)
+    pull = np.einsum("kgij,kgj->ki", information, shift)
+    known = np.trace(total, axis1=1, axis2=2) > 0.0
+    mean = np.zeros((knots, 2))
+    safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
+    mean[known] = np.linalg.solve(safe, pull[known][..., None])[..., 0]
+    centre = at.reshape(2, knots, lines).mean(axis=2).T
+    return Cells(scale * (centre + mean), total / scale**2, (weight > 0.5).mean(axis=1))
+
+
+def _lands(at: Floats) -> Floats:
+    """Where the picture that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
+    steps = np.arange(32, dtype=np.float32) * np.float32(_STEP)
+    ramp = np.arange(16, dtype=np.float32)[None, :]
+    centre = cv2.remap(
+        ramp,
+        steps[None, :] + 8,
+        np.zeros((1, 32), np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    beside = centre[0].astype(np.float64) - 8.0 - steps
+    return np.asarray(at + beside[np.rint(at / _STEP).astype(np.int64) % 32])
+
+
+def noise_floor(rest: Floats) -> float:
+    """Variance of the difference of two pictures where they agree: the lower tenth of the cells, and a bit."""
+    return 1.15 * float(np.quantile(rest, 0.1)) if rest.size else 1.0
+
+
+def _centred(fields: list[Images], seen: Images, shape: tuple[int, ...], facts: Floats) -> Floats:
+    fields = [field * seen for field in fields]
+    means = [_sums(field, shape) for field in fields]
+    out = np.empty((3, 3, *facts.shape))
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] = _sums(fields[i] * fields[j], shape) - means[i] * means[j] / np.maximum(facts, 1.0)
+            out[j, i] = out[i, j]
+    return out
+
+
+def _sums(field: Images, shape: tuple[int, ...]) -> Floats:
+    """Sums over cells (knots, groups)."""
+    return np.asarray(field.reshape(shape).sum(axis=1).sum(axis=-1, dtype=np.float64))
+
+
+def _remap(image: Images, cols: Images, lines: Images, how: int) -> Images:
+    """cv2.remap, in pieces of less than the 32,767 lines it can address."""
+    out = np.empty(cols.shape, dtype=np.float32)
+    piece = 8192
+    for top in range(0, len(cols), piece):
+        part = slice(top, min(top + piece, len(cols)))
+        low = int(np.clip(np.floor(lines[part].min()) - 4, 0, len(image) - 1))
+        high = int(np.clip(np.ceil(lines[part].max()) + 5, low + 1, len(image)))
+        out[part] = cv2.remap(
+            image[low:high],
+            cols[part],
+            lines[part] - np.float32(low),
+            how,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
+        )
+    return out

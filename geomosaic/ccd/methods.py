@@ -1,0 +1,21 @@
+"""The methods by name: strips in, offsets of every line of every pair out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from geomosaic.ccd.image_registration import image_registration
+from geomosaic.ccd.joint import joint
+from geomosaic.ccd.model import PairOffsets, Progress, Settings
+from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.sift_chains import piecewise_linear, whole_scene
+
+Method = Callable[[Strips, Settings, Progress], tuple[PairOffsets, ...]]
+
+METHODS: Final[dict[str, Method]] = {
+    "joint": joint,
+    "piecewise_linear": piecewise_linear,
+    "whole_scene": whole_scene,
+    "image_registration": image_registration,
+}

@@ -1,0 +1,84 @@
+"""Nouns of the strips' offsets: the overlap of a pair, its offsets line by line, what a method may be told.
+
+Convention: a ground point at (col, line) of the left strip lies in the right strip at
+`col - (width - overlap) + dcol` and `line + side * row_separation + dline`; side is +1 when the left
+strip is in the leading row and the right one in the trailing row, and -1 the other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Images = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+"""Told how much of how much is done; may raise to stop the work."""
+
+LABELS: Final = ("measured", "bridged", "unreliable")
+MEASURED, BRIDGED, UNRELIABLE = range(3)
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """What two neighbours see of the same ground, lines set against each other by the nominal geometry.
+
+    left, right: (n, read_px), the left strip's last columns and the right strip's first; row i is the left
+    strip's line first_line + i and the right strip's line first_line + i + round(side * row_separation).
+    valid: (n, read_px) where both hold a picture; rows that only one strip has are False throughout.
+    relief_px: (n,) the part of dline that the ground's known heights make, from a DEM.
+    """
+
+    pair: int
+    left: NDArray[Any]
+    right: NDArray[Any]
+    side: int
+    valid: Flags
+    first_line: int = 0
+    relief_px: Floats | None = None
+
+
+@dataclass(frozen=True)
+class PairOffsets:
+    """Offsets of the right strip against the nominal geometry, for every line of the left strip.
+
+    dcol_px, dline_px, sd_col_px, sd_line_px: (n,), at the lines' middles. label: (n,) uint8, of LABELS.
+    """
+
+    pair: int
+    dcol_px: Floats
+    dline_px: Floats
+    sd_col_px: Floats
+    sd_line_px: Floats
+    label: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class StripOffsets:
+    """What a method found: offsets of the pairs whose two strips are there, in their order."""
+
+    method: str
+    pairs: tuple[PairOffsets, ...]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the methods may be told.
+
+    search_cols_px, search_lines_px: how far the offsets may lie from the nominal geometry. knot_lines: the
+    distance of the knots between which `joint` draws its curves. segment_lines: the length of a segment of
+    `piecewise_linear`. enhance: stretch each segment's grey range before matching. ratio: the most by which
+    SIFT's nearest may be as far as the second.
+    """
+
+    search_cols_px: int = 10
+    search_lines_px: int = 24
+    knot_lines: int = 16
+    segment_lines: int = 512
+    enhance: bool = True
+    ratio: float = 0.75

@@ -1,0 +1,216 @@
+"""The motion shared by all pairs and each pair's own part, from what was measured at knots: a Gaussian smoother.
+
+Unknowns at every knot: the motion b and one own part p per pair, columns and lines each; a pair measures
+b + p. What can be expected of a curve between measurements is learned from the scene itself: an
+autoregression, of some order for the motion, whose jitter is a few nearly pure tones, and of a low one for the own
+parts (drift angle, mounting, relief). The normal equations are sparse along the strip and solved by Cholesky.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bsr_matrix
+
+from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.ccd.model import Flags, Floats
+
+_OWN_PX = 20.0
+_MOTION_PX = 50.0
+_MOTION_ORDER = 12
+_OWN_ORDER, _OWN_STRIDE = 3, 4
+_MOST_RADIUS = 0.9995
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A linear prediction of a curve's knot from some before, `stride` knots apart.
+
+    weights (order,), the nearest first; sd_px: deviation of what is left. With a stride the chains that
+    lie between one another tell nearly the same, and each counts as its share.
+    """
+
+    weights: Floats
+    sd_px: float
+    stride: int = 1
+
+
+@dataclass(frozen=True)
+class Habits:
+    """What is expected of the curves: of motion and own parts, columns and lines each."""
+
+    motion: tuple[tuple[Curve, ...], tuple[Curve, ...]]
+    own: tuple[tuple[Curve, ...], tuple[Curve, ...]]
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """motion (knots, 2) and own (pairs, knots, 2) in px; covariance (pairs, knots, 2, 2) of their sums."""
+
+    motion: Floats
+    own: Floats
+    covariance: Floats | None
+
+    @property
+    def offsets_px(self) -> Floats:
+        return self.motion[None] + self.own
+
+
+STRAIGHT = np.array([2.0, -1.0])
+CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
+FIRST_HABITS = Habits(
+    ((Curve(STRAIGHT, 0.15),), (Curve(STRAIGHT, 0.15),)),
+    (
+        (Curve(STRAIGHT, 0.02), Curve(np.array([0.995]), 0.05, _OWN_STRIDE)),
+        (Curve(STRAIGHT, 0.03), Curve(np.array([0.99]), 0.08, _OWN_STRIDE)),
+    ),
+)
+
+
+def smooth(
+    offset_px: Floats, information: Floats, level_px: Floats, habits: Habits, covariance: bool = False
+) -> Smoothed:
+    """The most probable curves.
+
+    Args: offset_px (pairs, knots, 2) measured, information (pairs, knots, 2, 2) its inverse covariance;
+    level_px (pairs, 2): about where each pair's curves lie, to which they return where nothing is known.
+    """
+    k, n = offset_px.shape[:2]
+    common = np.median(level_px, axis=0)
+    offset_px = offset_px - level_px[:, None]
+    size = 2 * (k + 1)
+    diagonal = np.zeros((n, size, size))
+    right = np.zeros((n, size))
+    pulled = np.einsum("knij,knj->kni", information, offset_px)
+    diagonal[:, :2, :2] = information.sum(axis=0)
+    right[:, :2] = pulled.sum(axis=0)
+    for p in range(k):
+        mine = slice(2 + 2 * p, 4 + 2 * p)
+        diagonal[:, mine, mine] = diagonal[:, :2, mine] = diagonal[:, mine, :2] = information[p]
+        right[:, mine] = pulled[p]
+    spread = np.array([_MOTION_PX] * 2 + [_OWN_PX] * (2 * k))
+    diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / n
+    bands = _bands(habits, n, k)
+    factor = BlockTridiagonal(_matrix(diagonal, bands))
+    x = factor.solve(right.reshape(-1, 1)).reshape(n, k + 1, 2)
+    sums = None
+    if covariance:
+        whole = factor.inverse_blocks().reshape(n, k + 1, 2, k + 1, 2)
+        sums = np.stack(
+            [
+                whole[:, 0, :, 0] + whole[:, p, :, p] + whole[:, 0, :, p] + whole[:, p, :, 0]
+                for p in range(1, k + 1)
+            ]
+        )
+    own = np.moveaxis(x[:, 1:], 1, 0) + (level_px - common)[:, None]
+    return Smoothed(x[:, 0] + common, own, sums)
+
+
+def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
+    """Habits of the curves of a solution, from where they were well measured.
+
+    Args: known (pairs, knots) bool.
+    """
+    any_known = known.any(axis=0)
+    shared = solution.motion - solution.motion[any_known].mean(axis=0) if any_known.any() else solution.motion
+    mean = np.stack([_mean(own, good) for own, good in zip(solution.own, known, strict=True)])
+    own = solution.own - mean[:, None]
+    motion = [
+        (_fitted([shared[:, axis]], [any_known], _MOTION_ORDER, 1, 0.004) or before.motion[axis][0],)
+        for axis in (0, 1)
+    ]
+    apart = []
+    for axis in (0, 1):
+        curves = list(own[:, :, axis])
+        slow = _fitted(curves, list(known), _OWN_ORDER, _OWN_STRIDE, 0.003) or before.own[axis][1]
+        apart.append((_bending(curves, list(known), before.own[axis][0]), slow))
+    return Habits((motion[0], motion[1]), (apart[0], apart[1]))
+
+
+def _mean(curve: Floats, known: Flags) -> Floats:
+    return np.asarray((curve[known] if known.any() else curve).mean(axis=0))
+
+
+def _windows(curves: list[Floats], known: list[Flags], order: int, stride: int) -> tuple[Floats, Floats]:
+    """Knots (m,) and the ones before them (m, order), the nearest first, where all are known."""
+    past, now = [np.zeros((0, order))], [np.zeros(0)]
+    for curve, good in zip(curves, known, strict=True):
+        if len(curve) > order * stride:
+            windows = np.lib.stride_tricks.sliding_window_view(curve, order * stride + 1)[:, ::-stride]
+            whole = np.lib.stride_tricks.sliding_window_view(good, order * stride + 1)[:, ::-stride].all(
+                axis=1
+            )
+            past.append(windows[whole, 1:])
+            now.append(windows[whole, 0])
+    return np.concatenate(now), np.concatenate(past)
+
+
+def _fitted(
+    curves: list[Floats], known: list[Flags], order: int, stride: int, least_px: float
+) -> Curve | None:
+    """Least squares over all stretches known throughout; None where these are too few."""
+    y, a = _windows(curves, known, order, stride)
+    if len(y) < 15 * order:
+        return None
+    normal = a.T @ a + len(y) * 0.1 * least_px**2 * np.eye(order)
+    weights = _stable(np.linalg.solve(normal, a.T @ y))
+    return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
+
+
+def _bending(curves: list[Floats], known: list[Flags], before: Curve) -> Curve:
+    """How much neighbouring knots differ from a cubic: it ties the chains of a stride to each other, no more."""
+    y, a = _windows(curves, known, len(CUBIC), 1)
+    if len(y) < 30:
+        return before
+    return Curve(CUBIC, max(1.2 * float(np.sqrt(np.mean((y - a @ CUBIC) ** 2))), 0.002))
+
+
+def _stable(weights: Floats) -> Floats:
+    """The prediction whose roots lie inside the unit circle, so that nothing grows where nothing is measured."""
+    roots = np.roots(np.concatenate([[1.0], -weights]))
+    size = np.abs(roots)
+    if not size.size or size.max() <= _MOST_RADIUS:
+        return weights
+    roots = np.where(size > _MOST_RADIUS, roots * (_MOST_RADIUS / np.maximum(size, 1e-12)), roots)
+    return -np.real(np.poly(roots))[1:]
+
+
+def _bands(habits: Habits, knots: int, pairs: int) -> list[Floats]:
+    """Bands of the curves' precision: bands[d] (knots - d, 2 + 2 pairs) joins knot j and j + d."""
+    each = [*habits.motion, *(habits.own * pairs)]
+    reach = max(len(curve.weights) * curve.stride for curves in each for curve in curves)
+    out = [np.zeros((max(knots - d, 0), len(each))) for d in range(reach + 1)]
+    for column, curves in enumerate(each):
+        for curve in curves:
+            taps = np.concatenate([-curve.weights[::-1], [1.0]]) / (curve.sd_px * curve.stride**0.5)
+            order, step = len(curve.weights), curve.stride
+            rows = knots - order * step
+            for i in range(order + 1):
+                for j in range(i, order + 1):
+                    if rows > 0:
+                        out[(j - i) * step][i * step : i * step + rows, column] += taps[i] * taps[j]
+    return out
+
+
+def _matrix(diagonal: Floats, bands: list[Floats]) -> bsr_matrix:
+    n, size = diagonal.shape[:2]
+    along = np.arange(size)
+    diagonal[:, along, along] += bands[0]
+    reach = min(len(bands) - 1, n - 1)
+    blocks, row, column = [diagonal], [np.arange(n)], [np.arange(n)]
+    for d in range(1, reach + 1):
+        block = np.zeros((n - d, size, size))
+        block[:, along, along] = bands[d]
+        lower, upper = np.arange(d, n), np.arange(n - d)
+        blocks += [block, block]
+        row += [upper, lower]
+        column += [lower, upper]
+    rows, columns = np.concatenate(row), np.concatenate(column)
+    order = np.lexsort((columns, rows))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))])
+    return bsr_matrix(
+        (np.concatenate(blocks)[order], columns[order], starts),
+        shape=(n * size, n * size),
+        blocksize=(size, size),
+    )

@@ -1,0 +1,86 @@
+"""Correlation volumes: how well each block of lines of a pair matches at every whole shift."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from geomosaic.ccd.model import Flags, Floats, Images
+from geomosaic.ccd.rows import RowPair
+
+BLOCK_LINES = 32
+# Of the pixels of a band-passed picture one in so many tells something of its own.
+_PIXELS_PER_FACT = 4.0
+_MOST_EVIDENCE = 12.0
+
+
+def flattened(image: Images, valid: Flags, detail_px: float = 8.0) -> Images:
+    """Fine detail without column pattern: what the blurred picture (Gaussian, detail_px) leaves of it.
+
+    A column's gain is the middle of its ratios to the columns about it, over all lines; what is bright for a
+    while, a cloud, so leaves no mark on the ground before and after it.
+
+    Args: image, valid (n, w). Returns: (n, w), 0 where not valid.
+    """
+    weight = valid.astype(np.float32)
+    given = image * weight
+    rows = np.flatnonzero(valid.all(axis=1))
+    if rows.size:
+        some = given[rows[:: max(1, rows.size // 2048)]]
+        around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
+        gain = np.median((some + 1.0) / (around + 1.0), axis=0)
+        given = given / np.clip(gain, 0.5, 2.0).astype(np.float32)
+    blurred = cv2.GaussianBlur(given, (0, 0), detail_px)
+    if not valid.all():
+        blurred /= np.maximum(cv2.GaussianBlur(weight, (0, 0), detail_px), 1e-3)
+    return np.asarray((given - blurred) * weight, dtype=np.float32)
+
+
+def halved(image: Images) -> Images:
+    """Means of 2 x 2 pixels (n // 2, w // 2)."""
+    n, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+    return np.asarray(image[:n, :w].reshape(n // 2, 2, w // 2, 2).mean(axis=(1, 3)), dtype=np.float32)
+
+
+def volume(pair: RowPair, blocks: int, search_cols_px: int, search_lines_px: int) -> Floats:
+    """Evidence for every shift, block by block of 32 lines (Lewis 1995 for the normalised correlation).
+
+    Half the pictures' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of a
+    correlation r over n independent facts against none at all (Kay 1998, section 7), bounded so that one
+    good block says no more than another.
+
+    Returns: (blocks, 2 search_lines_px // 2 + 1, 2 search_cols_px // 2 + 1); shift 0 in the middle.
+    """
+    reach_l, reach_c = search_lines_px // 2, search_cols_px // 2
+    lead, trail = (_band_passed(halved(flattened(image, pair.valid))) for image in (pair.lead, pair.trail))
+    shift = pair.nominal_col // 2
+    w = lead.shape[1]
+    begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
+    out = np.zeros((blocks, 2 * reach_l + 1, 2 * reach_c + 1))
+    if end - begin < 8:
+        return out
+    half = BLOCK_LINES // 2
+    rows = np.flatnonzero(pair.valid[: len(lead) * 2 : 2].any(axis=1))
+    trail = cv2.copyMakeBorder(trail, reach_l, reach_l, 0, 0, cv2.BORDER_CONSTANT, value=0.0)
+    facts = half * (end - begin) / _PIXELS_PER_FACT
+    for block in range(blocks):
+        top = block * half
+        if rows.size == 0 or top + half > rows[-1] + 1 or top < rows[0]:
+            continue
+        pattern = lead[top : top + half, begin:end]
+        if pattern.std() < 1e-6:
+            continue
+        window = trail[top : top + half + 2 * reach_l, begin + shift - reach_c : end + shift + reach_c]
+        r = cv2.matchTemplate(window, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
+        r = np.clip(np.nan_to_num(r), 0.0, 0.99)
+        evidence = -0.5 * facts * np.log1p(-(r**2))
+        out[block] = _MOST_EVIDENCE * np.tanh(evidence / _MOST_EVIDENCE)
+    return out
+
+
+def _band_passed(image: Images) -> Images:
+    """Fine detail in units of its own local deviation: a cloud's edge weighs no more than a field beside it."""
+    fine = cv2.GaussianBlur(image, (0, 0), 0.7)
+    fine -= cv2.GaussianBlur(image, (0, 0), 2.5)
+    power = cv2.GaussianBlur(fine * fine, (0, 0), 4.0)
+    return np.asarray(fine / np.sqrt(power + 1e-2 * float(np.median(power)) + 1e-12), dtype=np.float32)

@@ -1,0 +1,90 @@
+"""Whether the DEM, the RPC and the model beside CCD strips are of their scene."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from geomosaic.camera.pushbroom import Pushbroom
+from geomosaic.camera.rpc import Rpc, parse_rpc
+from geomosaic.errors import FileError, InputError
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.survey.elevation import check_dem
+from geomosaic.survey.strip_model import read_model
+
+_MAX_BYTES: Final = 1 << 20
+_MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
+
+
+def read_rpc(path: Path) -> Rpc:
+    """The RPC of a text (GeoEye's _RPC.TXT) or of a raster that holds one.
+
+    Raises: `FileError` or `InputError` naming the file.
+    """
+    try:
+        if path.stat().st_size <= _MAX_BYTES:
+            content = path.read_bytes()
+            if b"LINE_OFF" in content and b"\0" not in content:
+                return parse_rpc(content.decode("utf-8-sig"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as raster:
+                return Rpc.from_metadata(raster.tags(ns="RPC"))
+    except InputError as error:
+        raise InputError(error.problem, file=path, mend=_MEND) from error
+    except (RasterioError, OSError, ValueError) as error:
+        raise FileError("is no RPC and no raster that holds one", file=path, mend=_MEND) from error
+
+
+def checked_model(path: Path, ccds: int, line_rate_hz: float) -> Pushbroom:
+    """The model of so many CCDs at this line rate; `InputError` if it is of others."""
+    model = read_model(path)
+    if len(model.right_tan) != ccds:
+        raise InputError(
+            f"has looks for {len(model.right_tan)} CCDs, the geometry has {ccds}",
+            file=path,
+            mend="give one for each, dead ones too",
+        )
+    if abs(model.line_rate_hz / line_rate_hz - 1.0) > 1e-3:
+        raise InputError(
+            f"has {model.line_rate_hz:g} lines a second, the geometry {line_rate_hz:g}",
+            file=path,
+            mend="correct line_rate_hz",
+        )
+    return model
+
+
+def check_rpc(
+    path: Path, size_px: tuple[int, int], pixel_m: float, model: Pushbroom | None, dem: Path | None
+) -> None:
+    """`InputError` for an RPC of another scene than that of size_px (columns, lines).
+
+    Its own picture must have about that size, and its middle must lie within a scene's size of where the
+    model looks, and on the DEM: another scene of the same size is known only by these.
+    """
+    rpc = read_rpc(path)
+    wanted = np.array(size_px[::-1], dtype=np.float64)
+    middle, half = rpc.offset[:2] + 0.5, rpc.scale[:2]
+    if (np.abs(middle - wanted / 2.0) > half).any() or (half > wanted).any() or (half < wanted / 4.0).any():
+        own, ours = (f"{w:.0f} x {n:.0f}" for n, w in (2.0 * half, wanted))
+        told = f"a picture of some {own} px, where the strips make {ours}"
+        raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
+    lat, lon, height = (float(v) for v in rpc.offset[2:])
+    if model is not None:
+        at = model.ground_from_image(len(model.right_tan) // 2, 0.0, size_px[1] / 2.0, height)
+        away_m = float(np.hypot(*mid_latitude_offset_m(at[0], at[1], lon, lat)))
+        if not away_m < float(np.hypot(*wanted)) * pixel_m:
+            told = f"its middle is {away_m / 1000.0:,.0f} km from where the model looks"
+            raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
+    if dem is not None:
+        crs, bounds = check_dem(dem)
+        x, y = MapProjection(crs.to_wkt()).map_from_geodetic(lon, lat)
+        if not (bounds.left <= x <= bounds.right and bounds.bottom <= y <= bounds.top):
+            told = f"its middle ({lon:.3f}, {lat:.3f} deg) is not on {dem.name}"
+            raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)

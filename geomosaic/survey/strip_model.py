@@ -1,0 +1,120 @@
+"""The rigorous model of CCD strips on disk: model.yaml, with orbit and attitude as tables beside it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from geomosaic.camera.pushbroom import Pushbroom
+from geomosaic.errors import FileError, InputError, UnknownNameError
+
+Floats = NDArray[np.float64]
+ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
+ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
+_KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
+_LOOK_KEYS: Final = ("forward_tan", "right_tan")
+_MAX_BYTES: Final = 256 << 20
+_MEND: Final = "see docs/simulation.md for the model's form"
+
+
+def read_model(path: Path) -> Pushbroom:
+    """The model of a YAML file; its tables' paths count from its folder.
+
+    `line_rate_hz`; `orbit`: a CSV of time_s, x_m, y_m, z_m (WGS 84, fixed to the Earth); `attitude`: a CSV of
+    time_s, roll_deg, pitch_deg, yaw_deg; `looks`: for each CCD, left to right, `forward_tan` and `right_tan`,
+    each [constant, per column, per second]. What they mean stands in `camera.pushbroom.Pushbroom`.
+
+    Raises: `FileError` or `InputError` naming the file and what is wrong.
+    """
+    path = Path(path)
+    content = _bytes(path)
+    try:
+        entry = yaml.safe_load(content.decode("utf-8-sig"))
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        raise FileError("is no valid YAML", file=path, mend=_MEND) from error
+    if not isinstance(entry, dict):
+        raise InputError("is no model of CCD strips", file=path, mend=_MEND)
+    for key in entry:
+        if key not in _KEYS:
+            raise UnknownNameError("model key", str(key), _KEYS, file=path)
+    for key in _KEYS:
+        if key not in entry:
+            raise InputError(f"has no {key}", file=path, mend=_MEND)
+    rate = _numbers([entry["line_rate_hz"]], 1, "line_rate_hz", path)[0]
+    if rate <= 0.0:
+        raise InputError("line_rate_hz must be above 0", file=path, mend=_MEND)
+    looks = entry["looks"]
+    if not isinstance(looks, list) or not looks or not all(isinstance(one, dict) for one in looks):
+        raise InputError("looks isn't a list of look angles, one for each CCD", file=path, mend=_MEND)
+    tan = {
+        key: np.array(
+            [_numbers(one.get(key), 3, f"{key} of CCD {i}", path) for i, one in enumerate(looks, 1)]
+        )
+        for key in _LOOK_KEYS
+    }
+    if (tan["right_tan"][:, 1] == 0.0).any():
+        raise InputError("a CCD's right_tan doesn't change with the column", file=path, mend=_MEND)
+    orbit = _table(path, entry["orbit"], ORBIT_COLUMNS)
+    attitude = _table(path, entry["attitude"], ATTITUDE_COLUMNS)
+    return Pushbroom(
+        line_rate_hz=float(rate),
+        orbit_time_s=orbit[:, 0],
+        orbit_ecef_m=orbit[:, 1:],
+        attitude_time_s=attitude[:, 0],
+        roll_pitch_yaw_rad=np.radians(attitude[:, 1:]),
+        forward_tan=tan["forward_tan"],
+        right_tan=tan["right_tan"],
+    )
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise FileError("is too large for a model's file", file=path, mend="is it the right file?")
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise FileError("there is no such file", file=path, mend=_MEND) from error
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f"can't be read ({error.strerror})", file=path) from error
+
+
+def _numbers(value: Any, count: int, what: str, path: Path) -> Floats:
+    good = isinstance(value, list) and len(value) == count
+    if not good or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
+        raise InputError(f"{what} isn't {count} number{'s' if count > 1 else ''}", file=path, mend=_MEND)
+    numbers = np.array(value, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{what} isn't finite", file=path, mend=_MEND)
+    return numbers
+
+
+def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise InputError(f"names {name!r} as a table", file=model, mend="give a CSV file's path")
+    path = model.absolute().parent / name
+    content = _bytes(path)
+    try:
+        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))
+    except (ValueError, csv.Error) as error:
+        raise FileError("is no table of text", file=path, mend=_MEND) from error
+    if not rows or tuple(cell.strip() for cell in rows[0]) != columns:
+        raise InputError(f"its first line isn't {','.join(columns)}", file=path, mend=_MEND)
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows[1:] if row], dtype=np.float64)
+    except ValueError as error:
+        raise InputError("holds what is no number", file=path, mend=_MEND) from error
+    if table.ndim != 2 or table.shape[1] != len(columns) or len(table) < 4 or not np.isfinite(table).all():
+        raise InputError(
+            f"isn't a table of at least four lines of {len(columns)} numbers", file=path, mend=_MEND
+        )
+    if (np.diff(table[:, 0]) <= 0.0).any():
+        raise InputError("its times don't rise from line to line", file=path, mend="sort it by time")
+    return table

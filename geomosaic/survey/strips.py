@@ -1,0 +1,270 @@
+"""CCD strips: the nouns of a focal plane of staggered TDI-CCDs, and the reader of GEOMETRY.yaml."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import rasterio
+import yaml
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.survey.elevation import check_dem
+from geomosaic.survey.strip_companions import check_rpc, checked_model
+
+_MAX_BYTES: Final = 1 << 20
+_MOST_CCDS: Final = 64
+_BITS: Final = {"uint8": 8, "uint16": 16, "int16": 15}
+_KEYS: Final = (
+    "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
+    "bit_depth", "nodata", "dem", "rpc", "model",
+)  # fmt: skip
+_MEND: Final = "see docs/inputs.md for the keys of a geometry file"
+
+
+@dataclass(frozen=True)
+class Ccd:
+    """One TDI-CCD: its strip (None where the CCD is missing) and its row, 1 the leading, 2 the trailing."""
+
+    path: Path | None
+    row: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class StripGeometry:
+    """A focal plane of CCDs in two staggered rows, left to right, and the strips they took.
+
+    Convention: a ground point at (col, line) of a pair's left strip lies in the right strip at
+    col - (width_px - overlap_px) + dcol and line + side(pair) * row_separation_lines + dline, with dcol and
+    dline the pair's offsets. Lines count each strip's own lines, columns the CCD's pixels, corner origin.
+
+    width_px: of every strip. lines: of each file, 0 where the CCD is missing. overlap_px: what neighbours
+    share by design; read_px: what is read of each side. nodata None: every pixel counts.
+    dem: a DEM of the ground; rpc: of the stitched scene; model: the rigorous model.
+    """
+
+    ccds: tuple[Ccd, ...]
+    width_px: int
+    lines: tuple[int, ...]
+    overlap_px: int = 96
+    read_px: int = 110
+    row_separation_lines: float = 2114.0
+    ground_pixel_m: float = 2.0
+    line_rate_hz: float
+    bit_depth: int
+    nodata: float | None = None
+    dem: Path | None = None
+    rpc: Path | None = None
+    model: Path | None = None
+
+    @property
+    def pairs(self) -> range:
+        """The pairs of neighbours: pair k is of CCDs k and k + 1."""
+        return range(len(self.ccds) - 1)
+
+    def side(self, pair: int) -> int:
+        """+1 where the left CCD is in the leading row and the right one in the trailing row, else -1."""
+        return 1 if self.ccds[pair].row == 1 else -1
+
+    @property
+    def scene_width_px(self) -> int:
+        """Columns of the ideal unbroken line: every CCD less the overlaps."""
+        return len(self.ccds) * self.width_px - (len(self.ccds) - 1) * self.overlap_px
+
+
+def read_geometry(path: Path) -> StripGeometry:
+    """The geometry of a YAML file, held against the strips it names; paths count from its folder.
+
+    `ccds` (`path` and `row`, left to right; no `path` where a CCD is dead) and `line_rate_hz` are needed,
+    the rest has defaults. `bit_depth` is the files' where it isn't given. DEM, RPC and model, where named,
+    must be readable and fit: as many CCDs, the same line rate, the same scene.
+
+    Raises: `FileError` or `InputError` with one line that names the file and the mend.
+    """
+    path = Path(path)
+    entry = _load(path)
+    for key in entry:
+        if key not in _KEYS:
+            raise UnknownNameError("geometry key", str(key), _KEYS, file=path)
+    ccds = _ccds(entry, path)
+    number = _numbers(entry, path)
+    width_px, lines, kind, nodata = _strips(ccds)
+    if "width_px" in entry and int(number("width_px", 0, 1)) != width_px:
+        raise InputError(
+            f"says strips of {int(number('width_px', 0, 1))} columns, but they have {width_px}",
+            file=path,
+            mend="correct width_px or give the strips that belong to it",
+        )
+    bit_depth = int(number("bit_depth", _BITS[kind], 8, whole=True))
+    if bit_depth > _BITS[kind]:
+        raise InputError(
+            f"bit_depth is {bit_depth}, but the strips are {kind}", file=path, mend="give at most theirs"
+        )
+    geometry = StripGeometry(
+        ccds=ccds,
+        width_px=width_px,
+        lines=lines,
+        overlap_px=int(number("overlap_px", 96, 1, whole=True)),
+        read_px=int(number("read_px", 110, 1, whole=True)),
+        row_separation_lines=number("row_separation_lines", 2114.0, 0.0),
+        ground_pixel_m=number("ground_pixel_m", 2.0, 1e-3),
+        line_rate_hz=number("line_rate_hz", None, 1e-3),
+        bit_depth=bit_depth,
+        nodata=nodata if entry.get("nodata") is None else number("nodata", None),
+        **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
+    )
+    _check(geometry, path)
+    _check_companions(geometry)
+    return geometry
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise FileError("is too large for a geometry file", file=path, mend="is it the right file?")
+        entry = yaml.safe_load(path.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError as error:
+        raise FileError("there is no such file", file=path, mend="check the geometry's path") from error
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f"can't be read ({error.strerror})", file=path) from error
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        raise FileError("is no valid YAML", file=path, mend=_MEND) from error
+    if not isinstance(entry, dict) or "ccds" not in entry:
+        raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, mend=_MEND)
+    return entry
+
+
+def _ccds(entry: Mapping[str, Any], path: Path) -> tuple[Ccd, ...]:
+    listed = entry["ccds"]
+    if not isinstance(listed, list) or not 2 <= len(listed) <= _MOST_CCDS:
+        raise InputError("'ccds' isn't a list of at least two CCDs, left to right", file=path, mend=_MEND)
+    ccds: list[Ccd] = []
+    for i, one in enumerate(listed, 1):
+        if not isinstance(one, dict) or not one.keys() <= {"path", "row"}:
+            raise InputError(f"CCD {i} isn't a pair of 'path' and 'row'", file=path, mend=_MEND)
+        row = one.get("row")
+        if isinstance(row, bool) or row not in (1, 2):
+            raise InputError(f"CCD {i} has row {row!r}", file=path, mend="1 is the leading row, 2 the other")
+        if ccds and ccds[-1].row == row:
+            raise InputError(
+                f"CCDs {i - 1} and {i} are both in row {row}", file=path, mend="neighbours are in other rows"
+            )
+        strip = _file(one, "path", path)
+        if strip is not None and strip in [c.path for c in ccds]:
+            raise InputError(f"CCD {i} names a strip a second time: {strip.name}", file=path, mend=_MEND)
+        ccds.append(Ccd(strip, int(row)))
+    if sum(c.path is not None for c in ccds) < 2:
+        raise InputError("names fewer than two strips", file=path, mend="give the strips' paths")
+    return tuple(ccds)
+
+
+def _file(entry: Mapping[str, Any], key: str, path: Path) -> Path | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise InputError(f"{key} is {value!r}", file=path, mend="give a file's path")
+    found = path.absolute().parent / value
+    if not found.is_file():
+        mend = "correct it, or take 'path' out where the CCD is dead" if key == "path" else f"correct '{key}'"
+        raise FileError(f"there is no such file, named as {key} in {path.name}", file=found, mend=mend)
+    return found
+
+
+def _numbers(entry: Mapping[str, Any], path: Path) -> Callable[..., float]:
+    def number(key: str, default: float | None, least: float = -math.inf, whole: bool = False) -> float:
+        value = entry.get(key, default)
+        bad = isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)
+        if bad or value < least or (whole and value != int(value)):
+            problem = f"has no {key}" if value is None else f"{key} is {value!r}"
+            wanted = "a whole number" if whole else "a number"
+            more = f" of at least {least:g}" if least > -math.inf else ""
+            raise InputError(problem, file=path, mend=f"give {wanted}{more}")
+        return float(value)
+
+    return number
+
+
+def open_strip(path: Path) -> Any:
+    """A strip opened by rasterio; that it has no georeference of its own is no cause for a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        return rasterio.open(path)
+
+
+def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | None]:
+    """Width, lines of each, data type and nodata of the strips; `FileError` where they don't agree."""
+    lines: list[int] = []
+    first: tuple[Path, tuple[int, str, float | None]] | None = None
+    for ccd in ccds:
+        if ccd.path is None:
+            lines.append(0)
+            continue
+        try:
+            with open_strip(ccd.path) as strip:
+                width, count, kind, nodata = strip.width, strip.count, strip.dtypes[0], strip.nodata
+                lines.append(int(strip.height))
+        except (RasterioError, OSError) as error:
+            mend = "give a strip such as a GeoTIFF"
+            raise FileError("is no raster that GDAL reads", file=ccd.path, mend=mend) from error
+        if count != 1 or kind not in _BITS:
+            problem = f"has {count} bands" if count != 1 else f"has {kind} pixels"
+            raise FileError(problem, file=ccd.path, mend="a strip has one band of 8 to 16 bits")
+        found = int(width), str(kind), nodata
+        if first is None:
+            first = ccd.path, found
+        elif found != first[1]:
+            raise FileError(
+                f"has {_told(*found)}, but {first[0].name} has {_told(*first[1])}",
+                file=ccd.path,
+                mend="strips of one camera agree; give those of one scene",
+            )
+    assert first is not None
+    width_px, pixels, nodata_value = first[1]
+    return width_px, tuple(lines), pixels, nodata_value
+
+
+def _told(width: int, kind: str, nodata: float | None) -> str:
+    return f"{width} columns of {kind}" + ("" if nodata is None else f" with nodata {nodata:g}")
+
+
+def _check(geometry: StripGeometry, path: Path) -> None:
+    """`InputError` for numbers that don't fit each other or the files."""
+    g = geometry
+    if g.overlap_px * 2 >= g.width_px:
+        raise InputError(
+            f"overlap_px is {g.overlap_px}, strips have {g.width_px} columns",
+            file=path,
+            mend="an overlap is less than half a strip",
+        )
+    if not g.overlap_px <= g.read_px <= g.width_px:
+        raise InputError(
+            f"read_px is {g.read_px}",
+            file=path,
+            mend=f"give from {g.overlap_px} (the overlap) to {g.width_px} (the strip)",
+        )
+    longest = max(g.lines)
+    if longest <= g.row_separation_lines:
+        raise InputError(
+            f"rows are {g.row_separation_lines:g} lines apart, the longest strip has {longest} lines",
+            file=path,
+            mend="give longer strips, or correct row_separation_lines",
+        )
+
+
+def _check_companions(geometry: StripGeometry) -> None:
+    """`FileError` or `InputError` where the DEM, the RPC or the model aren't of these strips' scene."""
+    g, model = geometry, None
+    if g.dem is not None:
+        check_dem(g.dem)
+    if g.model is not None:
+        model = checked_model(g.model, len(g.ccds), g.line_rate_hz)
+    if g.rpc is not None:
+        check_rpc(g.rpc, (g.scene_width_px, max(g.lines)), g.ground_pixel_m, model, g.dem)

@@ -1,0 +1,147 @@
+"""GEOMETRY.yaml of CCD strips: read against real rasters; every bad input is one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import yaml
+from rasterio.errors import NotGeoreferencedWarning
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
+
+PLAIN: dict[str, Any] = {
+    "line_rate_hz": 3272.4,
+    "row_separation_lines": 40,
+    "overlap_px": 12,
+    "read_px": 16,
+    "ground_pixel_m": 2.5,
+    "ccds": [{"path": "a.tif", "row": 2}, {"path": "sub/b.tif", "row": 1}, {"path": "c.tif", "row": 2}],
+}
+
+
+def strip(path: Path, width: int = 48, lines: int = 100, dtype: str = "uint16", bands: int = 1) -> None:
+    path.parent.mkdir(exist_ok=True)
+    profile = {"driver": "GTiff", "width": width, "height": lines, "count": bands, "dtype": dtype}
+    with pytest.warns(NotGeoreferencedWarning), rasterio.open(path, "w", **profile) as out:
+        out.write(np.full((bands, lines, width), 7, dtype))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    strip(tmp_path / "a.tif", lines=100)
+    strip(tmp_path / "sub" / "b.tif", lines=90)
+    strip(tmp_path / "c.tif", lines=100)
+    return tmp_path
+
+
+def written(folder: Path, **changes: Any) -> Path:
+    entry = {k: v for k, v in {**PLAIN, **changes}.items() if v is not ...}
+    path = folder / "geometry.yaml"
+    path.write_text(yaml.safe_dump(entry))
+    return path
+
+
+def test_geometry_is_read_and_paths_count_from_its_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(folder)
+    monkeypatch.chdir(folder.parent)
+    g = read_geometry(Path(folder.name) / path.name)
+    assert g.ccds == (Ccd(folder / "a.tif", 2), Ccd(folder / "sub/b.tif", 1), Ccd(folder / "c.tif", 2))
+    assert (g.width_px, g.lines, g.overlap_px, g.read_px) == (48, (100, 90, 100), 12, 16)
+    assert (g.row_separation_lines, g.ground_pixel_m, g.line_rate_hz) == (40.0, 2.5, 3272.4)
+    assert (g.bit_depth, g.nodata, g.dem, g.rpc, g.model) == (16, None, None, None, None)
+    assert g.scene_width_px == 120
+
+
+def test_side_says_which_row_leads(folder: Path) -> None:
+    g = read_geometry(written(folder))
+    assert list(g.pairs) == [0, 1]
+    assert (g.side(0), g.side(1)) == (-1, 1)
+
+
+def test_defaults_are_the_paper_s() -> None:
+    g = StripGeometry(ccds=(), width_px=4096, lines=(), line_rate_hz=3272.4, bit_depth=8)
+    assert (g.overlap_px, g.read_px, g.row_separation_lines, g.ground_pixel_m) == (96, 110, 2114.0, 2.0)
+
+
+def test_a_dead_ccd_has_no_path_and_no_lines(folder: Path) -> None:
+    g = read_geometry(written(folder, ccds=[PLAIN["ccds"][0], {"row": 1}, PLAIN["ccds"][2]], bit_depth=10))
+    assert g.ccds[1] == Ccd(None, 1)
+    assert g.lines == (100, 0, 100)
+    assert g.bit_depth == 10
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 1"),
+    "overlap too wide": ({"overlap_px": 24, "read_px": 30}, "less than half a strip"),
+    "read less than the overlap": ({"read_px": 11}, "read_px is 11; give from 12"),
+    "rows farther apart than the strips are long": ({"row_separation_lines": 100}, "longest strip has 100"),
+    "separation no number": ({"row_separation_lines": "many"}, "row_separation_lines is 'many'"),
+    "separation not finite": ({"row_separation_lines": float("nan")}, "row_separation_lines is nan"),
+    "no line rate": ({"line_rate_hz": ...}, "has no line_rate_hz"),
+    "another width": ({"width_px": 4096}, "strips of 4096 columns, but they have 48"),
+    "more bits than the files": ({"bit_depth": 17}, "bit_depth is 17, but the strips are uint16"),
+    "too few bits": ({"bit_depth": 7}, "bit_depth is 7; give a whole number of at least 8"),
+    "unknown key": ({"overlap": 96}, "unknown geometry key 'overlap'; did you mean 'overlap_px'?"),
+    "one CCD": ({"ccds": [PLAIN["ccds"][0]]}, "at least two CCDs"),
+    "all dead": ({"ccds": [{"row": 1}, {"row": 2}]}, "fewer than two strips"),
+    "row 3": ({"ccds": [{"path": "a.tif", "row": 3}, PLAIN["ccds"][1]]}, "CCD 1 has row 3"),
+    "same row": ({"ccds": [{"path": "a.tif", "row": 1}, PLAIN["ccds"][1]]}, "CCDs 1 and 2 are both in row 1"),
+    "strip twice": ({"ccds": [PLAIN["ccds"][1], {"path": "a.tif", "row": 2}, PLAIN["ccds"][1]]}, "second time"),
+    "no such strip": ({"ccds": [{"path": "z.tif", "row": 2}, PLAIN["ccds"][1]]}, "z.tif: there is no such file"),
+    "no such DEM": ({"dem": "dem.tif"}, "dem.tif: there is no such file, named as dem"),
+    "not a list": ({"ccds": {"a": 1}}, "'ccds' isn't a list"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_geometry_is_one_clear_line(folder: Path, case: str) -> None:
+    changes, text = BAD[case]
+    with pytest.raises(InputError) as caught:
+        read_geometry(written(folder, **changes))
+    assert text in str(caught.value)
+    assert str(folder) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_a_strip_of_text_is_named(folder: Path) -> None:
+    (folder / "c.tif").write_text("no raster at all\n" * 9)
+    with pytest.raises(FileError, match=r"c\.tif: is no raster that GDAL reads"):
+        read_geometry(written(folder))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"width": 47}, r"c\.tif: has 47 columns of uint16, but a\.tif has 48 columns of uint16"),
+        ({"dtype": "uint8"}, r"c\.tif: has 48 columns of uint8"),
+        ({"bands": 3}, r"c\.tif: has 3 bands"),
+        ({"dtype": "float32"}, r"c\.tif: has float32 pixels"),
+    ],
+)
+def test_strips_that_don_t_agree_are_named(folder: Path, change: dict[str, Any], text: str) -> None:
+    strip(folder / "c.tif", **change)
+    with pytest.raises(FileError, match=text):
+        read_geometry(written(folder))
+
+
+@pytest.mark.parametrize("text", ["{", "[1, 2]", "", "!!python/object/apply:os.system [ls]", "\0"])
+def test_what_is_no_geometry_is_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "g.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"g\.yaml: is no"):
+        read_geometry(path)
+
+
+def test_no_file_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="there is no such file"):
+        read_geometry(tmp_path / "none.yaml")
+    with pytest.raises(FileError, match="can't be read"):
+        read_geometry(tmp_path)
