@@ -15,7 +15,7 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import decode, encode, fingerprint_of_bytes, fingerprint_of_json
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.given import Given
-from geomosaic.pipeline.params import StageParams, file_values, output_values
+from geomosaic.pipeline.params import output_values
 from geomosaic.pipeline.recipe import Step
 from geomosaic.pipeline.stage import Stage
 
@@ -61,10 +61,10 @@ class Finished:
 
 
 def file_manifest(
-    params: StageParams, hashes: files.FileHashes, progress: Callable[[int, int], None] | None = None
+    named: Mapping[str, Path], hashes: files.FileHashes, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, dict[str, str]]:
-    """By parameter, the names and hashes of the files it stands for."""
-    return {name: hashes.manifest(path, progress) for name, path in file_values(params).items()}
+    """For each of a stage's files and folders, the names and hashes of the files it stands for."""
+    return {name: hashes.manifest(path, progress) for name, path in named.items()}
 
 
 def stage_key(

@@ -152,13 +152,13 @@ class _Run:
     def _begin(self, given: Mapping[int, Given]) -> None:
         manifest: dict[str, Any] = {}
         for i, step in enumerate(self._recipe.steps):
-            content = {} if i in given else file_manifest(step.params, self._hashes, self._hashing)
+            named = {} if i in given else step.stage.files(step.params)
+            content = file_manifest(named, self._hashes, self._hashing)
             self._manifests.append(content)
             if i in given:
                 manifest.update(given[i].manifest())
             for name, hashes in content.items():
-                path = str(getattr(step.params, name.partition("[")[0]))
-                manifest[f"{step.stage.id}.{name}"] = {"path": path, "files": hashes}
+                manifest[f"{step.stage.id}.{name}"] = {"path": str(named[name]), "files": hashes}
         self._hashes.save()
         self._summary = {
             "recipe": self._recipe.plain(),

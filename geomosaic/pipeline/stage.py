@@ -25,10 +25,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 from geomosaic.pipeline.context import Context, RunFile
-from geomosaic.pipeline.params import StageParams, param
+from geomosaic.pipeline.params import StageParams, file_values, param
 
 __all__ = ["Context", "RunFile", "Stage", "StageParams", "param"]
 
@@ -61,6 +62,14 @@ class Stage(ABC):
         Every file and folder that `params` names is there when it is asked.
         """
         return
+
+    @classmethod
+    def files(cls, params: Any) -> dict[str, Path]:
+        """The files and folders whose contents the stage's result depends on, by name.
+
+        Those that `params` names; a stage adds what these name in turn. `check` has passed when it is asked.
+        """
+        return file_values(params)
 
     @abstractmethod
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:

@@ -33,19 +33,7 @@ def read_model(path: Path) -> Pushbroom:
     Raises: `FileError` or `InputError` naming the file and what is wrong.
     """
     path = Path(path)
-    content = _bytes(path)
-    try:
-        entry = yaml.safe_load(content.decode("utf-8-sig"))
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
-        raise FileError("is no valid YAML", file=path, mend=_MEND) from error
-    if not isinstance(entry, dict):
-        raise InputError("is no model of CCD strips", file=path, mend=_MEND)
-    for key in entry:
-        if key not in _KEYS:
-            raise UnknownNameError("model key", str(key), _KEYS, file=path)
-    for key in _KEYS:
-        if key not in entry:
-            raise InputError(f"has no {key}", file=path, mend=_MEND)
+    entry = _entry(path)
     rate = _numbers([entry["line_rate_hz"]], 1, "line_rate_hz", path)[0]
     if rate <= 0.0:
         raise InputError("line_rate_hz must be above 0", file=path, mend=_MEND)
@@ -73,6 +61,30 @@ def read_model(path: Path) -> Pushbroom:
     )
 
 
+def model_tables(path: Path) -> dict[str, Path]:
+    """The tables that a model's file names, `orbit` and `attitude`; raises as `read_model` does."""
+    path = Path(path)
+    entry = _entry(path)
+    return {key: _table_path(path, entry[key]) for key in ("orbit", "attitude")}
+
+
+def _entry(path: Path) -> dict[str, Any]:
+    content = _bytes(path)
+    try:
+        entry = yaml.safe_load(content.decode("utf-8-sig"))
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        raise FileError("is no valid YAML", file=path, mend=_MEND) from error
+    if not isinstance(entry, dict):
+        raise InputError("is no model of CCD strips", file=path, mend=_MEND)
+    for key in entry:
+        if key not in _KEYS:
+            raise UnknownNameError("model key", str(key), _KEYS, file=path)
+    for key in _KEYS:
+        if key not in entry:
+            raise InputError(f"has no {key}", file=path, mend=_MEND)
+    return entry
+
+
 def _bytes(path: Path) -> bytes:
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -96,10 +108,14 @@ def _numbers(value: Any, count: int, what: str, path: Path) -> Floats:
     return numbers
 
 
-def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
+def _table_path(model: Path, name: Any) -> Path:
     if not isinstance(name, str) or not name or "\0" in name:
         raise InputError(f"names {name!r} as a table", file=model, mend="give a CSV file's path")
-    path = model.absolute().parent / name
+    return model.absolute().parent / name
+
+
+def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
+    path = _table_path(model, name)
     content = _bytes(path)
     try:
         rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))

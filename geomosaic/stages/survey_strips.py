@@ -1,0 +1,64 @@
+"""The front door for CCD strips: a geometry file and the strips it names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.survey.strip_model import model_tables
+from geomosaic.survey.strips import StripGeometry, open_strip, read_geometry
+
+_THUMBNAIL_LINES = 600
+
+
+class SurveyStrips(Stage):
+    """Reads the focal plane's geometry and holds it against the strips; reads headers only."""
+
+    id = "survey.strips"
+    display_name = "Read the strips' geometry"
+    group = "Survey"
+    version = 1
+    outputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        geometry: Path = param(help="GEOMETRY.yaml: the CCDs' strips, rows and overlaps")
+
+    @classmethod
+    def check(cls, params: Params) -> None:
+        """The geometry, every strip's header, and what is named beside them."""
+        read_geometry(params.geometry)
+
+    @classmethod
+    def files(cls, params: Params) -> dict[str, Path]:
+        """The geometry and all files it names, the model's tables too."""
+        geometry = read_geometry(params.geometry)
+        named = {f"ccd{k}": ccd.path for k, ccd in enumerate(geometry.ccds, 1)}
+        named |= {"dem": geometry.dem, "rpc": geometry.rpc, "model": geometry.model}
+        if geometry.model is not None:
+            named |= {f"model.{name}": path for name, path in model_tables(geometry.model).items()}
+        return super().files(params) | {name: path for name, path in named.items() if path is not None}
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Says what is missing, and records what the strips look like."""
+        geometry = read_geometry(params.geometry)
+        longest = max(geometry.lines)
+        for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True), 1):
+            if ccd.path is None:
+                context.warn("ccd-missing", f"CCD {k}", "has no strip; its place stays empty")
+                continue
+            if lines < longest:
+                text = f"has {lines} lines, the longest strip {longest}; the rest of its place stays empty"
+                context.warn("strip-short", ccd.path.name, text)
+            context.check_cancelled()
+            with open_strip(ccd.path) as strip:
+                reduction = max(1, lines // _THUMBNAIL_LINES)
+                picture = strip.read(1, out_shape=(-(-lines // reduction), -(-strip.width // reduction)))
+            context.recorder.image("/strips", ccd.path.name, thumbnail(picture[..., np.newaxis]))
+        return {"strips": geometry}
