@@ -8,8 +8,19 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Flags, Floats, Overlap, PairOffsets, Settings
+from geomosaic.ccd.model import (
+    BRIDGED,
+    MEASURED,
+    UNRELIABLE,
+    Flags,
+    Floats,
+    Overlap,
+    PairOffsets,
+    Progress,
+    Settings,
+)
 from geomosaic.ccd.motion import FIRST_HABITS, Habits, Smoothed, learned, smooth
+from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair, left_lines, of_left, row_pair, shared_length
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
@@ -25,12 +36,20 @@ _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 
 
-def joint(
+def joint(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+    """Offsets of every line of every pair, with standard deviations."""
+    progress(0, 1)
+    found = _window([strips.overlap(pair) for pair in strips.pairs], strips.geometry, settings)
+    progress(1, 1)
+    return found
+
+
+def _window(
     overlaps: Sequence[Overlap], geometry: StripGeometry, settings: Settings
 ) -> tuple[PairOffsets, ...]:
     """Offsets of every line of every pair, with standard deviations.
 
-    The overlaps are seen from their leading strips (`rows`); correlation volumes give the way to about a pixel
+    The overlaps are seen from their leading strips (`rows`); correlation volumes give the way to a pixel
     (`paths`), least squares matching of small cells refines it (`least_squares_matching`), and a smoother
     (`motion`) draws the curves and bridges what clouds hide.
     """
