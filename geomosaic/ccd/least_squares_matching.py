@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
@@ -24,6 +25,9 @@ _MISFIT_PX = 0.06
 _MOST_RATIO = 1.8
 _HOPELESS_RATIO = 5.0
 _COL_GROUPS = 4
+# Cells count in full where the gradients' correlation is the second or more, not at all below the first.
+_UNLIKE, _ALIKE = 0.2, 0.4
+_ALIKE_KNOTS = 5
 
 
 @dataclass(frozen=True)
@@ -91,19 +95,29 @@ def measure(given: Pictures, curve_px: Floats, knots: int, knot_lines: int) -> C
     seen = _remap(given.valid.astype(np.float32), map_col, map_line, cv2.INTER_LINEAR) > 0.999
     lead = given.lead[:n, first : first + cols]
     seen &= given.valid[:n, first : first + cols]
-    mean = 0.5 * (lead + moved)
-    across = cv2.Sobel(mean, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
-    along = cv2.Sobel(mean, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
+    difference = lead - moved
     shape = (knots, lines, _COL_GROUPS, cols // _COL_GROUPS)
-    facts = _sums(seen.astype(np.float32), shape)
-    sums = _centred([across, along, lead - moved], seen.astype(np.float32), shape, facts)
-    return _weighed(sums, facts, _lands(whole) - [[given.nominal_col], [0.0]], lines, s)
+    weight = seen.astype(np.float32)
+    facts = _sums(weight, shape)
+    sums = _centred([*_gradients(0.5 * (lead + moved)), difference], weight, shape, facts)
+    apart = _centred(_gradients(0.5 * difference), weight, shape, facts)
+    return _weighed(sums, apart, facts, _lands(whole) - np.array([[given.nominal_col], [0.0]]), lines, s)
 
 
-def _weighed(sums: Floats, facts: Floats, at: Floats, lines: int, scale: int) -> Cells:
-    """Cells to knots. sums (3, 3, knots, groups): centred products of both gradients and the difference."""
+def _gradients(image: Images) -> list[Images]:
+    return [cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=1, scale=0.5) for i in (1, 0)]
+
+
+def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int, scale: int) -> Cells:
+    """Cells to knots.
+
+    Args: sums (3, 3, knots, groups): centred products of the mean's gradients and the difference. apart
+    (2, 2, knots, groups): products of the half difference's gradients.
+    """
     knots = facts.shape[0]
     normal = np.moveaxis(sums[:2, :2], (0, 1), (2, 3))
+    shared = normal - np.moveaxis(apart, (0, 1), (2, 3))
+    alike = _alike(sums, apart)
     right = np.moveaxis(sums[:2, 2], 0, 2)
     enough = facts >= 0.5 * facts.max(initial=1.0)
     ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12)
@@ -121,15 +135,30 @@ def _weighed(sums: Floats, facts: Floats, at: Floats, lines: int, scale: int) ->
     ratio = rest / np.maximum(expected, 1e-12)
     weight = np.where(ratio < _MOST_RATIO, 1.0, (_MOST_RATIO / np.maximum(ratio, 1e-9)) ** 2)
     weight *= (ratio < _HOPELESS_RATIO) & enough & (np.abs(shift).max(-1) < 1.0)
-    information = (weight / np.maximum(expected, 1e-12))[..., None, None] * normal
-    total = information.sum(axis=1)
-    pull = np.einsum("kgij,kgj->ki", information, shift)
+    weight *= np.clip((alike - _UNLIKE) / (_ALIKE - _UNLIKE), 0.0, 1.0)
+    weight /= np.maximum(expected, 1e-12)
+    total = _definite(np.einsum("kg,kgij->kij", weight, shared))
+    pull = np.einsum("kg,kgij,kgj->ki", weight, shared, shift)
     known = np.trace(total, axis1=1, axis2=2) > 0.0
     mean = np.zeros((knots, 2))
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
     mean[known] = np.linalg.solve(safe, pull[known][..., None])[..., 0]
     centre = at.reshape(2, knots, lines).mean(axis=2).T
-    return Cells(scale * (centre + mean), total / scale**2, (weight > 0.5).mean(axis=1))
+    return Cells(scale * (centre + mean), total / scale**2, (weight * expected > 0.5).mean(axis=1))
+
+
+def _alike(sums: Floats, apart: Floats) -> Floats:
+    """Correlation (knots, groups) of both pictures' gradients, over some knots: about 0 where the two show
+    different things, however smooth both are."""
+    mean, half = sums[0, 0] + sums[1, 1], apart[0, 0] + apart[1, 1]
+    both, all_of = (uniform_filter1d(x, _ALIKE_KNOTS, axis=0) for x in (mean - half, mean + half))
+    return np.asarray(both / np.maximum(all_of, 1e-9))
+
+
+def _definite(matrix: Floats) -> Floats:
+    """Zero where not positive definite: where noise outweighs what both pictures share."""
+    a, b, c = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
+    return matrix * ((a > 0) & (a * b - c * c > 1e-3 * a * b))[..., None, None]
 
 
 def _lands(at: Floats) -> Floats:
@@ -155,9 +184,10 @@ def noise_floor(rest: Floats) -> float:
 def _centred(fields: list[Images], seen: Images, shape: tuple[int, ...], facts: Floats) -> Floats:
     fields = [field * seen for field in fields]
     means = [_sums(field, shape) for field in fields]
-    out = np.empty((3, 3, *facts.shape))
-    for i in range(3):
-        for j in range(i, 3):
+    count = len(fields)
+    out = np.empty((count, count, *facts.shape))
+    for i in range(count):
+        for j in range(i, count):
             out[i, j] = _sums(fields[i] * fields[j], shape) - means[i] * means[j] / np.maximum(facts, 1.0)
             out[j, i] = out[i, j]
     return out
