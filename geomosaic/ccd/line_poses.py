@@ -1,0 +1,90 @@
+"""The rigorous model as a table of its lines: rays and images of many points in little time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geomosaic.camera.pushbroom import Pushbroom
+from geomosaic.ccd.model import Floats
+from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
+
+_IMAGE_ROUNDS = 5  # Newton's; jitter bends, by a hundredth a line
+
+
+class LinePoses:
+    """Position and rotation of a model's camera at lines of a range, straight in between.
+
+    Where a table of every line stands for the model's curves, jitter of 22 Hz and 0.06 px is off by less than
+    0.0001 px. Beyond the model's table of attitudes its ends are held.
+
+    Args: first, last: the range of camera lines; step: lines from one pose to the next.
+    """
+
+    def __init__(self, model: Pushbroom, first: float, last: float, step: int = 1) -> None:
+        self.model = model
+        self._first, self._step = float(np.floor(first)), float(step)
+        count = max(int(np.ceil((last - self._first) / step)), 1) + 1
+        line = self._first + step * np.arange(count)
+        time_s = np.clip(line / model.line_rate_hz, model.attitude_time_s[0], model.attitude_time_s[-1])
+        rotation = model.ecef_from_body(line, model.attitude_rad(time_s * model.line_rate_hz))
+        self._table = np.concatenate([model.position_ecef_m(line), rotation.reshape(count, 9)], axis=1)
+
+    def rays(self, ccd: int, col: ArrayLike, line: ArrayLike) -> tuple[Floats, Floats]:
+        """Origins and directions (..., 3), Earth-fixed, of pixels; directions are of any length."""
+        col_px, line_px = np.broadcast_arrays(np.asarray(col, float), np.asarray(line, float))
+        pose, _ = self._at(line_px)
+        look = self.model.look(ccd, col_px, line_px)
+        rotation = pose[..., 3:].reshape(*line_px.shape, 3, 3)
+        return pose[..., :3], np.einsum("...ij,...j->...i", rotation, look)
+
+    def image(self, ccd: int, ecef_m: Floats, near_line: ArrayLike) -> tuple[Floats, Floats]:
+        """Cols and lines (...) at which a CCD sees points (..., 3)."""
+        (f_0, f_col, f_s), (r_0, r_col, r_s) = self.model.forward_tan[ccd], self.model.right_tan[ccd]
+        rate = self.model.line_rate_hz
+        line = np.array(np.broadcast_to(np.asarray(near_line, dtype=np.float64), ecef_m.shape[:-1]))
+        for last in [False] * _IMAGE_ROUNDS + [True]:
+            pose, change = self._at(line)
+            away = ecef_m - pose[..., :3]
+            body = _turned(pose, away)
+            forward, right = body[..., 0] / body[..., 2], body[..., 1] / body[..., 2]
+            col = (right - r_0 - r_s * line / rate) / r_col
+            if last:
+                break
+            moved = _turned(change, away) - _turned(pose, change[..., :3])
+            forward_by = (moved[..., 0] - forward * moved[..., 2]) / body[..., 2]
+            col_by = ((moved[..., 1] - right * moved[..., 2]) / body[..., 2] - r_s / rate) / r_col
+            rest = forward - f_0 - f_col * col - f_s * line / rate
+            line = line - rest / (forward_by - f_col * col_by - f_s / rate)
+        return col, line
+
+    def _at(self, line: Floats) -> tuple[Floats, Floats]:
+        """Poses (..., 12) at lines, and their change from line to line."""
+        place = (line - self._first) / self._step
+        before = np.clip(np.floor(np.nan_to_num(place)).astype(np.int64), 0, len(self._table) - 2)
+        pose = self._table[before]
+        change = self._table[before + 1] - pose
+        return pose + (place - before)[..., None] * change, change / self._step
+
+
+def _turned(pose: Floats, vector: Floats) -> Floats:
+    """Vectors (..., 3) into the body's axes."""
+    x, y, z = (vector[..., k] for k in range(3))
+    return np.stack(
+        [x * pose[..., 3 + k] + y * pose[..., 6 + k] + z * pose[..., 9 + k] for k in range(3)], -1
+    )
+
+
+def on_height(origin: Floats, ray: Floats, height_ellipsoidal_m: ArrayLike) -> Floats:
+    """Where rays (..., 3) meet an ellipsoid larger than WGS 84's by heights (...): within centimetres.
+
+    NaN where a ray passes the Earth.
+    """
+    height = np.asarray(height_ellipsoidal_m, dtype=np.float64)
+    a, b = SEMI_MAJOR_M + height, SEMI_MINOR_M + height
+    axes = np.stack([a, a, b], axis=-1)
+    o, r = origin / axes, ray / axes
+    rr, ro, oo = ((u * v).sum(axis=-1) for u, v in ((r, r), (o, r), (o, o)))
+    with np.errstate(invalid="ignore"):
+        away = (-ro - np.sqrt(ro * ro - rr * (oo - 1.0))) / rr
+    return np.asarray(origin + away[..., None] * ray)

@@ -1,0 +1,139 @@
+"""Heights under CCD strips, out of a DEM of any size: tiles of it are read as they are asked for."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock
+from typing import Final
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+from scipy.ndimage import distance_transform_edt
+
+from geomosaic.errors import FileError, InputError
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.survey.dem import HeightRaster, read_heights
+from geomosaic.survey.elevation import check_dem
+from geomosaic.survey.model import ElevationModel, Warn
+
+Floats = NDArray[np.float64]
+_TILE_PX: Final = 256
+_MOST_TILES: Final = 384  # some 200 MB
+_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
+
+
+@dataclass(eq=False)
+class DemHeights:
+    """Ellipsoidal heights at longitudes and latitudes: bilinear between the DEM's pixels.
+
+    Unknown pixels take the nearest known one's height within their tile, a tile without any mean_m; beyond
+    the DEM its edge goes on. span_m: the lowest and the highest ground where the scene was sampled.
+    """
+
+    elevation: ElevationModel
+    projection: MapProjection
+    bounds: tuple[float, float, float, float]
+    pixel: tuple[float, float]
+    mean_m: float = 0.0
+    span_m: tuple[float, float] = (0.0, 0.0)
+    warnings: tuple[Warn, ...] = ()
+    _tiles: OrderedDict[tuple[int, int], HeightRaster | None] = field(default_factory=OrderedDict)
+    _lock: Lock = field(default_factory=Lock)
+
+    def __call__(self, lon_deg: Floats, lat_deg: Floats) -> Floats:
+        """Heights (m) at places of any shape."""
+        lon = np.asarray(lon_deg, dtype=np.float64)
+        xy = self.projection.map_from_geodetic(lon, lat_deg).reshape(-1, 2)
+        west, south, east, north = self.bounds
+        spare = 1e-6 * np.array(self.pixel)
+        x, y = np.clip(xy, np.array([west, south]) + spare, np.array([east, north]) - spare).T
+        # fmax: a place that no map has, NaN, is of some tile too
+        col, row = (
+            np.fmax(np.floor(v), 0.0).astype(np.int64)
+            for v in ((x - west) / (_TILE_PX * self.pixel[0]), (north - y) / (_TILE_PX * self.pixel[1]))
+        )
+        out = np.empty(x.size)
+        number = (row << 32) + col
+        for tile in np.unique(number):
+            of_it = number == tile
+            raster = self._tile(int(tile >> 32), int(tile & 0xFFFFFFFF))
+            out[of_it] = self.mean_m if raster is None else raster.at(x[of_it], y[of_it])
+        return np.where(np.isnan(out), self.mean_m, out).reshape(lon.shape)
+
+    def _tile(self, row: int, col: int) -> HeightRaster | None:
+        with self._lock:
+            if (row, col) in self._tiles:
+                self._tiles.move_to_end((row, col))
+                return self._tiles[row, col]
+            west, south, east, north = self.bounds
+            width, height = _TILE_PX * self.pixel[0], _TILE_PX * self.pixel[1]
+            left, top = west + col * width, north - row * height
+            at = left, max(top - height, south), min(left + width, east), top
+            path = Path(self.elevation.path)
+            try:
+                raster = _filled(read_heights(self.elevation, at))
+            except (RasterioError, OSError) as error:
+                raise FileError("the DEM can't be read", file=path, mend="copy it again") from error
+            self._tiles[row, col] = raster
+            if len(self._tiles) > _MOST_TILES:
+                self._tiles.popitem(last=False)
+            return raster
+
+
+def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
+    """The heights of a DEM under a scene that is sampled by places (n, 2), in degrees.
+
+    The vertical datum is the DEM's own, if its CRS tells one; else its heights are taken for ellipsoidal,
+    with a warning. Another warning says how much of the scene it doesn't cover.
+    Raises: `InputError` if it covers none of the places or has no heights there, or its datum isn't usable.
+    """
+    path = path.absolute()
+    crs, bounds = check_dem(path)
+    projection = MapProjection(crs.to_wkt())
+    xy = projection.map_from_geodetic(*lonlat.T)
+    low, high = np.array([bounds.left, bounds.bottom]), np.array([bounds.right, bounds.top])
+    inside = ((xy >= low) & (xy <= high)).all(axis=1)
+    if not inside.any():
+        raise InputError("the DEM does not cover the strips", file=path, mend=_MEND)
+    vertical, warnings = vertical_crs(crs), []
+    if vertical is None:
+        text = f"{path.name}: no vertical datum, so its heights are taken for ellipsoidal"
+        warnings.append(Warn("dem-datum-assumed", "", text))
+        model = ElevationModel(str(path), 0.0, "taken for ellipsoidal")
+    else:
+        try:
+            offset_m = ellipsoidal_offset_m(vertical, *np.median(lonlat[inside], axis=0))
+        except InputError as error:
+            raise InputError(error.problem, file=path, mend=error.mend) from error
+        model = ElevationModel(str(path), offset_m, f"{vertical.name}, offset {offset_m:+.2f} m")
+    with rasterio.open(path) as dem:
+        pixel = float(dem.transform.a), float(-dem.transform.e)
+    heights = DemHeights(model, projection, tuple(bounds), pixel, np.nan)
+    sampled = heights(*lonlat[inside].T)
+    known = np.isfinite(sampled)
+    if not known.any():
+        raise InputError("the DEM has no heights under the strips", file=path, mend=_MEND)
+    heights.mean_m = float(sampled[known].mean())
+    heights.span_m = float(sampled[known].min()), float(sampled[known].max())
+    lacking = 1.0 - known.sum() / len(lonlat)
+    if lacking > 0.0:
+        text = f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene; the nearest are taken"
+        warnings.append(Warn("dem-gaps", "", text))
+    heights.warnings = tuple(warnings)
+    return heights
+
+
+def _filled(raster: HeightRaster) -> HeightRaster | None:
+    """Unknown heights replaced by the nearest known ones; None where none is known."""
+    unknown = np.isnan(raster.height_ellipsoidal_m)
+    if unknown.all():
+        return None
+    if unknown.any():
+        nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        raster.height_ellipsoidal_m[:] = raster.height_ellipsoidal_m[tuple(nearest)]
+    return raster
