@@ -184,7 +184,7 @@ def _shifted(coefficients: Picture, corners: NDArray[np.int64], shift: Floats, p
     """The picture's patches at shifted places, by the separable cubic B-spline (padded coefficients)."""
     whole = np.floor(shift).astype(np.int64)
     wide = _patches(coefficients, corners + whole + (_MARGIN_PX - 1), patch_px + 3)
-    rows, cols = (_bspline_weights(shift[:, k] - whole[:, k]) for k in (0, 1))
+    rows, cols = (bspline_weights(shift[:, k] - whole[:, k]) for k in (0, 1))
     down = rows[:, 0, None, None] * wide[:, :patch_px]
     for k in range(1, 4):
         down += rows[:, k, None, None] * wide[:, k : k + patch_px]
@@ -194,8 +194,8 @@ def _shifted(coefficients: Picture, corners: NDArray[np.int64], shift: Floats, p
     return np.asarray(across)
 
 
-def _bspline_weights(t: Floats) -> Picture:
-    """Weights of the four nodes around a fraction t in [0, 1], shape (n, 4)."""
+def bspline_weights(t: Floats) -> Picture:
+    """Cubic B-spline weights of the four nodes around a fraction t (n,) in [0, 1], shape (n, 4)."""
     u = 1.0 - t
     w = [u**3, 3 * t**3 - 6 * t**2 + 4, 3 * u**3 - 6 * u**2 + 4, t**3]
     return (np.stack(w, axis=-1) / 6.0).astype(np.float32)

@@ -1,0 +1,251 @@
+"""How well the strips' offsets put neighbours on one another, seen in the strips themselves without any truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter1d
+
+from geomosaic.ccd.model import LABELS, MEASURED, Flags, Floats, Images, PairOffsets, Progress, StripOffsets
+from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.volumes import flattened
+from geomosaic.quality.displacement import Displacements, measure_displacements
+from geomosaic.quality.least_squares_matching import bspline_weights
+from geomosaic.quality.strip_figures import (
+    StripFigures,
+    common_lines,
+    label_shares,
+    segment_rms,
+    strip_figures,
+)
+
+BLOCK_LINES: Final = 64
+_PIECE_LINES = 64 * BLOCK_LINES
+_MARGIN_LINES = 2 * BLOCK_LINES
+_PATCH_PX = 28
+_SEARCH_PX = 14
+_LEAST_CORRELATION = 0.5
+_AGREE_PX = 0.5
+_LEAST_AGREEING = 0.75
+_LEAST_PATCHES = 2
+_LEAST_SD_PX = 0.01
+
+
+@dataclass(frozen=True)
+class PairQuality:
+    """What is left between the two strips of a pair, block of 64 lines by block.
+
+    residual_px: (blocks, 2) dcol, dline: where the right strip has the ground minus where the offsets say, so
+    that offsets + residual would be right; NaN where it can't be measured. sd_px: (blocks,) one standard
+    deviation of it. counts: (blocks,) lines of the block that are labelled measured and whose ground both
+    strips have; the others don't count. segments_px: root mean square of each segment's lines that count, NaN
+    where there are none. share_of_labels: of the lines whose ground both strips have, by `ccd.model.LABELS`.
+    """
+
+    pair: int
+    lines: int
+    residual_px: Floats
+    sd_px: Floats
+    counts: Floats
+    segments_px: Floats
+    share_of_labels: tuple[float, float, float]
+
+    @property
+    def centre_lines(self) -> Floats:
+        """Middles of the blocks, corner origin."""
+        first = np.arange(len(self.counts)) * float(BLOCK_LINES)
+        return (first + np.minimum(first + BLOCK_LINES, self.lines)) / 2.0
+
+
+@dataclass(frozen=True)
+class StripQuality:
+    """The check of a scene. figures: over the lines labelled measured, where a residual could be measured.
+
+    lines: whose ground both strips have. unmeasured_lines: labelled measured, but nothing there to check them
+    by (too little texture, or clouds and ground mixed). other_lines: bridged or unreliable.
+    """
+
+    pairs: tuple[PairQuality, ...]
+    figures: StripFigures
+    lines: int
+    unmeasured_lines: int
+    other_lines: int
+
+    @property
+    def misplaced(self) -> bool:
+        """Whether any segment is above the limit of 1 px."""
+        return self.figures.misplaced
+
+
+def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> StripQuality:
+    """What the offsets leave between the strips, measured independently of how they were found.
+
+    The right strip is laid on the left one along the offsets; patches of 28 px are matched by correlation
+    within 14 px and then by least squares (`quality.displacement`). A block's residual is the mean of its
+    patches, if three quarters agree within half a pixel: where they don't, clouds and ground lie beside each
+    other. Clouds alone do agree, upon their own motion: only lines labelled measured are looked at.
+    """
+    pairs, errors = [], []
+    total = sum(strips.lines(p.pair) for p in offsets.pairs)
+    done = seen_lines = unmeasured = other = 0
+    for pair in offsets.pairs:
+        lines = strips.lines(pair.pair)
+        parts = []
+        for start in range(0, lines, _PIECE_LINES):
+            parts.append(_piece(strips, pair, start, min(start + _PIECE_LINES, lines)))
+            done += min(_PIECE_LINES, lines - start)
+            progress(done, total)
+        residual, sd = (np.concatenate(v) for v in zip(*parts, strict=True))
+        seen = common_lines(strips.geometry, pair.pair, pair.dline_px)
+        own = seen & (pair.label == MEASURED)
+        error = np.where(own[:, None], by_line(residual, lines), np.nan)
+        known = np.isfinite(error[:, 0])
+        starts = np.arange(0, lines, BLOCK_LINES)
+        counts = np.add.reduceat(own.astype(np.float64), starts)
+        labels = label_shares(pair.label[seen])
+        pairs.append(PairQuality(pair.pair, lines, residual, sd, counts, segment_rms(error), labels))
+        errors.append(error)
+        seen_lines += int(seen.sum())
+        unmeasured += int((own & ~known).sum())
+        other += int((seen & ~own).sum())
+    return StripQuality(tuple(pairs), strip_figures(errors), seen_lines, unmeasured, other)
+
+
+def by_line(residual_px: Floats, lines: int) -> Floats:
+    """(lines, 2) residuals (blocks, 2) drawn straight between the blocks' middles; NaN in blocks that have none."""
+    out = np.full((lines, 2), np.nan)
+    known = np.isfinite(residual_px).all(axis=1)
+    if not known.any():
+        return out
+    middle = (np.arange(len(residual_px)) + 0.5) * BLOCK_LINES
+    at = np.arange(lines) + 0.5
+    inside = np.repeat(known, BLOCK_LINES)[:lines]
+    for axis in (0, 1):
+        out[inside, axis] = np.interp(at[inside], middle[known], residual_px[known, axis])
+    return out
+
+
+def quality_metrics(quality: StripQuality) -> dict[str, object]:
+    """Plain numbers for run.json; None for what isn't known."""
+    f, n = quality.figures, max(quality.lines, 1)
+    numbers = {
+        "rms_px": f.rms_px, "p95_px": f.p95_px, "worst_line_px": f.worst_line_px,
+        "worst_segment_px": f.worst_segment_px, "share_above_1px": f.share_above,
+    }  # fmt: skip
+    shares = np.array([p.share_of_labels for p in quality.pairs]).reshape(-1, len(LABELS))
+    weight = np.array([p.lines for p in quality.pairs], dtype=np.float64)
+    told = np.average(shares, axis=0, weights=weight) if len(shares) else np.full(len(LABELS), np.nan)
+    return {
+        "misplaced": quality.misplaced,
+        "lines": quality.lines,
+        "lines_checked": f.lines,
+        **{key: _plain(value) for key, value in numbers.items()},
+        "share_unmeasurable": round(quality.unmeasured_lines / n, 6),
+        **{f"share_{label}": _plain(float(value)) for label, value in zip(LABELS, told, strict=True)},
+        "pairs": [
+            {"pair": p.pair, "worst_segment_px": _plain(float(np.nanmax(p.segments_px, initial=-1.0)))}
+            for p in quality.pairs
+        ],
+    }
+
+
+def _plain(value: float) -> float | None:
+    return round(value, 6) if np.isfinite(value) and value >= 0.0 else None
+
+
+def _piece(strips: Strips, pair: PairOffsets, start: int, stop: int) -> tuple[Floats, Floats]:
+    """Residuals (blocks, 2) and their deviations (blocks,) of the lines start to stop."""
+    first, last = start - _MARGIN_LINES, stop + _MARGIN_LINES
+    g, overlap = strips.geometry, strips.overlap(pair.pair, first, last)
+    lines = np.arange(first, last)
+    at = np.clip(lines, 0, len(pair.dline_px) - 1)
+    dcol, dline = pair.dcol_px[at], pair.dline_px[at]
+    nominal = g.read_px - g.overlap_px
+    left, right = (flattened(x.astype(np.float32), overlap.valid) for x in (overlap.left, overlap.right))
+    whole = overlap.side * g.row_separation_lines
+    laid, laid_valid = laid_on(right, overlap.valid, dcol - nominal, dline + whole - round(whole), nominal)
+    asked = (lines >= start) & (lines < stop) & (pair.label[at] == MEASURED)
+    wide = ((0, 0), (0, nominal))
+    left, left_valid = np.pad(left, wide), np.pad(overlap.valid & asked[:, None], wide)
+    blocks = -(-(stop - start) // BLOCK_LINES)
+    corners = _corners(np.maximum(nominal - dcol, 0.0), g.read_px, blocks)
+    if not len(corners) or not left_valid.any():
+        return np.full((blocks, 2), np.nan), np.full(blocks, np.nan)
+    found = measure_displacements(
+        laid, left, laid_valid, left_valid, corners,
+        patch_px=_PATCH_PX, search_px=_SEARCH_PX, min_correlation=_LEAST_CORRELATION,
+    )  # fmt: skip
+    return _of_blocks(found, blocks)
+
+
+def laid_on(picture: Images, valid: Flags, cols: Floats, lines: Floats, wider: int) -> tuple[Images, Flags]:
+    """A picture (n, w) resampled row by row: row i, col c is the picture's row i + lines[i], col c + cols[i].
+
+    By cubic B-splines; `wider` columns more on the right. Not valid within a pixel of what isn't.
+    """
+    n, w = picture.shape
+    row, row_weights = _taps(np.arange(n) + lines)
+    col, col_weights = _taps(cols)
+    coefficients = spline_filter1d(
+        spline_filter1d(picture, axis=0, output=np.float32), axis=1, output=np.float32
+    )
+    down = np.zeros((n, w), dtype=np.float32)
+    sound = np.ones((n, w), dtype=bool)
+    for k in range(4):
+        at = row + k - 1
+        down += row_weights[:, k, None] * coefficients[np.clip(at, 0, n - 1)]
+        sound &= valid[np.clip(at, 0, n - 1)] & ((at >= 0) & (at < n))[:, None]
+    out = np.zeros((n, w + wider), dtype=np.float32)
+    out_valid = np.zeros((n, w + wider), dtype=bool)
+    for shift in np.unique(col):
+        here = np.flatnonzero(col == shift)
+        begin, end = max(0, 1 - shift), min(w + wider, w - 2 - shift)
+        if end <= begin:
+            continue
+        kept = np.ones((here.size, end - begin), dtype=bool)
+        for k in range(4):
+            part = slice(begin + shift + k - 1, end + shift + k - 1)
+            out[here, begin:end] += col_weights[here, k, None] * down[here, part]
+            kept &= sound[here, part]
+        out_valid[here, begin:end] = kept
+    return out, out_valid
+
+
+def _taps(at: Floats) -> tuple[NDArray[np.int64], Images]:
+    """Whole parts (n,), and the weights (n, 4) of the nodes one before to two beyond them."""
+    whole = np.floor(at).astype(np.int64)
+    return whole, bspline_weights(at - whole)
+
+
+def _corners(begin_px: Floats, end_px: int, blocks: int) -> NDArray[np.int64]:
+    """First row and col of the patches: two rows of them a block, in the columns that both strips have."""
+    out = []
+    for block in range(blocks):
+        top = _MARGIN_LINES + block * BLOCK_LINES
+        begin = int(np.ceil(begin_px[top : top + BLOCK_LINES].max(initial=0.0))) + 2
+        many = (end_px - begin) // _PATCH_PX
+        spare = (end_px - begin - many * _PATCH_PX) // 2
+        half = BLOCK_LINES // 2
+        for row in (top + (half - _PATCH_PX) // 2, top + half + (half - _PATCH_PX) // 2):
+            out += [(row, begin + spare + _PATCH_PX * k) for k in range(many)]
+    return np.array(out, dtype=np.int64).reshape(-1, 2)
+
+
+def _of_blocks(found: Displacements, blocks: int) -> tuple[Floats, Floats]:
+    """Weighted means of the patches that agree with their block's middle one."""
+    residual, sd = np.full((blocks, 2), np.nan), np.full(blocks, np.nan)
+    block = ((found.centres_px[:, 1] - _MARGIN_LINES) // BLOCK_LINES).astype(np.int64)
+    for b in np.unique(block):
+        of_block = block == b
+        shift, own_sd = found.displacement_px[of_block], np.maximum(found.sd_px[of_block], _LEAST_SD_PX)
+        off = np.abs(shift - np.median(shift, axis=0)).max(axis=1)
+        agree = off <= np.maximum(_AGREE_PX, 3.0 * own_sd)
+        if agree.sum() < max(_LEAST_PATCHES, _LEAST_AGREEING * agree.size):
+            continue
+        weight = own_sd[agree] ** -2
+        residual[b] = weight @ shift[agree] / weight.sum()
+        sd[b] = weight.sum() ** -0.5
+    return residual, sd

@@ -1,0 +1,216 @@
+"""The check of the strips' offsets: known errors are found, clouds aren't taken for errors, spectra are true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
+from geomosaic.ccd.overlaps import Strips, strips_in_memory
+from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
+from geomosaic.quality.strip_figures import misplacement_rate, scene_errors, segment_rms, strip_figures
+from geomosaic.quality.strips import StripQuality, misplacement, quality_metrics
+from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic.simulate.strip_plan import StripPlan
+
+SEPARATION = 2114.0
+Change = Callable[[int, np.ndarray], tuple[np.ndarray | float, np.ndarray | float]]
+
+
+def scene(**plan: object) -> tuple[Strips, tuple[SimulatedPair, ...]]:
+    geometry, pairs = simulate_overlaps(StripPlan(**{"ccds": 3, "lines": 5200, "seed": 3} | plan))  # type: ignore[arg-type]
+    return strips_in_memory(geometry, [(p.left, p.right) for p in pairs]), pairs
+
+
+def offsets_of(
+    pairs: tuple[SimulatedPair, ...], change: Change | None = None, thin: float = 1.0
+) -> StripOffsets:
+    """True offsets plus a change of (dcol, dline) of each pair's lines; lines under cloud are bridged."""
+    out = []
+    for p in pairs:
+        truth, n = p.truth, len(p.truth.dcol_px)
+        dcol, dline = change(truth.pair, np.arange(n, dtype=np.float64)) if change else (0.0, 0.0)
+        cloudy = np.maximum(truth.cloud_left, truth.cloud_right) > thin
+        label = np.where(cloudy, BRIDGED, MEASURED).astype(np.uint8)
+        sd = np.full(n, 0.05)
+        out.append(PairOffsets(truth.pair, truth.dcol_px + dcol, truth.dline_px + dline, sd, 2 * sd, label))
+    return StripOffsets("truth", tuple(out))
+
+
+def checked(strips: Strips, offsets: StripOffsets) -> StripQuality:
+    return misplacement(strips, offsets, lambda done, total: None)
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[Strips, tuple[SimulatedPair, ...]]:
+    return scene()
+
+
+def test_true_offsets_leave_nothing(clean: tuple[Strips, tuple[SimulatedPair, ...]]) -> None:
+    told: list[tuple[int, int]] = []
+    strips, pairs = clean
+    quality = misplacement(strips, offsets_of(pairs), lambda done, total: told.append((done, total)))
+    assert told[-1] == (10400, 10400) and sorted(told) == told
+    assert quality.figures.rms_px < 0.02 and quality.figures.worst_line_px < 0.06
+    assert not quality.misplaced and quality.figures.share_above == 0.0
+    # Both rows have the same ground on all lines but the separation's.
+    assert quality.lines == pytest.approx(2 * (5200 - SEPARATION), abs=20)
+    assert quality.unmeasured_lines < 64 and quality.other_lines == 0
+    for p in quality.pairs:
+        assert np.abs(np.nanmean(p.residual_px, axis=0)).max() < 0.005
+        assert p.share_of_labels == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("error", [(0.3, -0.2), (-0.7, 1.6), (3.0, 6.0), (-5.0, -10.0)])
+def test_a_known_error_is_found_with_its_sign(
+    clean: tuple[Strips, tuple[SimulatedPair, ...]], error: tuple[float, float]
+) -> None:
+    """Pair 0 is of side +1, pair 1 of side -1; its error is another one."""
+    strips, pairs = clean
+    factor = {0: 1.0, 1: -0.5}
+    quality = checked(strips, offsets_of(pairs, lambda k, t: (factor[k] * error[0], factor[k] * error[1])))
+    for p in quality.pairs:
+        wanted = -factor[p.pair] * np.array(error)
+        known = np.isfinite(p.residual_px[:, 0])
+        assert known.sum() >= 44
+        assert np.abs(p.residual_px[known] - wanted).max() < 0.25
+        assert np.abs(np.nanmedian(p.residual_px, axis=0) - wanted).max() < 0.01
+    assert quality.misplaced == (np.hypot(*error) > 1.0)
+
+
+def test_a_misplaced_stretch_is_found_where_it_is(clean: tuple[Strips, tuple[SimulatedPair, ...]]) -> None:
+    """A bump of 2 px in dline at lines 1300 to 1700 of pair 0: segments 2 and 3, and nowhere else."""
+    strips, pairs = clean
+
+    def bump(pair: int, line: np.ndarray) -> tuple[float, np.ndarray]:
+        return 0.0, 2.0 * ((line >= 1300) & (line < 1700)) * (pair == 0)
+
+    quality = checked(strips, offsets_of(pairs, bump))
+    first, second = quality.pairs
+    truth = segment_rms(np.stack([np.zeros(5200), bump(0, np.arange(5200.0))[1]], axis=1))
+    assert first.segments_px[2:4] == pytest.approx(truth[2:4], abs=0.2)
+    assert np.nanmax(np.delete(first.segments_px, [2, 3])) < 0.05 and np.nanmax(second.segments_px) < 0.05
+    assert quality.misplaced and quality.figures.share_above == pytest.approx(400 / quality.lines, rel=0.2)
+    metrics = quality_metrics(quality)
+    assert metrics["misplaced"] is True and metrics["share_measured"] == 1.0
+    assert metrics["pairs"][0]["worst_segment_px"] == pytest.approx(truth.max(), abs=0.2)  # type: ignore[index]
+
+
+def test_clouds_that_the_labels_know_are_not_misplacement() -> None:
+    strips, pairs = scene(cloud_cover=0.3, wind_m_per_s=40.0, seed=5)
+    quality = checked(strips, offsets_of(pairs, thin=0.02))
+    assert not quality.misplaced and quality.figures.worst_segment_px < 0.2
+    assert quality.other_lines > 0.15 * quality.lines
+    assert quality.figures.lines + quality.unmeasured_lines + quality.other_lines == quality.lines
+    unlabelled = checked(strips, offsets_of(pairs, thin=1.0))
+    assert unlabelled.misplaced, "the same clouds, had the labels called them measured"
+
+
+def test_what_cannot_be_measured_is_said_to_be_so(clean: tuple[Strips, tuple[SimulatedPair, ...]]) -> None:
+    _, pairs = clean
+    geometry = StripPlan(ccds=3, lines=5200, seed=3).geometry()
+    noise = np.random.default_rng(7)
+    edges = [
+        tuple(noise.integers(200, 260, e.shape).astype(np.uint16) for e in (p.left, p.right)) for p in pairs
+    ]
+    quality = checked(strips_in_memory(geometry, edges), offsets_of(pairs))  # type: ignore[arg-type]
+    assert quality.figures.lines < 0.02 * quality.lines and quality.unmeasured_lines > 0.98 * quality.lines
+    assert not quality.misplaced
+    flat = [tuple(np.full(e.shape, 1023, np.uint16) for e in (p.left, p.right)) for p in pairs]
+    quality = checked(strips_in_memory(geometry, flat), offsets_of(pairs))  # type: ignore[arg-type]
+    assert quality.figures.lines == 0 and np.isnan(quality.figures.rms_px)
+    assert quality_metrics(quality)["rms_px"] is None
+
+
+def test_a_dead_ccd_and_a_short_strip_leave_the_rest() -> None:
+    strips, pairs = scene(ccds=4, dead="4", short="2:4000")
+    there = tuple(p for p in pairs if p.truth.pair in strips.pairs)
+    quality = checked(strips, offsets_of(there))
+    assert [p.pair for p in quality.pairs] == [0, 1]
+    assert [p.lines for p in quality.pairs] == [5200, 4000]
+    assert quality.figures.rms_px < 0.03 and not quality.misplaced
+
+
+def test_figures_of_errors() -> None:
+    error = np.zeros((1024, 2))
+    error[:512] = 0.3, -0.4
+    error[512:640] = 3.0, 4.0
+    error[900:] = np.nan
+    figures = strip_figures([error, np.full((10, 2), np.nan)])
+    assert figures.lines == 900 and figures.worst_line_px == 5.0
+    assert figures.rms_px == pytest.approx(np.sqrt((512 * 0.25 + 128 * 25) / 900))
+    assert figures.worst_segment_px == pytest.approx(np.sqrt(128 * 25 / 388)) and figures.misplaced
+    assert figures.share_above == pytest.approx(128 / 900)
+    assert figures.p95_px == 5.0
+
+
+def test_errors_against_the_truth() -> None:
+    geometry = StripPlan(ccds=3, lines=5200).geometry()
+    n = 5200
+    zero, sd = np.zeros(n), np.full(n, 0.1)
+    label = np.zeros(n, np.uint8)
+    label[:3000] = UNRELIABLE
+    error = np.zeros(n)
+    error[3080:3085] = 2.0
+    # Side +1: lines up to 5200 - 2114 = 3086 are common; side -1: those from 2114 on.
+    offsets = StripOffsets(
+        "x",
+        (PairOffsets(0, zero, error, sd, sd, label), PairOffsets(1, error + 0.15, zero, sd, 2 * sd, label)),
+    )
+    truth = {0: np.zeros((n, 2)), 1: np.zeros((n, 2))}
+    found = scene_errors(offsets, truth, geometry)
+    assert found.figures.lines == 2 * 3086
+    assert found.measured_above == 10 and found.measured_worst_px == pytest.approx(2.15)
+    assert found.coverage[0] == pytest.approx((3086 + 3081) / 6172)
+    assert found.coverage[1] == pytest.approx((3081 + 3086) / 6172)
+    assert found.share_of_labels == pytest.approx(((86 + 2200) / 6172, 0.0, (3000 + 886) / 6172))
+    assert not found.misplaced, "five lines do not make a segment's root mean square"
+    rate = misplacement_rate([found, found, found, checked_misplaced()])
+    assert (rate.scenes, rate.misplaced, rate.rate) == (4, 1, 0.25) and rate.low < 0.05 < 0.69 < rate.high
+    assert np.isnan(misplacement_rate([]).rate)
+
+
+def checked_misplaced() -> StripQuality:
+    return StripQuality((), strip_figures([np.full((512, 2), 1.0)]), 512, 0, 0)
+
+
+def test_a_sine_is_read_off_the_spectrum() -> None:
+    rate, n = 3272.4, 16384
+    t = np.arange(n) / rate
+    dline = 0.3 * np.sin(2 * np.pi * 4.7 * t + 1.0) + 0.05 * np.sin(2 * np.pi * 22.0 * t) + 3.0 * t + 7.0
+    dcol = 0.12 * np.cos(2 * np.pi * 1.9 * t) - 2.0
+    sd, label = np.full(n, 0.1), np.zeros(n, np.uint8)
+    offsets = StripOffsets("x", tuple(PairOffsets(k, dcol, dline, sd, sd, label) for k in range(3)))
+    spectrum = jitter_spectrum(offsets, rate)
+    assert spectrum.frequency_hz.max() <= 100.0
+    peak = int(np.argmax(spectrum.along_px))
+    assert spectrum.frequency_hz[peak] == pytest.approx(4.7, abs=0.05)
+    assert spectrum.along_px[peak] == pytest.approx(0.3, rel=0.01)
+    high = spectrum.frequency_hz > 15.0
+    peak = int(np.argmax(np.where(high, spectrum.along_px, 0.0)))
+    assert spectrum.frequency_hz[peak] == pytest.approx(22.0, abs=0.05)
+    assert spectrum.along_px[peak] == pytest.approx(0.05, rel=0.01)
+    peak = int(np.argmax(spectrum.across_px))
+    assert spectrum.frequency_hz[peak] == pytest.approx(1.9, abs=0.05)
+    assert spectrum.across_px[peak] == pytest.approx(0.12, rel=0.02)
+
+
+def test_a_sine_left_in_the_strips_is_read_off_the_residuals(
+    clean: tuple[Strips, tuple[SimulatedPair, ...]],
+) -> None:
+    strips, pairs = clean
+    rate = strips.geometry.line_rate_hz
+
+    def sine(pair: int, line: np.ndarray) -> tuple[float, np.ndarray]:
+        return 0.0, 0.3 * np.sin(2 * np.pi * 9.0 * line / rate)
+
+    spectrum = residual_spectrum(checked(strips, offsets_of(pairs, sine)), rate)
+    peak = int(np.argmax(spectrum.along_px))
+    assert spectrum.frequency_hz[peak] == pytest.approx(9.0, abs=0.3)
+    assert spectrum.along_px[peak] == pytest.approx(0.3, rel=0.1)
+    assert spectrum.across_px.max() < 0.03
+    silent = residual_spectrum(checked(strips, offsets_of(pairs)), rate)
+    assert max(silent.along_px.max(), silent.across_px.max()) < 0.02
+    assert residual_spectrum(checked_misplaced(), rate).frequency_hz.size == 0
