@@ -34,16 +34,17 @@ class Spectrum:
 def jitter_spectrum(offsets: StripOffsets, line_rate_hz: float) -> Spectrum:
     """What moves the offsets, up to 100 Hz.
 
-    An offset is the difference of the pointing at two times T apart, so that pointing jitter of frequency f shows
-    with 2 |sin(pi f T)| of its amplitude: none where f T is whole.
+    An offset is the difference of the pointing at two times T apart: jitter of frequency f shows with
+    2 |sin(pi f T)| of its amplitude, not at all where f T is whole.
     """
     return _spectrum([np.stack([p.dcol_px, p.dline_px]) for p in offsets.pairs], line_rate_hz)
 
 
 def residual_spectrum(quality: StripQuality, line_rate_hz: float) -> Spectrum:
-    """What is left, up to half a block's frequency; from each pair's first measured block to its last.
+    """What is left, up to half a block's frequency, from each pair's first measured block to its last.
 
-    Pairs of which less than half of that was measured are left out. A block's residual is a mean over its lines, which damps what is fast: that is made good.
+    Pairs of which less than half of that was measured are left out. A block's residual is a mean over its
+    lines, which damps what is fast: that is made good.
     """
     found = []
     for pair in quality.pairs:
@@ -59,7 +60,7 @@ def residual_spectrum(quality: StripQuality, line_rate_hz: float) -> Spectrum:
 
 
 def _spectrum(series: Sequence[Floats], rate_hz: float) -> Spectrum:
-    """Of series (2, n), without their straight trends, through Hann's window; zeros appended for finer steps."""
+    """Of series (2, n), without their straight trends, through Hann's window; padded to finer steps."""
     series = [s for s in series if s.shape[1] >= _LEAST_SAMPLES]
     if not series:
         return Spectrum(np.empty(0), np.empty(0), np.empty(0))

@@ -1,7 +1,7 @@
-"""The figures that the offsets of strips are judged by, from errors line by line; the paper's limit is 1 px.
+"""What the offsets of strips are judged by: figures of errors line by line; the paper's limit is 1 px.
 
-Cheng et al. 2018 (Spacecraft Recovery & Remote Sensing 39(2), 84-92, section 3.3): a scene with a misplacement
-above 1 px is no good, and the share of such scenes is the misplacement rate.
+Cheng et al. 2018 (Spacecraft Recovery & Remote Sensing 39(2), 84-92): a scene with a misplacement above 1 px
+is no good, and the share of such scenes is the misplacement rate (table 1).
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class StripFigures:
 class SceneErrors:
     """Errors against the truth, over all lines whose ground both strips have.
 
-    measured_above: lines labelled measured and above the limit. measured_worst_px: the worst of those labelled
-    measured. coverage: share of the true offsets inside the stated 90 % intervals, dcol and dline.
+    measured_above: lines labelled measured and above the limit. measured_worst_px: the worst labelled so.
+    coverage: share of the true offsets inside the stated 90 % intervals, dcol and dline.
     share_of_labels: by `LABELS`.
     """
 
@@ -97,7 +97,7 @@ def strip_figures(errors_px: Sequence[Floats]) -> StripFigures:
 
 
 def segment_rms(errors_px: Floats) -> Floats:
-    """Root mean square length of each segment's known errors (n, 2), NaN where fewer than 32 lines are known."""
+    """Root mean square length of each segment's errors (n, 2); NaN where fewer than 32 lines are known."""
     square = (errors_px**2).sum(axis=1)
     known = np.isfinite(square)
     starts = np.arange(0, len(square), SEGMENT_LINES)

@@ -1,4 +1,4 @@
-"""How well the strips' offsets put neighbours on one another, seen in the strips themselves without any truth."""
+"""How well the offsets lay neighbouring strips on one another, seen in the strips, without any truth."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class PairQuality:
     def centre_lines(self) -> Floats:
         """Middles of the blocks, corner origin."""
         first = np.arange(len(self.counts)) * float(BLOCK_LINES)
-        return (first + np.minimum(first + BLOCK_LINES, self.lines)) / 2.0
+        return np.asarray((first + np.minimum(first + BLOCK_LINES, self.lines)) / 2.0)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
 
 
 def by_line(residual_px: Floats, lines: int) -> Floats:
-    """(lines, 2) residuals (blocks, 2) drawn straight between the blocks' middles; NaN in blocks that have none."""
+    """(lines, 2) residuals (blocks, 2), straight between the blocks' middles; NaN in blocks without."""
     out = np.full((lines, 2), np.nan)
     known = np.isfinite(residual_px).all(axis=1)
     if not known.any():
