@@ -16,9 +16,9 @@ from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
-from geomosaic.ccd.volumes import flattened
+from geomosaic.ccd.volumes import halved
 
-# cv2.remap knows 32 steps to a pixel, and its cubic kernel does not keep a ramp: `_lands` says where a step lands.
+# cv2.remap knows 32 steps to a pixel, and its cubic kernel does not keep a ramp: see `_lands`.
 _STEP = 1.0 / 32.0
 # What resampling, aliasing and relief within a cell leave, as a shift of the picture by so many pixels.
 _MISFIT_PX = 0.06
@@ -56,33 +56,32 @@ class Cells:
 
 def pictures(pair: RowPair, scale: int) -> Pictures:
     """Both strips smoothed to about the sampling; scale 2 halves them."""
-    lead, trail = flattened(pair.lead, pair.valid), flattened(pair.trail, pair.valid)
-    valid = pair.valid
+    lead, trail, valid = pair.lead, pair.trail, pair.valid
     if scale == 2:
-        n, w = lead.shape[0] // 2 * 2, lead.shape[1] // 2 * 2
-        lead, trail = (
-            cv2.resize(x[:n, :w], (w // 2, n // 2), interpolation=cv2.INTER_AREA) for x in (lead, trail)
-        )
-        valid = valid[:n, :w].reshape(n // 2, 2, w // 2, 2).all(axis=(1, 3))
+        lead, trail = halved(lead), halved(trail)
+        n, w = lead.shape
+        valid = valid[: 2 * n, : 2 * w].reshape(n, 2, w, 2).all(axis=(1, 3))
     gain = float(np.std(lead[valid]) / max(np.std(trail[valid]), 1e-9)) if valid.any() else 1.0
     lead, trail = (
-        cv2.GaussianBlur(x, (0, 0), 0.8) for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
+        np.asarray(cv2.GaussianBlur(x, (0, 0), 0.8), dtype=np.float32)
+        for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
     )
     return Pictures(lead, trail, valid, pair.nominal_col / scale, scale)
 
 
-def measure(given: Pictures, curve_px: Floats, knots: int, knot_lines: int) -> Cells:
+def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int) -> Cells:
     """Offsets at every knot, from a curve near them.
 
-    Args: curve_px (2, n) dcol, dline of every line of the strips, n >= knots * knot_lines.
+    Args: curve_px (2, n) dcol, dline of every line of the strips beyond what is known, known_px (n,), of dline;
+    n is a whole number of knots, of knot_lines lines each.
     """
     s = given.scale
     lines = knot_lines // s
-    n = min(knots * lines, len(given.lead))
+    n = min(curve_px.shape[1] // s, len(given.lead)) // lines * lines
     knots = n // lines
-    n = knots * lines
-    curve = curve_px[:, : n * s].reshape(2, n, s).mean(axis=2) / s
-    whole = np.rint((curve + [[given.nominal_col], [0.0]]) / _STEP) * _STEP
+    known = np.stack([np.zeros_like(known_px), known_px])[:, : n * s].reshape(2, n, s).mean(axis=2) / s
+    known[0] += given.nominal_col
+    whole = np.rint((curve_px[:, : n * s].reshape(2, n, s).mean(axis=2) / s + known) / _STEP) * _STEP
     w = given.lead.shape[1]
     first = max(0, int(np.ceil(2.0 - float(np.median(whole[0])))))
     last = min(w, int(np.floor(w - 2.0 - float(np.median(whole[0])))))
@@ -101,7 +100,7 @@ def measure(given: Pictures, curve_px: Floats, knots: int, knot_lines: int) -> C
     facts = _sums(weight, shape)
     sums = _centred([*_gradients(0.5 * (lead + moved)), difference], weight, shape, facts)
     apart = _centred(_gradients(0.5 * difference), weight, shape, facts)
-    return _weighed(sums, apart, facts, _lands(whole) - np.array([[given.nominal_col], [0.0]]), lines, s)
+    return _weighed(sums, apart, facts, _lands(whole) - known, lines, s)
 
 
 def _gradients(image: Images) -> list[Images]:
@@ -177,7 +176,7 @@ def _lands(at: Floats) -> Floats:
 
 
 def noise_floor(rest: Floats) -> float:
-    """Variance of the difference of two pictures where they agree: the lower tenth of the cells, and a bit."""
+    """Variance of the difference of two pictures where they agree: the lower tenth of the cells, and more."""
     return 1.15 * float(np.quantile(rest, 0.1)) if rest.size else 1.0
 
 

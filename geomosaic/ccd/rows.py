@@ -1,92 +1,94 @@
 """A pair as its leading and its trailing strip: the view in which all pairs see one and the same motion.
 
 With the pointing error a(t), in lines and columns at time t, the ground that the leading row sees at line u
-comes to the trailing row at u + S + a(u + S) - a(u): every pair sees b(u) = a(u + S) - a(u), whatever its side.
+comes to the trailing row at u + S + a(u) - a(u + S): every pair sees b(u) = a(u) - a(u + S), whatever its side.
 In the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1, hence the
 alternating sign and the lag of S = row_separation lines. Relief and clouds too move all pairs alike here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.ccd.model import Flags, Floats, Images, Overlap
-from geomosaic.survey.strips import StripGeometry
+from geomosaic.ccd.model import Flags, Floats, Images
+from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.volumes import flattened
 
 
 @dataclass(frozen=True)
 class RowPair:
-    """Columns of the leading and of the trailing strip; row u of both belongs to the leading strip's line u.
+    """Columns of the leading and of the trailing strip; row i of both is the leading strip's line first + i.
 
     A ground point at (c, u) of lead lies in trail at (c + nominal_col + dcol, u + dline), offsets in the
-    sense "trailing minus leading". first: the row of the overlap that is u = 0. relief_px: (n,) known part of
-    dline, or None.
+    sense "trailing minus leading". lead, trail: (n, read_px), flattened. valid: of both. brightness: (n,)
+    mean grey of lead's rows. known_px: (n,) part of dline that is known beforehand.
     """
 
-    pair: int
-    side: int
     lead: Images
     trail: Images
     valid: Flags
+    brightness: Floats
     nominal_col: int
-    first: int
-    relief_px: Floats | None
+    known_px: Floats
 
     def __len__(self) -> int:
         return len(self.lead)
 
 
-def row_pair(overlap: Overlap, geometry: StripGeometry) -> RowPair:
-    """An overlap seen from its leading strip, from that strip's first line on."""
-    lead, trail = (overlap.left, overlap.right)[:: overlap.side]
-    lag = round(geometry.row_separation_lines)
-    first = 0 if overlap.side > 0 else min(lag, len(lead))
-    relief = overlap.relief_px
-    return RowPair(
-        overlap.pair,
-        overlap.side,
-        lead[first:].astype(np.float32),
-        trail[first:].astype(np.float32),
-        overlap.valid[first:],
-        -overlap.side * (geometry.read_px - geometry.overlap_px),
-        first,
-        None if relief is None else overlap.side * relief[first:],
-    )
+def row_pair(strips: Strips, pair: int, first: int, last: int, known_px: Floats) -> RowPair:
+    """A pair's overlap at its leading strip's lines first to last; known_px (last - first,).
 
-
-def left_lines(pair: RowPair, dline_px: Floats, lines: int) -> Floats:
-    """Lines u, with fractions, at which the leading strip sees what the left strip's lines see.
-
-    Args: dline_px (n,) trailing minus leading at u = 0, 1, ... lines: of the left strip.
+    Saturated pixels count as not seen.
     """
-    t = np.arange(lines, dtype=np.float64) - pair.first
-    if pair.side > 0:
-        return t
+    g = strips.geometry
+    start = _left_of_leading(strips, pair)
+    overlap = strips.overlap(pair, first + start, last + start)
+    lead, trail = (overlap.left, overlap.right)[:: overlap.side]
+    brightness = lead.mean(axis=1, dtype=np.float64)
+    full = 2.0**g.bit_depth - 1.0
+    valid = overlap.valid & (lead < full) & (trail < full)
+    lead, trail = (flattened(image.astype(np.float32), valid) for image in (lead, trail))
+    return RowPair(lead, trail, valid, brightness, -overlap.side * (g.read_px - g.overlap_px), known_px)
+
+
+def shared_lines(strips: Strips, pair: int) -> int:
+    """Lines of the leading strip, from its first on, whose ground the trailing strip has by the geometry."""
+    lead, trail = strips.geometry.lines[pair : pair + 2][:: strips.geometry.side(pair)]
+    return max(min(lead, trail - round(strips.geometry.row_separation_lines)), 0)
+
+
+def relief_of(strips: Strips, pair: int, lines: int) -> Floats:
+    """The DEM's part of dline, trailing minus leading, at the leading strip's lines (0 without a DEM)."""
+    relief = strips.relief_px.get(pair)
+    if relief is None:
+        return np.zeros(lines)
+    at = np.arange(lines) + _left_of_leading(strips, pair)
+    return strips.geometry.side(pair) * relief[np.clip(at, 0, len(relief) - 1)]
+
+
+def left_offsets(strips: Strips, pair: int, dcol_px: Floats, dline_px: Floats) -> tuple[Floats, Floats]:
+    """A pair's offsets in the words of its left strip.
+
+    Args: dcol_px, dline_px (n,) trailing minus leading at the leading strip's lines u = 0, 1, ...
+    Returns: (2, lines) dcol and dline of the left strip's lines, and (lines,) the u, with fractions, which see
+    the same ground; beyond the ends the offsets stay what they are there.
+    """
+    g = strips.geometry
+    side = g.side(pair)
+    at = np.arange(strips.lines(pair), dtype=np.float64) - _left_of_leading(strips, pair)
     u = np.arange(len(dline_px), dtype=np.float64)
-    return (
-        np.interp(t, np.maximum.accumulate(u + dline_px), u)
-        + np.minimum(t - (u[0] + dline_px[0]), 0.0)
-        + (np.maximum(t - (u[-1] + dline_px[-1]), 0.0))
-    )
-
-
-def of_left(pair: RowPair, geometry: StripGeometry, at: Floats, values: Floats) -> Floats:
-    """Offsets (dcol, dline) (2, n) at u = 0, 1, ... as the left strip's lines, seen at `at`, have them."""
-    u = np.arange(values.shape[1], dtype=np.float64)
-    out = pair.side * np.stack([np.interp(at, u, row) for row in values])
-    whole = pair.side * geometry.row_separation_lines
+    if side < 0:
+        seen_at = np.maximum.accumulate(u + dline_px)
+        beyond = np.minimum(at - seen_at[0], 0.0) + np.maximum(at - seen_at[-1], 0.0)
+        at = np.interp(at, seen_at, u) + beyond
+    out = side * np.stack([np.interp(at, u, dcol_px), np.interp(at, u, dline_px)])
+    whole = side * g.row_separation_lines
     out[1] += round(whole) - whole
-    return out
+    return out, at
 
 
-def shared_length(pairs: Sequence[RowPair]) -> int:
-    """Lines over which any pair has something to compare."""
-    ends: list[int] = []
-    for pair in pairs:
-        rows: NDArray[np.intp] = np.flatnonzero(pair.valid.any(axis=1))
-        ends.append(int(rows[-1]) + 1 if rows.size else 0)
-    return max(ends, default=0)
+def _left_of_leading(strips: Strips, pair: int) -> int:
+    """The left strip's line that nominally sees what the leading strip's line 0 sees."""
+    return 0 if strips.geometry.side(pair) > 0 else round(strips.geometry.row_separation_lines)

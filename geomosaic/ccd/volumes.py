@@ -6,16 +6,16 @@ import cv2
 import numpy as np
 
 from geomosaic.ccd.model import Flags, Floats, Images
-from geomosaic.ccd.rows import RowPair
 
 BLOCK_LINES = 32
 # Of the pixels of a band-passed picture one in so many tells something of its own.
 _PIXELS_PER_FACT = 4.0
 _MOST_EVIDENCE = 12.0
+_BOX_PX = 17
 
 
-def flattened(image: Images, valid: Flags, detail_px: float = 8.0) -> Images:
-    """Fine detail without column pattern: what the blurred picture (Gaussian, detail_px) leaves of it.
+def flattened(image: Images, valid: Flags) -> Images:
+    """Fine detail without column pattern: what a blurred picture (about 8 px) leaves of it.
 
     A column's gain is the middle of its ratios to the columns about it, over all lines; what is bright for a
     while, a cloud, so leaves no mark on the ground before and after it.
@@ -29,11 +29,18 @@ def flattened(image: Images, valid: Flags, detail_px: float = 8.0) -> Images:
         some = given[rows[:: max(1, rows.size // 2048)]]
         around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
         gain = np.median((some + 1.0) / (around + 1.0), axis=0)
-        given = given / np.clip(gain, 0.5, 2.0).astype(np.float32)
-    blurred = cv2.GaussianBlur(given, (0, 0), detail_px)
+        given /= np.clip(gain, 0.5, 2.0).astype(np.float32)
+    blurred = _blurred(given)
     if not valid.all():
-        blurred /= np.maximum(cv2.GaussianBlur(weight, (0, 0), detail_px), 1e-3)
+        blurred /= np.maximum(_blurred(weight), 1e-3)
     return np.asarray((given - blurred) * weight, dtype=np.float32)
+
+
+def _blurred(image: Images) -> Images:
+    """Three boxes in place of a Gaussian."""
+    for _ in range(3):
+        image = np.asarray(cv2.blur(image, (_BOX_PX, _BOX_PX)), dtype=np.float32)
+    return image
 
 
 def halved(image: Images) -> Images:
@@ -42,34 +49,42 @@ def halved(image: Images) -> Images:
     return np.asarray(image[:n, :w].reshape(n // 2, 2, w // 2, 2).mean(axis=(1, 3)), dtype=np.float32)
 
 
-def volume(pair: RowPair, blocks: int, search_cols_px: int, search_lines_px: int) -> Floats:
+def volume(
+    lead: Images,
+    trail: Images,
+    nominal_col: int,
+    known_px: Floats,
+    blocks: int,
+    search_cols_px: int,
+    search_lines_px: int,
+) -> Floats:
     """Evidence for every shift, block by block of 32 lines (Lewis 1995 for the normalised correlation).
 
-    Half the pictures' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of a
-    correlation r over n independent facts against none at all (Kay 1998, section 7), bounded so that one
+    Half the pictures' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of
+    a correlation r over n independent facts against none at all (Kay 1998, section 7), bounded so that one
     good block says no more than another.
 
+    Args: lead, trail (n, w) flattened. nominal_col, known_px (n,): the shift that is 0 here.
     Returns: (blocks, 2 search_lines_px // 2 + 1, 2 search_cols_px // 2 + 1); shift 0 in the middle.
     """
     reach_l, reach_c = search_lines_px // 2, search_cols_px // 2
-    lead, trail = (_band_passed(halved(flattened(image, pair.valid))) for image in (pair.lead, pair.trail))
-    shift = pair.nominal_col // 2
+    lead, trail = (_band_passed(halved(image)) for image in (lead, trail))
+    shift = nominal_col // 2
     w = lead.shape[1]
     begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
     out = np.zeros((blocks, 2 * reach_l + 1, 2 * reach_c + 1))
     if end - begin < 8:
         return out
     half = BLOCK_LINES // 2
-    rows = np.flatnonzero(pair.valid[: len(lead) * 2 : 2].any(axis=1))
-    trail = cv2.copyMakeBorder(trail, reach_l, reach_l, 0, 0, cv2.BORDER_CONSTANT, value=0.0)
+    moved = np.rint(known_px[: blocks * BLOCK_LINES].reshape(blocks, -1).mean(axis=1) / 2).astype(int)
+    spare = reach_l + int(np.abs(moved).max(initial=0))
+    trail = cv2.copyMakeBorder(trail, spare, spare, 0, 0, cv2.BORDER_CONSTANT, value=0.0)
     facts = half * (end - begin) / _PIXELS_PER_FACT
     for block in range(blocks):
-        top = block * half
-        if rows.size == 0 or top + half > rows[-1] + 1 or top < rows[0]:
-            continue
-        pattern = lead[top : top + half, begin:end]
+        pattern = lead[block * half : (block + 1) * half, begin:end]
         if pattern.std() < 1e-6:
             continue
+        top = block * half + spare - reach_l + moved[block]
         window = trail[top : top + half + 2 * reach_l, begin + shift - reach_c : end + shift + reach_c]
         r = cv2.matchTemplate(window, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
         r = np.clip(np.nan_to_num(r), 0.0, 0.99)
@@ -79,7 +94,7 @@ def volume(pair: RowPair, blocks: int, search_cols_px: int, search_lines_px: int
 
 
 def _band_passed(image: Images) -> Images:
-    """Fine detail in units of its own local deviation: a cloud's edge weighs no more than a field beside it."""
+    """Fine detail in units of its own local deviation: a cloud's edge weighs no more than a field."""
     fine = cv2.GaussianBlur(image, (0, 0), 0.7)
     fine -= cv2.GaussianBlur(image, (0, 0), 2.5)
     power = cv2.GaussianBlur(fine * fine, (0, 0), 4.0)

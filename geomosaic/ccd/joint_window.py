@@ -1,0 +1,140 @@
+"""A window of lines of all pairs solved at once: curves at knots, their deviations, what was measured itself.
+
+Correlation volumes give the way to about a pixel (`paths`), least squares matching of small cells refines it
+(`least_squares_matching`), and a smoother (`motion`) draws the curves and bridges what clouds hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
+from geomosaic.ccd.model import Flags, Floats, Settings
+from geomosaic.ccd.motion import FIRST_HABITS, Habits, Smoothed, learned, smooth
+from geomosaic.ccd.parallel import each
+from geomosaic.ccd.paths import block_centres, coarse_offsets
+from geomosaic.ccd.rows import RowPair
+from geomosaic.ccd.volumes import BLOCK_LINES, volume
+
+_COARSE_SD_PX = 1.2
+# The way through the volumes, everywhere: little, but nothing runs off where nothing else is known.
+_ANCHOR_SD_PX = 40.0
+_FAR_PX = 3.5
+_SURE_SD_PX = 0.25
+_LEAST_FIT = 0.25
+
+
+@dataclass(frozen=True)
+class KnotOffsets:
+    """offset_px, sd_px: (pairs, knots, 2) dcol, dline, trailing minus leading. own: (pairs, knots) what was
+    measured there itself, 0 to 1."""
+
+    offset_px: Floats
+    sd_px: Floats
+    own: Floats
+
+    @classmethod
+    def nothing(cls, pairs: int, knots: int) -> Self:
+        return cls(np.zeros((pairs, knots, 2)), np.zeros((pairs, knots, 2)), np.zeros((pairs, knots)))
+
+    def add(self, part: KnotOffsets, first: int, weight: Floats) -> None:
+        """Adds a part that begins at knot `first`, each knot by its weight (in place)."""
+        at = slice(first, first + len(weight))
+        self.offset_px[:, at] += part.offset_px * weight[:, None]
+        self.sd_px[:, at] += part.sd_px * weight[:, None]
+        self.own[:, at] += part.own * weight
+
+
+def solved_window(pairs: Sequence[RowPair], settings: Settings) -> KnotOffsets:
+    """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand."""
+    step = settings.knot_lines
+    knots = len(pairs[0]) // step
+    centres = np.arange(knots) * float(step) + (step - 1) / 2
+    coarse, weights = _start(pairs, centres, settings)
+    now = smooth(coarse, weights, np.median(coarse, axis=1), FIRST_HABITS)
+    habits = FIRST_HABITS
+    cells: list[Cells] = []
+    for scale, rounds in ((2, 2), (1, 2)):
+        ready = each(lambda pair, scale=scale: pictures(pair, scale), pairs)
+        for turn in range(rounds):
+            last = scale == 1 and turn == rounds - 1
+            now, cells, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
+    assert now.covariance is not None
+    variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
+    own = np.stack([(c.fit >= _LEAST_FIT) & (np.trace(c.information, axis1=1, axis2=2) > 0) for c in cells])
+    return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
+
+
+def _start(pairs: Sequence[RowPair], centres: Floats, settings: Settings) -> tuple[Floats, Floats]:
+    """Offsets and their information at the knots, from correlation volumes."""
+    blocks = max(len(pairs[0]) // BLOCK_LINES, 1)
+    reach = settings.search_cols_px, settings.search_lines_px
+
+    def evidence(pair: RowPair) -> Floats:
+        return volume(pair.lead, pair.trail, pair.nominal_col, pair.known_px, blocks, *reach)
+
+    volumes = np.stack(each(evidence, pairs))
+    rows = blocks * BLOCK_LINES
+    brightness = np.stack([pair.brightness[:rows].reshape(blocks, -1).mean(axis=1) for pair in pairs])
+    coarse = coarse_offsets(volumes, brightness)
+    nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
+    known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
+    weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
+    return coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2)
+
+
+def _refined(
+    pairs: Sequence[RowPair],
+    ready: Sequence[Pictures],
+    now: Smoothed,
+    coarse: Floats,
+    centres: Floats,
+    habits: Habits,
+    last: bool,
+) -> tuple[Smoothed, list[Cells], Habits]:
+    """One round: cells measured along the curves, implausible ones set back, curves drawn anew."""
+    step = round(centres[1] - centres[0])
+    at = np.clip(np.arange(len(centres) * step, dtype=np.float64), centres[0], centres[-1])
+
+    def measured_cells(k: int) -> Cells:
+        curve = np.asarray(CubicSpline(centres, now.offsets_px[k], axis=0)(at)).T
+        return measure(ready[k], curve, pairs[k].known_px[: len(at)], step)
+
+    cells = each(measured_cells, range(len(pairs)))
+    near: Flags = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
+    measured = np.stack([cell.information for cell in cells]) * near[..., None, None]
+    found = np.trace(measured, axis1=2, axis2=3) > 0
+    offset = np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse)
+    anchor = _ANCHOR_SD_PX**-2 * np.eye(2)
+    level = _level(now, measured)
+    information, factor = measured, 1.0
+    for _ in range(2):
+        solution = smooth(offset, information + anchor, level, habits)
+        weight, factor = _plausible(offset - solution.offsets_px, measured)
+        information = measured * (weight / factor)[..., None, None]
+    known = np.trace(information, axis1=2, axis2=3) > 2 * _SURE_SD_PX**-2
+    habits = learned(solution, known, habits)
+    final = smooth(offset, information + anchor, level, habits, covariance=last)
+    return final, cells, habits
+
+
+def _level(now: Smoothed, measured: Floats) -> Floats:
+    """(pairs, 2) where each pair's curves lie in the mean, by what was measured of them."""
+    weight = (np.trace(measured, axis1=2, axis2=3) > 0) + 1e-6
+    return np.asarray((now.offsets_px * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None])
+
+
+def _plausible(residual: Floats, information: Floats) -> tuple[Floats, float]:
+    """Weights (pairs, knots) of residuals, Cauchy's at three deviations; and the variance factor, at least 1.
+
+    The factor is by the middle one of the squares: 2 ln 2 for two numbers of unit deviation.
+    """
+    square = np.einsum("kni,knij,knj->kn", residual, information, residual)
+    used = square[np.trace(information, axis1=2, axis2=3) > 0]
+    factor = max(float(np.median(used)) / (2 * np.log(2.0)), 1.0) if used.size else 1.0
+    return 1.0 / (1.0 + square / (18.0 * factor)), factor

@@ -1,0 +1,16 @@
+"""The same work for every pair, on the machine's cores; the results' order is the pairs'."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Given = TypeVar("Given")
+Found = TypeVar("Found")
+
+
+def each(work: Callable[[Given], Found], given: Iterable[Given]) -> list[Found]:
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(work, given))
