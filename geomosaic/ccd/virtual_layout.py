@@ -1,0 +1,166 @@
+"""The scene of an ideal unbroken line: each of its pixels by way of the ground into the real CCDs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.camera.pushbroom import Pushbroom
+from geomosaic.ccd.layout import Ends, Places
+from geomosaic.ccd.line_poses import LinePoses
+from geomosaic.ccd.model import Floats
+from geomosaic.ccd.object_space import ObjectSpace
+from geomosaic.errors import InputError
+from geomosaic.survey.strips import StripGeometry
+
+KNOT_PX = 64
+_HEIGHT_ROWS = 16
+_IMAGE_ROWS = 4
+_SAMPLE_LINES = 512
+_SAMPLE_STEP = 8
+_SPARE_LINES = 64
+_FIT_POINTS = 2000
+
+
+def ideal_camera(geometry: StripGeometry, model: Pushbroom) -> Pushbroom:
+    """One unbroken line of CCDs on the strips' orbit, looking midway between the rows; scene line = its line.
+
+    Its attitude is the straight line through the real one over the scene, its columns lie evenly, as near to
+    the real ones as may be.
+    """
+    g, last = geometry, max(geometry.lines)
+    lines = np.linspace(0.0, last, _FIT_POINTS)
+    share = lines / last - 0.5
+    level, slope = np.linalg.lstsq(
+        np.stack([np.ones_like(share), share], axis=1), model.attitude_rad(lines), rcond=None
+    )[0]
+    spare = g.row_separation_lines + _SPARE_LINES
+    at = np.linspace(-spare, last + spare, 4)
+    attitude = level + (at / last - 0.5)[:, None] * slope
+    forward, right = _even_looks(g, model, 0.5 * last)
+    return replace(
+        model,
+        attitude_time_s=at / model.line_rate_hz,
+        roll_pitch_yaw_rad=attitude,
+        forward_tan=forward,
+        right_tan=right,
+    )
+
+
+def _even_looks(g: StripGeometry, model: Pushbroom, line: float) -> tuple[Floats, Floats]:
+    """forward_tan and right_tan (1, 3) of scene columns, by least squares over all CCDs' ends."""
+    places, looks, rows = [], [], []
+    for k, ccd in enumerate(g.ccds):
+        ends = np.array([0.0, g.width_px])
+        places.append(k * (g.width_px - g.overlap_px) + ends)
+        looks.append(model.look(k, ends, line)[:, :2])
+        rows.append(np.full(2, 1.0 if ccd.row == 1 else -1.0))
+    col = np.concatenate(places)
+    design = np.stack([np.ones_like(col), col, np.concatenate(rows)], axis=1)
+    (forward, right) = np.linalg.lstsq(design, np.concatenate(looks), rcond=None)[0].T
+    return np.array([[forward[0], forward[1], 0.0]]), np.array([[right[0], right[1], 0.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualLayout:
+    """The object-space `SceneLayout`; places are found block by block, as they are asked for.
+
+    columns: of each CCD, first and one beyond the last; (0, 0) where it is dead. sample_lines (s,): scene
+    lines at which shift_lines (ccds, s) tells the strip's line less the scene's.
+    """
+
+    geometry: StripGeometry
+    space: ObjectSpace
+    camera: Pushbroom
+    first_line: float
+    height_px: int
+    seams_px: tuple[float, ...]
+    columns: tuple[tuple[int, int], ...]
+    sample_lines: Floats
+    shift_lines: Floats
+
+    @property
+    def width_px(self) -> int:
+        """Columns of the raster: the ideal unbroken line's."""
+        return self.geometry.scene_width_px
+
+    def cols(self, ccd: int) -> tuple[int, int]:
+        """The raster cols, first and one beyond the last, that a CCD may fill."""
+        return self.columns[ccd]
+
+    def places(self, ccd: int, top: int, bottom: int) -> Places:
+        """Where raster rows top to bottom - 1 see the strip; knots every 64 columns.
+
+        Heights are taken at every 16th row, the strip's columns and lines solved at every 4th.
+        """
+        first, last = self.cols(ccd)
+        knots = np.arange(first, last + KNOT_PX, KNOT_PX, dtype=np.float64)
+        start, rows = self.first_line + top + 0.5, bottom - top
+        heights_at = start + _steps(rows, _HEIGHT_ROWS)
+        poses = LinePoses(self.camera, heights_at[0], heights_at[-1] + 1.0, _HEIGHT_ROWS)
+        ground = self.space.ground(poses, 0, knots, heights_at[:, None])
+        ground = _rows_between(ground, _HEIGHT_ROWS, _IMAGE_ROWS)
+        solved_at = start + _IMAGE_ROWS * np.arange(float(len(ground)))
+        near = solved_at + np.interp(solved_at, self.sample_lines, self.shift_lines[ccd])
+        real = LinePoses(self.space.model, near[0] - _SPARE_LINES, near[-1] + _SPARE_LINES)
+        image = np.stack(real.image(ccd, ground, near[:, None]))
+        image = np.moveaxis(_rows_between(np.moveaxis(image, 0, -1), _IMAGE_ROWS, 1)[:rows], -1, 0)
+        return Places(knots, image)
+
+
+def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "all") -> VirtualLayout:
+    """The layout of strips by their model and the ground's heights.
+
+    Raises: `InputError` if the strips have no lines in common, where those are wanted.
+    """
+    g, camera = geometry, ideal_camera(geometry, space.model)
+    spare = 0.5 * g.row_separation_lines + 2.0 * _SPARE_LINES
+    longest = max(g.lines)
+    count = math.ceil((longest + 2.0 * spare) / _SAMPLE_LINES) + 1
+    at = np.linspace(-spare, longest + spare, count)
+    ideal = LinePoses(camera, at[0], at[-1], _SAMPLE_STEP)
+    real = LinePoses(space.model, at[0] - spare, at[-1] + spare, _SAMPLE_STEP)
+    step, width = g.width_px - g.overlap_px, g.width_px
+    shifts, columns, starts, stops = np.zeros((len(g.ccds), count)), [], [], []
+    lefts, rights = [], []
+    for k, ccd in enumerate(g.ccds):
+        scene_cols = k * step + np.array([0.0, 0.5 * width, width])
+        ground = space.ground(ideal, 0, scene_cols, at[:, None])
+        nominal = at + g.row_separation_lines * (-0.5 if ccd.row == 1 else 0.5)
+        col, line = real.image(k, ground, nominal[:, None])
+        shift = line - at[:, None]
+        shifts[k] = shift[:, 1]
+        inside = (at >= 0.0) & (at <= longest)
+        left, right = scene_cols[0] - col[inside, 0], scene_cols[-1] + width - col[inside, -1]
+        lefts.append(float(np.median(left)))
+        rights.append(float(np.median(right)))
+        if not g.lines[k]:
+            columns.append((0, 0))
+            continue
+        columns.append((max(math.floor(left.min()), 0), min(math.ceil(right.max()), g.scene_width_px)))
+        for side in range(3):
+            starts.append(float(np.interp(0.0, line[:, side], at)))
+            stops.append(float(np.interp(g.lines[k], line[:, side], at)))
+    start, stop = (min(starts), max(stops)) if ends == "all" else (max(starts), min(stops))
+    first, height = math.ceil(start - 0.5), math.floor(stop + 0.5) - math.ceil(start - 0.5)
+    if height < 1:
+        raise InputError(
+            "the strips have no lines in common", mend="choose ends: all, or leave the shortest strip out"
+        )
+    seams = tuple(0.5 * (rights[k] + lefts[k + 1]) for k in g.pairs)
+    return VirtualLayout(g, space, camera, float(first), height, seams, tuple(columns), at, shifts)
+
+
+def _steps(rows: int, step: int) -> Floats:
+    """Rows step apart, two at least, that enclose rows 0 to rows - 1."""
+    return np.arange(0.0, max(rows - 1, 1) + step, step)
+
+
+def _rows_between(values: Floats, step: int, wanted: int) -> Floats:
+    """Values (n, ...) at rows `step` apart straight in between, at rows `wanted` apart."""
+    parts = step // wanted
+    share = (np.arange(parts) / parts).reshape(-1, *[1] * (values.ndim - 1))
+    between = values[:-1, None] + share * (values[1:] - values[:-1])[:, None]
+    return np.concatenate([between.reshape(-1, *values.shape[1:]), values[-1:]])
