@@ -6,86 +6,107 @@ along the overlap are correlated, doubtful ones dropped, and a smooth curve is d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Floats, Overlap, PairOffsets, Settings
+from geomosaic.ccd.model import (
+    BRIDGED,
+    MEASURED,
+    UNRELIABLE,
+    Floats,
+    Overlap,
+    PairOffsets,
+    Progress,
+    Settings,
+)
+from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.sift_chains import NOTHING_SD_PX, bridging_sd, pieces
 from geomosaic.ccd.volumes import flattened
 from geomosaic.survey.strips import StripGeometry
 
+_PATCH_LINES = 64
+_PIECE_LINES = 16 * _PATCH_LINES
 _LEAST_CORRELATION = 0.4
 _ODD_PX = 1.5
-_PATCH_LINES = 64
+_LEAST_PATCHES = 5
+_BLUR_PX = 8
 
 
-def image_registration(
-    overlaps: Sequence[Overlap], geometry: StripGeometry, settings: Settings
-) -> tuple[PairOffsets, ...]:
+def image_registration(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
     """A smoothing spline through the peaks of the correlation of patches of 64 lines."""
-    return tuple(_of_pair(overlap, geometry, settings) for overlap in overlaps)
-
-
-def _of_pair(overlap: Overlap, geometry: StripGeometry, settings: Settings) -> PairOffsets:
-    n = len(overlap.left)
-    centre, offset, r = _patches(overlap, geometry, settings)
-    good = r >= _LEAST_CORRELATION
-    if good.sum() >= 5:
-        usual = median_filter(offset[good], size=(7, 1), mode="nearest")
-        good[good] = np.abs(offset[good] - usual).max(axis=1) <= _ODD_PX
-    whole = overlap.side * geometry.row_separation_lines
-    seen = overlap.valid.any(axis=1)
-    if good.sum() < 5:
-        zero, far = np.zeros(n), np.full(n, 10.0)
-        return PairOffsets(overlap.pair, zero, zero, far, far, np.full(n, UNRELIABLE, dtype=np.uint8))
-    t = np.clip(np.arange(n, dtype=np.float64), centre[good][0], centre[good][-1])
-    curves, deviations = [], []
-    for axis in (0, 1):
-        spline = make_smoothing_spline(centre[good], offset[good, axis], w=r[good] ** 2)
-        curves.append(np.asarray(spline(t)))
-        rest = offset[good, axis] - spline(centre[good])
-        deviations.append(np.full(n, 1.4826 * float(np.median(np.abs(rest)))))
-    nearest = np.clip((np.arange(n) // _PATCH_LINES), 0, len(good) - 1)
-    label = np.where(seen, np.where(good[nearest], MEASURED, BRIDGED), UNRELIABLE).astype(np.uint8)
-    return PairOffsets(
-        overlap.pair, curves[0], curves[1] + round(whole) - whole, deviations[0], deviations[1], label
+    found: dict[int, list[Floats]] = {pair: [] for pair in strips.pairs}
+    spare = settings.search_lines_px + 3 * _BLUR_PX
+    for done, (pair, first, stop, total) in enumerate(pieces(strips, _PIECE_LINES)):
+        overlap = strips.overlap(pair, first - spare, stop + spare)
+        found[pair].append(patches(overlap, strips.geometry, settings, spare))
+        progress(done + 1, total)
+    return tuple(
+        _curve(pair, strips.lines(pair), np.concatenate([np.zeros((0, 4)), *parts]))
+        for pair, parts in found.items()
     )
 
 
-def _patches(overlap: Overlap, geometry: StripGeometry, settings: Settings) -> tuple[Floats, Floats, Floats]:
-    """Centre lines (p,), offsets (p, 2) and correlations (p,) of the patches; 0 where there is none."""
+def patches(overlap: Overlap, geometry: StripGeometry, settings: Settings, spare: int) -> Floats:
+    """The patches of an overlap, but for `spare` lines at either end: middle line, dcol, dline, correlation.
+
+    Returns: (p, 4). Patches whose peak is at the edge of the search, or that hold what isn't valid, have
+    correlation 0.
+    """
     reach_c, reach_l = settings.search_cols_px, settings.search_lines_px
     left, right = (
         cv2.GaussianBlur(flattened(image.astype(np.float32), overlap.valid), (0, 0), 0.7)
         for image in (overlap.left, overlap.right)
     )
-    right = cv2.copyMakeBorder(right, reach_l, reach_l, 0, 0, cv2.BORDER_CONSTANT, value=0.0)
-    shift, w = geometry.overlap_px - geometry.read_px, left.shape[1]
-    begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
-    patches = len(left) // _PATCH_LINES
-    centre = np.arange(patches) * float(_PATCH_LINES) + (_PATCH_LINES - 1) / 2
-    offset, best = np.zeros((patches, 2)), np.zeros(patches)
+    shift, width = geometry.overlap_px - geometry.read_px, left.shape[1]
+    begin, end = max(0, reach_c - shift), min(width, width - reach_c - shift)
+    apart = overlap.side * geometry.row_separation_lines
+    last = len(left) - spare - _PATCH_LINES
+    tops = np.unique(np.append(np.arange(spare, last, _PATCH_LINES), max(last, spare)))
+    out = np.zeros((len(tops), 4))
+    out[:, 0] = overlap.first_line + tops + (_PATCH_LINES - 1) / 2
     if end - begin < 8:
-        return centre, offset, best
-    for p in range(patches):
-        top = p * _PATCH_LINES
+        return out
+    for patch, top in zip(out, tops, strict=True):
         if not overlap.valid[top : top + _PATCH_LINES].any(axis=1).all():
             continue
-        window = right[
-            top : top + _PATCH_LINES + 2 * reach_l, begin + shift - reach_c : end + shift + reach_c
-        ]
-        found = cv2.matchTemplate(window, left[top : top + _PATCH_LINES, begin:end], cv2.TM_CCOEFF_NORMED)
+        lines = slice(top - reach_l, top + _PATCH_LINES + reach_l)
+        window = right[lines, begin + shift - reach_c : end + shift + reach_c]
+        pattern = left[top : top + _PATCH_LINES, begin:end]
+        found = cv2.matchTemplate(window, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
         line, col = np.unravel_index(int(np.argmax(found)), found.shape)
         if 0 < line < found.shape[0] - 1 and 0 < col < found.shape[1] - 1:
-            best[p] = float(found[line, col])
-            offset[p] = (
-                col - reach_c + _vertex(found[line, col - 1 : col + 2]),
-                line - reach_l + _vertex(found[line - 1 : line + 2, col]),
-            )
-    return centre, offset, best
+            patch[1] = col - reach_c + _vertex(found[line, col - 1 : col + 2])
+            patch[2] = line - reach_l + _vertex(found[line - 1 : line + 2, col]) + round(apart) - apart
+            patch[3] = found[line, col]
+    return out
+
+
+def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
+    """Odd patches are those far from the middle of the seven about them."""
+    centre, offset, r = found[:, 0], found[:, 1:3], found[:, 3]
+    label = np.full(lines, UNRELIABLE, dtype=np.uint8)
+    good = r >= _LEAST_CORRELATION
+    if good.any():
+        usual = median_filter(offset[good], size=(7, 1), mode="nearest")
+        good[good] = np.abs(offset[good] - usual).max(axis=1) <= _ODD_PX
+    if good.sum() < _LEAST_PATCHES:
+        zero, far = np.zeros(lines), np.full(lines, NOTHING_SD_PX)
+        return PairOffsets(pair, zero, zero.copy(), far, far.copy(), label)
+    at = centre[good]
+    t = np.arange(lines, dtype=np.float64)
+    curves, deviations = [], []
+    for axis in (0, 1):
+        spline = make_smoothing_spline(at, offset[good, axis], w=r[good] ** 2)
+        smooth = np.asarray(spline(at))
+        curves.append(np.asarray(spline(np.clip(t, at[0], at[-1]))))
+        rest = 1.4826 * float(np.median(np.abs(offset[good, axis] - smooth)))
+        deviations.append(bridging_sd(t, at, smooth, np.full(lines, rest), _PATCH_LINES))
+    for middle, kept in zip(centre, good, strict=True):
+        first = round(middle - (_PATCH_LINES - 1) / 2)
+        label[first : first + _PATCH_LINES] = MEASURED if kept else BRIDGED
+    return PairOffsets(pair, curves[0], curves[1], deviations[0], deviations[1], label)
 
 
 def _vertex(three: Floats) -> float:

@@ -4,82 +4,175 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from geomosaic.ccd.model import Floats, Overlap
-from geomosaic.survey.strips import StripGeometry
+from geomosaic.ccd.model import MEASURED, Flags, Floats, Images, Overlap, PairOffsets, Progress, StripOffsets
+from geomosaic.ccd.overlaps import Strips
 
-_BLOCK_LINES = 64
-_LEAST_BLOCKS = 4
+_PIECE_LINES = 512
+_MOST_PIECES = 64
+_SPARE_LINES = 32
+_BLOCK_PX = (16, 8)
+_ROUGH_BLOCK_PX = (64, 24)
+_LEAST_BLOCKS = 24
+_OFFSET_SD = 0.01
+_ODD_COLUMN = 0.1
 
 
 @dataclass(frozen=True)
 class Radiometry:
-    """`gain[k] * value + offset[k]` of CCD k is on the scale all share; (ccds,) both."""
+    """`gain[k] * counts + offset[k]` of CCD k is on the scale all share; (ccds,) both."""
 
     gain: Floats
     offset: Floats
 
 
-def pair_radiometry(overlap: Overlap, geometry: StripGeometry, highest: float) -> tuple[float, float] | None:
-    """(g, o) with right = g * left + o, from means of blocks of 64 lines; None where too little is seen.
+@dataclass(frozen=True)
+class Blocks:
+    """Means (b, c) of blocks of the left strip and of the same ground in the right one.
 
-    Means over all columns of the overlap leave little of the columns' pattern, and blocks so large do not
-    mind offsets of some pixels. Saturated blocks (any pixel at `highest`) are left out. Robust: Cauchy weights
-    at three times the middle residual; the offset is drawn to 0 as far as the blocks' greys do not tell it.
+    Rows are stretches of lines, columns stretches of columns: a column's own response stays in its column.
+    use: (b, c) where all pixels are valid and none is at an end of the scale. sure: (b,) where the offsets of
+    all lines are measured.
     """
-    margin = geometry.read_px - geometry.overlap_px
-    n = len(overlap.left) // _BLOCK_LINES
-    shape = (n, _BLOCK_LINES, geometry.overlap_px)
-    rows = n * _BLOCK_LINES
-    left = overlap.left[:rows, margin:].reshape(shape)
-    right = overlap.right[:rows, : geometry.overlap_px].reshape(shape)
-    whole = overlap.valid[:rows].all(axis=1).reshape(n, _BLOCK_LINES).all(axis=1)
-    whole &= (left.max(axis=(1, 2)) < highest) & (right.max(axis=(1, 2)) < highest)
-    if whole.sum() < _LEAST_BLOCKS:
-        return None
-    x, y = (v[whole].mean(axis=(1, 2), dtype=np.float64) for v in (left, right))
-    return _line(x, y)
+
+    left: Floats
+    right: Floats
+    use: Flags
+    sure: Flags
 
 
-def radiometry(overlaps: Sequence[Overlap], geometry: StripGeometry) -> Radiometry:
-    """Gains and offsets of all CCDs; their logarithms' mean and the offsets' mean are 0 in each unbroken run."""
-    ccds = len(geometry.ccds)
-    found = {o.pair: pair_radiometry(o, geometry, 2.0**geometry.bit_depth - 1) for o in overlaps}
+def column_gains(image: Images, valid: Flags) -> Images:
+    """Each column's response against the columns about it (w,): the middle of the ratios over all lines.
+
+    Args: image, valid (n, w). Lines that aren't valid throughout are left out; 1 where there are none.
+    """
+    lines = np.flatnonzero(valid.all(axis=1))
+    if not lines.size:
+        return np.ones(image.shape[1], dtype=np.float32)
+    some = image[lines[:: max(1, lines.size // 2048)]].astype(np.float32)
+    around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
+    gains = np.median((some + 1.0) / (around + 1.0), axis=0)
+    return np.asarray(np.clip(gains, 0.5, 2.0), dtype=np.float32)
+
+
+def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress) -> Radiometry:
+    """Gains and offsets of all CCDs; in each unbroken run the gains' mean is 1 and the offsets' mean is 0.
+
+    A run ends where a CCD is dead or a pair has too little to compare. Of long strips 64 pieces of 512 lines,
+    evenly spread, are seen. offsets: None compares larger blocks at the nominal geometry.
+    """
+    g = strips.geometry
+    lag = round(g.row_separation_lines)
+    curves = {} if offsets is None else {pair.pair: pair for pair in offsets.pairs}
+    longest = max(g.lines)
+    tops = np.arange(0, longest, _PIECE_LINES)
+    tops = tops[np.unique(np.linspace(0, len(tops) - 1, min(len(tops), _MOST_PIECES)).astype(np.intp))]
+    found: dict[int, list[Blocks]] = {pair: [] for pair in strips.pairs}
+    for done, top in enumerate(tops):
+        for pair in strips.pairs:
+            first = int(top) + (0 if g.side(pair) > 0 else lag)
+            stop = min(first + _PIECE_LINES, strips.lines(pair))
+            if stop > first:
+                overlap = strips.overlap(pair, first - _SPARE_LINES, stop + _SPARE_LINES)
+                found[pair].append(blocks(overlap, strips, curves.get(pair)))
+        progress(done + 1, len(tops))
+    lines = {pair: straight_line(parts, 2.0**g.bit_depth - 1) for pair, parts in found.items()}
+    ccds = len(g.ccds)
     gain, offset = np.ones(ccds), np.zeros(ccds)
-    first = 0
+    begin = 0
     for k in range(ccds):
-        pair = found.get(k)
-        if k < ccds - 1 and pair is not None:
-            g, o = pair
-            gain[k + 1] = gain[k] / g
-            offset[k + 1] = offset[k] - gain[k + 1] * o
+        line = lines.get(k)
+        if line is not None:
+            gain[k + 1] = gain[k] / line[0]
+            offset[k + 1] = offset[k] - gain[k + 1] * line[1]
             continue
-        run = slice(first, k + 1)
-        scale = float(np.exp(np.log(gain[run]).mean()))
-        gain[run] /= scale
-        offset[run] = offset[run] / scale - (offset[run] / scale).mean()
-        first = k + 1
+        run = slice(begin, k + 1)
+        offset[run] = (offset[run] - offset[run].mean()) / gain[run].mean()
+        gain[run] /= gain[run].mean()
+        begin = k + 1
     return Radiometry(gain, offset)
 
 
-def _line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Robust straight line y = g x + o."""
-    middle = float(np.median(x))
-    weight = np.ones_like(x)
-    g, o = 1.0, 0.0
-    for _ in range(12):
-        total = weight.sum()
-        mx, my = float((weight * x).sum() / total), float((weight * y).sum() / total)
-        ratio = my / mx if mx > 0 else 1.0
-        # A line through 0 is taken for known as well as one block 5 % of the middle grey off would tell it.
-        ridge = (0.05 * middle) ** 2
-        g = float(
-            ((weight * (x - mx) * (y - my)).sum() + ridge * ratio) / ((weight * (x - mx) ** 2).sum() + ridge)
-        )
-        o = my - g * mx
-        rest = np.abs(y - g * x - o)
-        scale = max(1.4826 * float(np.median(rest)), 1e-6)
-        weight = 1.0 / (1.0 + (rest / (3.0 * scale)) ** 2)
-    return g, o
+def blocks(overlap: Overlap, strips: Strips, offsets: PairOffsets | None) -> Blocks:
+    """The blocks of a piece of an overlap that has `_SPARE_LINES` more at either end.
+
+    The right strip is moved by the offsets. Columns whose response is a tenth off are left out.
+    """
+    g = strips.geometry
+    high, wide = _ROUGH_BLOCK_PX if offsets is None else _BLOCK_PX
+    count = (len(overlap.left) - 2 * _SPARE_LINES) // high
+    rows = _SPARE_LINES + np.arange(count * high)
+    margin = g.read_px - g.overlap_px
+    cols = np.arange(margin, g.read_px - g.overlap_px % wide)
+    at = np.clip(rows + overlap.first_line, 0, strips.lines(overlap.pair) - 1)
+    dcol, dline, sure = np.zeros(len(rows)), np.zeros(len(rows)), np.ones(len(rows), dtype=bool)
+    if offsets is not None:
+        apart = overlap.side * g.row_separation_lines
+        dcol, dline = offsets.dcol_px[at], offsets.dline_px[at] + apart - round(apart)
+        sure = offsets.label[at] == MEASURED
+    map_x = (cols[None, :] - margin + dcol[:, None]).astype(np.float32)
+    map_y = np.broadcast_to((rows + dline)[:, None], map_x.shape).astype(np.float32)
+    left, use_left = (a[rows[:, None], cols] for a in _counts(overlap.left, overlap.valid, g.bit_depth))
+    right, use_right = (
+        cv2.remap(a, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+        if count
+        else a[rows[:, None], cols]
+        for a in _counts(overlap.right, overlap.valid, g.bit_depth)
+    )
+    shape = count, high, len(cols) // wide, wide
+    return Blocks(
+        left.reshape(shape).mean(axis=(1, 3), dtype=np.float64),
+        right.reshape(shape).mean(axis=(1, 3), dtype=np.float64),
+        np.asarray(((use_left > 0.999) & (use_right > 0.999)).reshape(shape).all(axis=(1, 3))),
+        np.asarray(sure.reshape(count, high).all(axis=1)),
+    )
+
+
+def _counts(side: NDArray[Any], valid: Flags, bit_depth: int) -> tuple[Images, Images]:
+    """Counts of one side of an overlap, and 1 where they may be used, else 0."""
+    image = side.astype(np.float32)
+    even = np.abs(column_gains(image, valid) - 1.0) <= _ODD_COLUMN
+    return image, (valid & (image > 0.0) & (image < 2.0**bit_depth - 1) & even).astype(np.float32)
+
+
+def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] | None:
+    """(g, o) with right = g * left + o; None where there is too little to compare.
+
+    The slope is of total least squares, both sides being equally noisy, over the blocks' differences from
+    their own column's mean: column patterns don't enter. Robust: Cauchy weights at three times a deviation
+    that half of the blocks may spoil. As far as the blocks' greys don't tell the slope, o is drawn to 0
+    (deviation 1 % of the full scale).
+    """
+    if not parts:
+        return None
+    x, y, use = (np.concatenate([getattr(p, name) for p in parts]) for name in ("left", "right", "use"))
+    sure = use & np.concatenate([p.sure for p in parts])[:, None]
+    use = sure if sure.sum() >= _LEAST_BLOCKS else use
+    use = use & (use.sum(axis=0) >= 3)
+    if use.sum() < _LEAST_BLOCKS:
+        return None
+    cols = use.any(axis=0)
+    x, y, use = x[:, cols], y[:, cols], use[:, cols]
+    g = float(np.median(y[use]) / max(np.median(x[use]), 1.0))
+    rest = np.where(use, y - g * x, np.nan)
+    rest -= np.nanmedian(rest, axis=0)
+    mean_x = mean_y = np.zeros(x.shape[1])
+    for _ in range(20):
+        scale = max(float(np.quantile(np.abs(rest[use]), 0.25)) / 0.3186, 1e-3)
+        weight = np.where(use, 1.0 / (1.0 + (np.nan_to_num(rest) / (3.0 * scale)) ** 2), 0.0)
+        total = weight.sum(axis=0)
+        mean_x, mean_y = (weight * x).sum(axis=0) / total, (weight * y).sum(axis=0) / total
+        dx, dy = x - mean_x, y - mean_y
+        xx, yy, xy = (float((weight * a * b).sum()) for a, b in ((dx, dx), (dy, dy), (dx, dy)))
+        told = (yy - xx + np.hypot(yy - xx, 2.0 * xy)) / (2.0 * xy) if xy > 0.0 else 1.0
+        level_x, level_y = max(float(mean_x.mean()), 1.0), float(mean_y.mean())
+        sure_of_told = max(xy, 0.0) / scale**2
+        sure_of_ratio = (level_x / (_OFFSET_SD * full)) ** 2
+        g = float((told * sure_of_told + level_y / level_x * sure_of_ratio) / (sure_of_told + sure_of_ratio))
+        rest = dy - g * dx
+    return g, float((mean_y - g * mean_x).mean())

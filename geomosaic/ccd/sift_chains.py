@@ -1,30 +1,48 @@
-"""The chains of Cheng et al. 2018: SIFT in the overlap, ratio test, RANSAC; one offset for the scene, or segments.
+"""The chains of Cheng et al. 2018: SIFT, ratio test, RANSAC; one offset for the scene, or segments.
 
 `whole_scene` is their old chain, `piecewise_linear` the new one. Both see each pair by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Flags, Floats, Overlap, PairOffsets, Settings
+from geomosaic.ccd.model import (
+    BRIDGED,
+    MEASURED,
+    UNRELIABLE,
+    Flags,
+    Floats,
+    Overlap,
+    PairOffsets,
+    Progress,
+    Settings,
+)
+from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.radiometry import column_gains
 from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
-_PIECE_LINES = 2048
 _AGREE_PX = 1.0
-_LEAST_POINTS = 4
+_LEAST_POINTS = 6
 _ABNORMAL_PX = 2.0
-_NOTHING_SD_PX = 10.0
+_MOST_TRIED = 500
+NOTHING_SD_PX = 10.0
+"""The standard deviation of what nothing tells of."""
 
 
 @dataclass(frozen=True)
 class Matched:
-    """Points found in both strips: left_px (m, 2) col, line of the left array; moved_px (m, 2) dcol, dline."""
+    """Points found in both strips.
+
+    left_px: (m, 2) col of the left strip's read columns, line of the left strip; corner origin.
+    moved_px: (m, 2) dcol, dline against the nominal geometry.
+    """
 
     left_px: Floats
     moved_px: Floats
@@ -35,152 +53,215 @@ class Matched:
 
 @dataclass(frozen=True)
 class Segments:
-    """Of one pair: centre_line (s,), offset_px and sd_px (s, 2), points (s,) agreeing, kept (s,) bool."""
+    """Of one pair: the left strip's lines first (s,) to before stop (s,), and what their points agree on.
 
+    centre_line, points: (s,) middle line and number of the agreeing points. offset_px, sd_px: (s, 2) col and
+    line. kept: (s,) False where too few agree or the offset is abnormal.
+    """
+
+    pair: int
+    first: NDArray[np.intp]
+    stop: NDArray[np.intp]
     centre_line: Floats
     offset_px: Floats
     sd_px: Floats
-    points: np.ndarray[tuple[int], np.dtype[np.intp]]
+    points: NDArray[np.intp]
     kept: Flags
 
 
-def matched_points(
-    overlap: Overlap, geometry: StripGeometry, settings: Settings, lines: slice, enhance: bool
-) -> Matched:
-    """SIFT points of a piece of the overlap whose nearest descriptor is clearly the nearest (Lowe 2004).
+def pieces(strips: Strips, length: int) -> Iterator[tuple[int, int, int, int]]:
+    """Every pair's lines piece by piece: pair, first line, stop, and the number of pieces there are.
 
-    enhance: the piece's grey range is stretched for matching, and for matching only.
+    The pieces of all pairs at one time come one after the other, so that both edges of a strip are read at
+    once. They reach over what both strips have by the nominal geometry, and are of about that length: what
+    is left over at the end makes the last one longer or shorter by up to half.
     """
-    valid = overlap.valid[lines]
-    both = (valid * np.uint8(255)).astype(np.uint8)
-    if not valid.any():
-        return Matched(np.zeros((0, 2)), np.zeros((0, 2)))
+    g = strips.geometry
+    lag = round(g.row_separation_lines)
+    ends = {}
+    for pair in strips.pairs:
+        early, late = (pair, pair + 1)[:: g.side(pair)]
+        ends[pair] = max(0, min(g.lines[early], g.lines[late] - lag))
+    counts = {pair: max(int(end > 0), round(end / length)) for pair, end in ends.items()}
+    total = sum(counts.values())
+    for i in range(max(counts.values(), default=0)):
+        for pair, end in ends.items():
+            if i < counts[pair]:
+                lead = i * length, end if i == counts[pair] - 1 else (i + 1) * length
+                first = 0 if g.side(pair) > 0 else lag
+                yield pair, lead[0] + first, min(lead[1] + first, strips.lines(pair)), total
+
+
+def matched_points(overlap: Overlap, geometry: StripGeometry, settings: Settings, enhance: bool) -> Matched:
+    """SIFT points of a piece of an overlap whose nearest descriptor is clearly the nearest (Lowe 2004).
+
+    The columns' unequal response is taken out first, as ground segments do before they stitch. enhance: each
+    side's grey range is stretched for matching, and for matching only.
+    """
+    both = (overlap.valid * np.uint8(255)).astype(np.uint8)
+    none = Matched(np.zeros((0, 2)), np.zeros((0, 2)))
+    if not both.any():
+        return none
     found = []
-    for image in (overlap.left[lines], overlap.right[lines]):
+    for counts in (overlap.left, overlap.right):
+        image = counts.astype(np.float32)
+        image /= column_gains(image, overlap.valid)
         if enhance:
-            eight = grey(image[..., None].astype(np.uint16), both)
+            eight = grey(image[..., None], both)
         else:
-            eight = (image.astype(np.float32) * (255.0 / (2.0**geometry.bit_depth - 1))).astype(np.uint8)
+            full = 2.0**geometry.bit_depth - 1
+            eight = np.clip(np.rint(image * (255.0 / full)), 0, 255).astype(np.uint8)
         found.append(sift_features(eight, both, 1))
     left, right = found
     if len(left) < 2 or len(right) < 2:
-        return Matched(np.zeros((0, 2)), np.zeros((0, 2)))
-    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(
+        return none
+    nearest = cv2.BFMatcher(cv2.NORM_L2).knnMatch(
         left.descriptors.astype(np.float32), right.descriptors.astype(np.float32), k=2
     )
     good = [
-        (p[0].queryIdx, p[0].trainIdx)
-        for p in pairs
-        if len(p) == 2 and p[0].distance < settings.ratio * p[1].distance
+        (best.queryIdx, best.trainIdx)
+        for best, second in nearest
+        if best.distance < settings.ratio * second.distance
     ]
     index = np.array(good, dtype=np.intp).reshape(-1, 2)
     a, b = left.image_px[index[:, 0]], right.image_px[index[:, 1]]
-    moved = b - a
-    moved[:, 0] += geometry.read_px - geometry.overlap_px
-    near = (np.abs(moved[:, 0]) <= settings.search_cols_px) & (
-        np.abs(moved[:, 1]) <= settings.search_lines_px
-    )
-    a = a + [0.0, float(lines.start or 0)]
-    return Matched(a[near], moved[near])
+    apart = overlap.side * geometry.row_separation_lines
+    moved = b - a + [geometry.read_px - geometry.overlap_px, round(apart) - apart]
+    near = (np.abs(moved) <= [settings.search_cols_px, settings.search_lines_px]).all(axis=1)
+    return Matched(a[near] + [0.0, overlap.first_line], moved[near])
 
 
 def consensus(moved_px: Floats, agree_px: float = _AGREE_PX) -> tuple[Floats, Flags]:
-    """The shift on which most agree, and who does: RANSAC with every point tried (Fischler and Bolles 1981)."""
-    if not len(moved_px):
-        return np.zeros(2), np.zeros(0, dtype=bool)
-    tried = moved_px[:: max(1, len(moved_px) // 500)]
-    near = (np.abs(moved_px[None] - tried[:, None]) <= agree_px).all(axis=2)
-    inside = near[int(near.sum(axis=1).argmax())]
+    """The shift on which most agree, and who does: RANSAC (Fischler and Bolles 1981), up to 500 points tried.
+
+    Args: moved_px (m, 2). Returns: (2,) their mean, (m,).
+    """
+    inside = np.zeros(len(moved_px), dtype=bool)
+    for tried in moved_px[:: max(1, -(-len(moved_px) // _MOST_TRIED))]:
+        near = (np.abs(moved_px - tried) <= agree_px).all(axis=1)
+        if near.sum() > inside.sum():
+            inside = near
+    if not inside.any():
+        return np.zeros(2), inside
+    for _ in range(3):
+        closer = (np.abs(moved_px - moved_px[inside].mean(axis=0)) <= agree_px).all(axis=1)
+        if closer.sum() < inside.sum():
+            break
+        inside = closer
     return np.asarray(moved_px[inside].mean(axis=0)), inside
 
 
-def whole_scene(
-    overlaps: Sequence[Overlap], geometry: StripGeometry, settings: Settings
-) -> tuple[PairOffsets, ...]:
-    """One offset for the scene and pair: the old chain."""
-    out = []
-    for overlap in overlaps:
-        n = len(overlap.left)
-        pieces = [
-            matched_points(overlap, geometry, settings, slice(top, min(top + _PIECE_LINES, n)), False)
-            for top in range(0, n, _PIECE_LINES)
-        ]
-        moved = np.concatenate([piece.moved_px for piece in pieces])
-        shift, inside = consensus(moved)
-        enough = int(inside.sum()) >= _LEAST_POINTS
-        sd = moved[inside].std(axis=0) if enough else np.full(2, _NOTHING_SD_PX)
-        curve = np.repeat(shift[:, None], n, axis=1)
-        label = np.full(n, MEASURED if enough else UNRELIABLE)
-        out.append(_offsets(overlap, geometry, curve, np.repeat(sd[:, None], n, axis=1), label))
-    return tuple(out)
+def whole_scene(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+    """One offset for the scene and pair: the old chain, without enhancement.
+
+    The standard deviation is the points' robust scatter about the one offset, with what drift and jitter make
+    of it. A line is labelled measured where most points of its piece agree with the offset.
+    """
+    found: dict[int, list[tuple[int, int, Matched]]] = {pair: [] for pair in strips.pairs}
+    for done, (pair, first, stop, total) in enumerate(pieces(strips, settings.segment_lines)):
+        overlap = strips.overlap(pair, first, stop)
+        found[pair].append((first, stop, matched_points(overlap, strips.geometry, settings, False)))
+        progress(done + 1, total)
+    return tuple(_one_offset(strips.lines(pair), pair, parts) for pair, parts in found.items())
 
 
-def segments(overlap: Overlap, geometry: StripGeometry, settings: Settings) -> Segments:
-    """Offsets segment by segment; abnormal ones, far from the middle of their neighbours, are not kept."""
-    n, length = len(overlap.left), settings.segment_lines
-    tops = list(range(0, n, length))
-    offset, sd = np.zeros((len(tops), 2)), np.full((len(tops), 2), _NOTHING_SD_PX)
-    points = np.zeros(len(tops), dtype=np.intp)
-    centre = np.zeros(len(tops))
-    for s, top in enumerate(tops):
-        lines = slice(top, min(top + length, n))
-        centre[s] = 0.5 * (lines.start + lines.stop - 1)
-        found = matched_points(overlap, geometry, settings, lines, settings.enhance)
-        offset[s], inside = consensus(found.moved_px)
-        points[s] = inside.sum()
-        if points[s] >= _LEAST_POINTS:
-            sd[s] = found.moved_px[inside].std(axis=0) / points[s] ** 0.5
-            centre[s] = found.left_px[inside, 1].mean() - 0.5
+def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) -> PairOffsets:
+    moved = np.concatenate([np.zeros((0, 2)), *(part.moved_px for _, _, part in parts)])
+    shift, inside = consensus(moved)
+    label = np.full(lines, UNRELIABLE, dtype=np.uint8)
+    sd = np.full(2, NOTHING_SD_PX)
+    if inside.sum() >= _LEAST_POINTS:
+        sd = np.maximum(1.4826 * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
+        for first, stop, part in parts:
+            agree = (np.abs(part.moved_px - shift) <= _AGREE_PX).all(axis=1)
+            most = len(part) >= _LEAST_POINTS and 2 * agree.sum() > len(part)
+            label[first:stop] = MEASURED if most else BRIDGED
+    dcol, dline, sd_col, sd_line = (np.full(lines, value) for value in (*shift, *sd))
+    return PairOffsets(pair, dcol, dline, sd_col, sd_line, label)
+
+
+def segments(strips: Strips, settings: Settings, progress: Progress) -> tuple[Segments, ...]:
+    """Offsets segment by segment, for each of `strips.pairs`; with `settings.enhance` or without.
+
+    A segment is abnormal that leaves the line between its neighbours kept by more than 2 px: the platform
+    doesn't move so fast (Cheng et al. 2018, section 3). The worst goes first, the others are then seen anew.
+    """
+    rows: dict[int, list[tuple[float, ...]]] = {pair: [] for pair in strips.pairs}
+    for done, (pair, first, stop, total) in enumerate(pieces(strips, settings.segment_lines)):
+        overlap = strips.overlap(pair, first, stop)
+        found = matched_points(overlap, strips.geometry, settings, settings.enhance)
+        offset, inside = consensus(found.moved_px)
+        points, sd, centre = int(inside.sum()), np.full(2, NOTHING_SD_PX), 0.5 * (first + stop - 1)
+        if points >= _LEAST_POINTS:
+            sd = found.moved_px[inside].std(axis=0, ddof=1) / points**0.5
+            centre = float(found.left_px[inside, 1].mean()) - 0.5
+        rows[pair].append((first, stop, centre, *offset, *sd, points))
+        progress(done + 1, total)
+    return tuple(_segments(pair, np.array(part).reshape(-1, 8)) for pair, part in rows.items())
+
+
+def _segments(pair: int, rows: Floats) -> Segments:
+    first, stop, points = (rows[:, i].astype(np.intp) for i in (0, 1, 7))
+    centre, offset, sd = rows[:, 2], rows[:, 3:5], rows[:, 5:7]
     kept = points >= _LEAST_POINTS
-    near = np.array([_middle(offset, kept, s) for s in range(len(tops))])
-    kept &= np.abs(offset - near).max(axis=1) <= _ABNORMAL_PX
-    return Segments(centre, offset, sd, points, kept)
+    while kept.sum() >= 3:
+        index = np.flatnonzero(kept)
+        away = np.abs(departures(centre[index], offset[index])).max(axis=1)
+        if away.max() <= _ABNORMAL_PX:
+            break
+        kept[index[int(away.argmax())]] = False
+    return Segments(pair, first, stop, centre, offset, sd, points, kept)
 
 
-def piecewise_linear(
-    overlaps: Sequence[Overlap], geometry: StripGeometry, settings: Settings
-) -> tuple[PairOffsets, ...]:
-    """Offsets linear between the centres of the segments kept: the new chain."""
-    out = []
-    for overlap in overlaps:
-        n = len(overlap.left)
-        found = segments(overlap, geometry, settings)
-        if not found.kept.any():
-            none = np.full(n, UNRELIABLE)
-            out.append(_offsets(overlap, geometry, np.zeros((2, n)), np.full((2, n), _NOTHING_SD_PX), none))
-            continue
-        t = np.arange(n, dtype=np.float64)
-        at = found.centre_line[found.kept]
-        curve, sd = (
-            np.stack([np.interp(t, at, values[found.kept, axis]) for axis in (0, 1)])
-            for values in (found.offset_px, found.sd_px)
-        )
-        own = found.kept[np.minimum((t // settings.segment_lines).astype(np.intp), len(found.kept) - 1)]
-        out.append(_offsets(overlap, geometry, curve, sd, np.where(own, MEASURED, BRIDGED)))
-    return tuple(out)
+def departures(at: Floats, values: Floats) -> Floats:
+    """How far each value (n, 2) is from the straight line between its neighbours; at an end, from its one."""
+    before, after = np.r_[1, 0 : len(at) - 1], np.r_[1 : len(at), len(at) - 2]
+    apart = at[after] - at[before]
+    share = np.where(apart == 0.0, 0.0, (at - at[before]) / np.where(apart == 0.0, 1.0, apart))[:, None]
+    return np.asarray(values - (values[before] * (1.0 - share) + values[after] * share))
 
 
-def _middle(offset_px: Floats, kept: Flags, s: int) -> Floats:
-    """Median offset of the segments about one, itself included."""
-    near = slice(max(0, s - 3), s + 4)
-    some = offset_px[near][kept[near]]
-    return np.median(some, axis=0) if len(some) else offset_px[s]
+def piecewise_linear(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+    """Offsets linear between the centres of the segments kept: the new chain.
+
+    The standard deviation has the points' own part and what the segments' departures from their neighbours
+    tell of the way in between; it grows with the distance to the next segment kept.
+    """
+    return tuple(_polyline(strips.lines(found.pair), found) for found in segments(strips, settings, progress))
 
 
-def _offsets(
-    overlap: Overlap,
-    geometry: StripGeometry,
-    curve: Floats,
-    sd: Floats,
-    label: np.ndarray[tuple[int], np.dtype[np.intp]],
-) -> PairOffsets:
-    whole = overlap.side * geometry.row_separation_lines
-    seen = overlap.valid.any(axis=1)
-    return PairOffsets(
-        overlap.pair,
-        curve[0],
-        curve[1] + round(whole) - whole,
-        sd[0],
-        sd[1],
-        np.where(seen, label, UNRELIABLE).astype(np.uint8),
-    )
+def _polyline(lines: int, found: Segments) -> PairOffsets:
+    label = np.full(lines, UNRELIABLE, dtype=np.uint8)
+    if not found.kept.any():
+        zero, far = np.zeros(lines), np.full(lines, NOTHING_SD_PX)
+        return PairOffsets(found.pair, zero, zero.copy(), far, far.copy(), label)
+    t = np.arange(lines, dtype=np.float64)
+    at, offset, own_sd = (a[found.kept] for a in (found.centre_line, found.offset_px, found.sd_px))
+    curve = [np.interp(t, at, offset[:, axis]) for axis in (0, 1)]
+    sd = [
+        bridging_sd(t, at, offset[:, axis], np.interp(t, at, own_sd[:, axis]), found.stop[0] - found.first[0])
+        for axis in (0, 1)
+    ]
+    for first, stop, kept in zip(found.first, found.stop, found.kept, strict=True):
+        label[first:stop] = MEASURED if kept else BRIDGED
+    return PairOffsets(found.pair, curve[0], curve[1], sd[0], sd[1], label)
+
+
+def bridging_sd(t: Floats, at: Floats, values: Floats, own_sd: Floats, reach: float) -> Floats:
+    """Standard deviation at t of a polyline through values (k,) at `at`, whose own are own_sd (at t).
+
+    Two parts are told by how far values are from their neighbours: from a cubic through four of them, their
+    noise; from the line between two, beyond that noise, the bend of the curve, which between values leaves
+    about a fifth of it. Beyond `reach` lines of any value the curve may have gone at its usual rate, at most
+    as far as its whole spread.
+    """
+    if len(at) < 5:
+        return np.asarray(np.hypot(own_sd, 1.0 + np.abs(t - at.mean()) / max(reach, 1.0)))
+    four = values[2:-2] - (4.0 * (values[1:-3] + values[3:-1]) - values[:-4] - values[4:]) / 6.0
+    noise = float((four**2).mean()) / (1.0 + 34.0 / 36.0)
+    two = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    bend = max(float((two**2).mean()) - 1.5 * noise, 0.0) * 0.2**2
+    rate = float(np.sqrt((np.diff(values) ** 2).mean() / (np.diff(at) ** 2).mean()))
+    after = np.clip(np.searchsorted(at, t), 1, len(at) - 1)
+    away = np.maximum(np.minimum(np.abs(t - at[after - 1]), np.abs(at[after] - t)) - reach, 0.0)
+    return np.asarray(np.sqrt(own_sd**2 + noise + bend + np.minimum(rate * away, np.ptp(values)) ** 2))
