@@ -1,0 +1,113 @@
+"""The RPC of a stitched scene, fitted to what its pixels look at by the rigorous model, or the given one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.camera.pushbroom import Pushbroom
+from geomosaic.camera.rpc import Rpc, fit_rpc
+from geomosaic.ccd.layout import SceneLayout
+from geomosaic.ccd.line_poses import LinePoses
+from geomosaic.ccd.model import Floats
+from geomosaic.ccd.object_space import ObjectSpace
+from geomosaic.ccd.virtual_layout import ideal_camera
+from geomosaic.errors import InputError
+from geomosaic.survey.strip_companions import read_rpc
+from geomosaic.survey.strips import StripGeometry
+
+_ROWS = 65
+_COLS_OF_A_CCD = 5
+_HEIGHTS = 5
+_SPAN_M = 500.0
+_STEP_LINES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class SceneRpc:
+    """An RPC of the raster, whose origin is the raster's own, and what it leaves of the pixels' places.
+
+    rms_px, worst_px: of the residuals' lengths where it was fitted; None for an RPC that was given.
+    """
+
+    rpc: Rpc
+    rms_px: float | None = None
+    worst_px: float | None = None
+
+
+def scene_rpc(geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace | None) -> SceneRpc | None:
+    """The RPC of a raster of this layout; None where there is neither a model nor an RPC.
+
+    With a model: what pixels of every strip see on the ground, at their places in the raster. Where higher or
+    lower ground would lie follows the ideal line's rays, since neighbouring strips see height the opposite
+    way; 500 m more than the ground's own span. What a cubic can't follow, such as the jitter that is left in
+    a raster of image-space layout, the RPC doesn't follow, and its residuals tell. Without a model: the given
+    RPC, which is of scene lines from 0.
+    Raises: `InputError` if the model sees too little of the raster.
+    """
+    if space is None:
+        if geometry.rpc is None:
+            return None
+        given = read_rpc(geometry.rpc)
+        moved = given.offset - np.array([layout.first_line, 0.0, 0.0, 0.0, 0.0])
+        return SceneRpc(replace(given, offset=moved))
+    camera = ideal_camera(geometry, space.model)
+    seen = list(_seen(geometry, layout, space))
+    if not seen:
+        raise InputError(
+            "no strip has a line in the scene", file=geometry.model, mend="check the model's times"
+        )
+    raster, ground = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    line = raster[:, 1] + layout.first_line
+    poses = LinePoses(camera, line.min() - _STEP_LINES, line.max() + _STEP_LINES, _STEP_LINES)
+    ideal = np.stack(poses.image(0, ground, line), axis=-1)
+    low, high = space.span_m
+    heights = np.linspace(low - _SPAN_M, high + _SPAN_M, _HEIGHTS)
+    places = _lonlath(camera, ideal, heights)
+    wanted = np.tile(raster, (_HEIGHTS, 1))
+    rpc, _ = fit_rpc(places, np.tile(ideal + _cubic(ideal, raster - ideal), (_HEIGHTS, 1)))
+    away = np.linalg.norm(rpc.image_from_ground(places) - wanted, axis=1)
+    return SceneRpc(rpc, float(np.sqrt((away**2).mean())), float(away.max()))
+
+
+def _lonlath(camera: Pushbroom, ideal: Floats, heights: Floats) -> Floats:
+    found = [camera.ground_from_image(0, ideal[:, 0], ideal[:, 1], height) for height in heights]
+    return np.concatenate(found)
+
+
+def _cubic(at: Floats, value: Floats) -> Floats:
+    """The cubics of cols and lines (n, 2) nearest to values (n, 2), at these places.
+
+    They take jitter off: an RPC fitted to it would have poles in its denominators.
+    """
+    middle, half = at.mean(axis=0), np.maximum(np.ptp(at, axis=0) / 2.0, 1.0)
+    x, y = ((at - middle) / half).T
+    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+    return np.asarray(terms @ np.linalg.lstsq(terms, value, rcond=None)[0])
+
+
+def _seen(
+    geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace
+) -> Iterator[tuple[Floats, Floats]]:
+    """Raster cols and rows (n, 2), and what the strips' pixels there see (n, 3), Earth-fixed."""
+    rows = np.unique(np.linspace(0, layout.height_px - 1, _ROWS).round().astype(int))
+    seams = layout.seams_px
+    for k, lines in enumerate(geometry.lines):
+        if not lines:
+            continue
+        first, last = layout.cols(k)
+        if k and geometry.lines[k - 1]:
+            first = max(first, int(np.ceil(seams[k - 1])))
+        if k < len(seams) and geometry.lines[k + 1]:
+            last = min(last, int(np.floor(seams[k])))
+        x = np.linspace(first, last, _COLS_OF_A_CCD)
+        for row in rows:
+            places = layout.places(k, int(row), int(row) + 1)
+            col, line = (np.interp(x, places.knots_px, image[0]) for image in places.image_px)
+            there = (line >= 0.0) & (line <= lines)
+            if there.any():
+                poses = LinePoses(space.model, line.min() - 1.0, line.max() + 1.0)
+                at = np.stack([x, np.full(x.size, row + 0.5)], axis=-1)
+                yield at[there], space.ground(poses, k, col[there], line[there])
