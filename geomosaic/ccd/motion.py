@@ -16,8 +16,10 @@ from scipy.sparse import bsr_matrix
 from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
 from geomosaic.ccd.model import Flags, Floats
 
-_OWN_PX = 20.0
-_MOTION_PX = 50.0
+# How far the curves go from their level, and over how many knots they forget where they were.
+_OWN_PX = 2.0
+_MOTION_PX = 10.0
+_FREE_KNOTS = 60
 _MOTION_ORDER = 12
 _OWN_ORDER, _OWN_STRIDE = 3, 4
 _MOST_RADIUS = 0.9995
@@ -90,7 +92,7 @@ def smooth(
         diagonal[:, mine, mine] = diagonal[:, :2, mine] = diagonal[:, mine, :2] = information[p]
         right[:, mine] = pulled[p]
     spread = np.array([_MOTION_PX] * 2 + [_OWN_PX] * (2 * k))
-    diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / n
+    diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
     bands = _bands(habits, n, k)
     factor = BlockTridiagonal(_matrix(diagonal, bands))
     x = factor.solve(right.reshape(-1, 1)).reshape(n, k + 1, 2)
@@ -183,12 +185,12 @@ def _bands(habits: Habits, knots: int, pairs: int) -> list[Floats]:
     out = [np.zeros((max(knots - d, 0), len(each))) for d in range(reach + 1)]
     for column, curves in enumerate(each):
         for curve in curves:
-            taps = np.concatenate([-curve.weights[::-1], [1.0]]) / (curve.sd_px * curve.stride**0.5)
+            forth = np.concatenate([-curve.weights[::-1], [1.0]]) / (curve.sd_px * (2.0 * curve.stride) ** 0.5)
             order, step = len(curve.weights), curve.stride
-            rows = knots - order * step
-            for i in range(order + 1):
-                for j in range(i, order + 1):
-                    if rows > 0:
+            rows = max(knots - order * step, 0)
+            for taps in (forth, forth[::-1]):
+                for i in range(order + 1):
+                    for j in range(i, order + 1):
                         out[(j - i) * step][i * step : i * step + rows, column] += taps[i] * taps[j]
     return out
 
