@@ -88,6 +88,32 @@ class StageRecorder:
             "tie_points", left=left, right=right, left_px=left_px, right_px=right_px, residual_m=residual_m
         )
 
+    def strip_offsets(
+        self,
+        pair: int,
+        left: str,
+        right: str,
+        line: NDArray[Any],
+        dcol_px: NDArray[Any],
+        dline_px: NDArray[Any],
+        sd_col_px: NDArray[Any],
+        sd_line_px: NDArray[Any],
+        label: NDArray[Any],
+    ) -> None:
+        """Offsets of a pair of strips at some of the left strip's lines, (n,) each."""
+        self._call(
+            "strip_offsets",
+            pair=pair,
+            left=left,
+            right=right,
+            line=line,
+            dcol_px=dcol_px,
+            dline_px=dline_px,
+            sd_col_px=sd_col_px,
+            sd_line_px=sd_line_px,
+            label=label,
+        )
+
     def camera(self, name: str, camera: Camera) -> None:
         """An interior orientation."""
         self._call("camera", name=name, camera=camera)

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.recording.model import Recording, StageRecord
+from geomosaic.recording.model import Recording, StageRecord, StripCurve
 
 
 def compare(a: Recording, b: Recording) -> dict[str, Any]:
     """What `geomosaic diff --json` prints: only what differs, values as [of a, of b].
 
     `equal` says whether the runs did the same and came to the same: the recipe, the inputs, the stages
-    with their versions, parameters and fingerprints, the moves of the frames, the warnings, and how
-    far each got. Durations, what came from the cache, the outputs of stages that tell of the run itself
+    with their versions, parameters and fingerprints, the moves of the frames, the strips' offsets, the
+    warnings, and how far each got. Durations, what came from the cache, the outputs of stages that tell of the run itself
     (the report), and the environment don't count; the environment's differences are listed.
     `first_stage` names the first stage that differs.
     """
@@ -33,6 +33,7 @@ def compare(a: Recording, b: Recording) -> dict[str, Any]:
         "first_stage": stages[0]["stage"] if stages else None,
         "stages": stages,
         "offsets": _offsets(a, b),
+        "strips": _strips(a, b),
         "warnings": _warnings(a, b),
     }
     equal = not any(out.values())
@@ -110,6 +111,42 @@ def _moves_m(recording: Recording) -> dict[str, tuple[int, dict[str, NDArray[np.
             sums[frame] = sums.get(frame, np.zeros(2)) + move
         out[offsets.stage] = count + 1, sums
     return out
+
+
+def _strips(a: Recording, b: Recording) -> list[dict[str, Any]]:
+    """For each pair of strips whose offsets differ: by how much, at the lines that both recorded."""
+    curves_a, curves_b = _curves(a), _curves(b)
+    out: list[dict[str, Any]] = []
+    for stage, pair in dict.fromkeys([*curves_a, *curves_b]):
+        of_a, of_b = curves_a.get((stage, pair)), curves_b.get((stage, pair))
+        if of_a is None or of_b is None:
+            out.append({"stage": stage, "pair": pair, "only_in": "b" if of_a is None else "a"})
+            continue
+        _, at_a, at_b = np.intersect1d(of_a.line, of_b.line, return_indices=True)
+        equal = len(at_a) == len(of_a.line) == len(of_b.line) and all(
+            np.array_equal(getattr(of_a, name), getattr(of_b, name), equal_nan=True)
+            for name in ("offset_px", "sd_px", "label")
+        )
+        if not equal:
+            length = np.hypot(*(of_b.offset_px[at_b] - of_a.offset_px[at_a]).T)
+            length = length[np.isfinite(length)]
+            relabelled = of_b.label[at_b] != of_a.label[at_a]
+            out.append(
+                {
+                    "stage": stage,
+                    "pair": pair,
+                    "lines": [len(of_a.line), len(of_b.line)],
+                    "largest_px": float(length.max()) if length.size else None,
+                    "rms_px": float(np.sqrt((length**2).mean())) if length.size else None,
+                    "share_relabelled": float(relabelled.mean()) if relabelled.size else None,
+                }
+            )
+    return out
+
+
+def _curves(recording: Recording) -> dict[tuple[str, int], StripCurve]:
+    ids = {stage.index: stage.stage_id for stage in recording.stages}
+    return {(ids.get(c.stage_index, ""), c.pair): c for c in recording.strips}
 
 
 def _warnings(a: Recording, b: Recording) -> list[dict[str, str]]:

@@ -71,6 +71,23 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "repeated float residual_north_m",
         "uint32 stage_index",
     ),
+    # Offsets of one pair of CCD strips, right against left, at some of the left strip's lines; `sd` is one
+    # standard deviation, label 0 measured, 1 bridged, 2 unreliable. `pair` counts from 0.
+    "StripOffsets": (
+        "uint32 pair",
+        "string left",
+        "string right",
+        "repeated uint32 line",
+        "repeated float dcol_px",
+        "repeated float dline_px",
+        "repeated float sd_col_px",
+        "repeated float sd_line_px",
+        "repeated uint32 label",
+        "double share_measured",
+        "double share_bridged",
+        "double share_unreliable",
+        "uint32 stage_index",
+    ),
     # One part of an encoded artefact; the parts' data joined in order has `total_bytes` bytes.
     "Artefact": (
         "string stage_id",
@@ -122,4 +139,5 @@ _classes = _build()
 StageEvent = _classes["StageEvent"]
 PairOffsets = _classes["PairOffsets"]
 TiePoints = _classes["TiePoints"]
+StripOffsets = _classes["StripOffsets"]
 Artefact = _classes["Artefact"]

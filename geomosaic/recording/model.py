@@ -62,6 +62,23 @@ class RoundOffsets:
     moves_m: Floats
 
 
+@dataclass(frozen=True)
+class StripCurve:
+    """Offsets of one pair of strips at some lines (n,), see `Recorder.strip_offsets`.
+
+    offset_px, sd_px: (n, 2) dcol and dline. label: (n,) 0 measured, 1 bridged, 2 unreliable.
+    """
+
+    stage_index: int
+    pair: int
+    left: str
+    right: str
+    line: NDArray[np.int64]
+    offset_px: Floats
+    sd_px: Floats
+    label: NDArray[np.int64]
+
+
 @dataclass
 class ArtefactEntry:
     """An artefact in the recording, not loaded.
@@ -108,6 +125,7 @@ class Recording:
     stages: list[StageRecord] = field(default_factory=list)
     log: list[LogLine] = field(default_factory=list)
     rounds: list[RoundOffsets] = field(default_factory=list)
+    strips: list[StripCurve] = field(default_factory=list)
     artefacts: list[ArtefactEntry] = field(default_factory=list)
     topics: dict[str, Topic] = field(default_factory=dict)
 

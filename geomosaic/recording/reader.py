@@ -13,13 +13,21 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
 
 from geomosaic.errors import FileError
 from geomosaic.recording.mcapfile import BROKEN, MEND, Item, items, opened, stream, unpacked
-from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent
-from geomosaic.recording.model import ArtefactEntry, LogLine, Recording, RoundOffsets, StageRecord, Topic
+from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, StripOffsets
+from geomosaic.recording.model import (
+    ArtefactEntry,
+    LogLine,
+    Recording,
+    RoundOffsets,
+    StageRecord,
+    StripCurve,
+    Topic,
+)
 from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, RECIPE
 
 MAX_KEPT_BYTES = 512 * 2**20
 MAX_ARTEFACT_BYTES = 4 * 2**30
-_KEPT_WHOLE = ("geomosaic.StageEvent", "geomosaic.PairOffsets", "foxglove.Log")
+_KEPT_WHOLE = ("geomosaic.StageEvent", "geomosaic.PairOffsets", "geomosaic.StripOffsets", "foxglove.Log")
 _KEPT = (*_KEPT_WHOLE, "geomosaic.Artefact")
 
 
@@ -138,6 +146,8 @@ def _take(recording: Recording, item: Item) -> None:
             _take_stage(recording.stages, StageEvent.FromString(record.data))
         case "geomosaic.PairOffsets":
             recording.rounds.append(_round(PairOffsets.FromString(record.data)))
+        case "geomosaic.StripOffsets":
+            recording.strips.append(_curve(StripOffsets.FromString(record.data)))
         case "geomosaic.Artefact":
             _take_part(recording.artefacts, Artefact.FromString(record.data), item.offset, record.log_time)
         case "foxglove.Log":
@@ -189,6 +199,15 @@ def _round(message: Any) -> RoundOffsets:
     return RoundOffsets(
         message.stage, message.stage_index, message.round, pairs, misalignments, tuple(message.frame), moves
     )
+
+
+def _curve(message: Any) -> StripCurve:
+    line, label = (np.array(v, dtype=np.int64) for v in (message.line, message.label))
+    offset = np.array([message.dcol_px, message.dline_px], dtype=np.float64).T
+    sd = np.array([message.sd_col_px, message.sd_line_px], dtype=np.float64).T
+    if not len(line) == len(label) == len(offset) == len(sd):
+        raise ValueError("offsets of unequal lengths")
+    return StripCurve(message.stage_index, message.pair, message.left, message.right, line, offset, sd, label)
 
 
 def _take_part(artefacts: list[ArtefactEntry], message: Any, offset: int, log_time: int) -> None:

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.recording.model import Recording, RoundOffsets
+from geomosaic.recording.model import Recording, RoundOffsets, StripCurve
 
 
 def summary(recording: Recording) -> dict[str, Any]:
     """What `geomosaic inspect --json` prints.
 
-    Keys: path, whole, problem, recipe, environment, manifest, stages, rounds, warnings, artefacts, topics.
+    Keys: path, whole, problem, recipe, environment, manifest, stages, rounds, strips, warnings, artefacts,
+    topics.
     """
     ids = {stage.index: stage.stage_id for stage in recording.stages}
     return {
@@ -49,6 +50,7 @@ def summary(recording: Recording) -> dict[str, Any]:
             }
             for offsets in recording.rounds
         ],
+        "strips": [{"stage": ids.get(c.stage_index, ""), **_curve(c)} for c in recording.strips],
         "warnings": [
             {"level": w.level, "stage": w.stage, "frame": w.frame, "text": w.text} for w in recording.warnings
         ],
@@ -66,6 +68,24 @@ def summary(recording: Recording) -> dict[str, Any]:
         "topics": [
             {"topic": t.name, "schema": t.schema, "messages": t.messages} for t in recording.topics.values()
         ],
+    }
+
+
+def _curve(curve: StripCurve) -> dict[str, Any]:
+    share = [float((curve.label == k).mean()) if curve.label.size else None for k in range(3)]
+    known = curve.offset_px[np.isfinite(curve.offset_px).all(axis=1)]
+    sd = curve.sd_px[np.isfinite(curve.sd_px)]
+    return {
+        "pair": curve.pair,
+        "left": curve.left,
+        "right": curve.right,
+        "lines": len(curve.line),
+        "dcol_px": [float(known[:, 0].min()), float(known[:, 0].max())] if len(known) else None,
+        "dline_px": [float(known[:, 1].min()), float(known[:, 1].max())] if len(known) else None,
+        "largest_sd_px": float(sd.max()) if sd.size else None,
+        "share_measured": share[0],
+        "share_bridged": share[1],
+        "share_unreliable": share[2],
     }
 
 

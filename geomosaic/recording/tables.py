@@ -58,6 +58,14 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
                 worst,
             )
         console.print(table)
+    if short["strips"]:
+        columns = ("pair", "left", "right", "dcol, px", "dline, px", "largest sd, px")
+        table = _table("strips", *columns, "measured", "bridged", "unreliable")
+        for c in short["strips"]:
+            shares = (_share(c[f"share_{label}"]) for label in ("measured", "bridged", "unreliable"))
+            ranges = (_range(c["dcol_px"]), _range(c["dline_px"]))
+            _row(table, c["pair"], c["left"], c["right"], *ranges, _metres(c["largest_sd_px"]), *shares)
+        console.print(table)
     for warning in short["warnings"]:
         about = f"{warning['frame']}: " if warning["frame"] else ""
         _line(console, f"{warning['level']}: {about}{warning['text']}")
@@ -111,6 +119,15 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
                 )
         if len(farthest) > 10:
             _row(table, offsets["stage"], f"and {len(farthest) - 10} more frames", "", "")
+    for curve in difference["strips"]:
+        what = f"offsets of pair {curve['pair']}"
+        if "only_in" in curve:
+            there = ("there", "") if curve["only_in"] == "a" else ("", "there")
+            _row(table, curve["stage"], what, *there)
+        else:
+            told = f"up to {_metres(curve['largest_px'])} px from a's, {_metres(curve['rms_px'])} px RMS"
+            labels = f", {_share(curve['share_relabelled'])} of the lines labelled otherwise"
+            _row(table, curve["stage"], what, "", told + labels)
     for warning in difference["warnings"]:
         text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
         _row(
@@ -161,6 +178,14 @@ def _short(value: Any) -> str:
 
 def _metres(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3f}"
+
+
+def _share(value: float | None) -> str:
+    return "unknown" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _range(ends: list[float] | None) -> str:
+    return "unknown" if ends is None else f"{ends[0]:+.2f} to {ends[1]:+.2f}"
 
 
 def _bytes(count: int | None) -> str:

@@ -29,6 +29,7 @@ from geomosaic.recording.mcapfile import BROKEN, items, opened
 from geomosaic.recording.messages import StageEvent
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import messages
+from geomosaic.recording.strip_view import LINE, log_strips, strip_views
 
 STEP = "step"
 _LOG_TIME = "message_log_time"
@@ -41,7 +42,8 @@ def write_rrd(recording: Recording, path: Path) -> None:
     """The recording as Rerun's own file with the project's layout; the artefacts are left out.
 
     Every stream lies on the timeline `step`, the count of messages, besides the log time. Places are
-    shown as one map per stage, GeoJSON as lines, and the offsets of each round as plots.
+    shown as one map per stage, GeoJSON as lines, and the offsets of each round as plots. Offsets of strips
+    lie on the timeline `line`; where there are such, all else is at its line 0.
     Raises OutputError where it can't be written, FileError if Rerun can't read the recording.
     """
     import rerun
@@ -65,9 +67,14 @@ def write_rrd(recording: Recording, path: Path) -> None:
             names = ["largest misalignment, m", "rms misalignment, m", "largest move, m"]
             lines = rerun.SeriesLines(names=names, colors=_PLOT_COLOURS, widths=[2.0])
             stream.log(f"/plots{topic}", lines, static=True)
-        on_steps = chunks.flat_map(lambda chunk: _on_steps(chunk, log_times_ns, steps))
+        if recording.strips:
+            stream.set_time(LINE, sequence=0)
+        on_steps = chunks.flat_map(
+            lambda chunk: _on_steps(chunk, log_times_ns, steps, at_line_0=bool(recording.strips))
+        )
         rerun.send_chunks(on_steps, recording=stream)
         _log_maps(recording, stream)
+        log_strips(recording, stream)
         stream.flush()
         stream.disconnect()
         temporary.replace(path)
@@ -78,7 +85,7 @@ def write_rrd(recording: Recording, path: Path) -> None:
 
 
 def layout(recording: Recording) -> Any:
-    """The blueprint: the map; the pictures; the offsets of each round; the log."""
+    """The blueprint: the map or the strips' offsets; the pictures; the offsets of each round; the log."""
     import rerun.blueprint as rrb
 
     pictures = [
@@ -90,13 +97,14 @@ def layout(recording: Recording) -> Any:
     ]
     right: list[Any] = [rrb.Grid(*pictures)] if pictures else []
     right += [rrb.Tabs(*plots)] if plots else []
+    place = rrb.MapView(origin="/map", name="map", zoom=_zoom(recording))
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.MapView(origin="/map", name="map", zoom=_zoom(recording)),
+            rrb.Grid(*strip_views(recording), grid_columns=2) if recording.strips else place,
             rrb.Vertical(*right, rrb.TextLogView(origin="/log", name="log")),
             column_shares=[3, 2],
         ),
-        rrb.TimePanel(timeline=STEP, state="collapsed"),
+        rrb.TimePanel(timeline=LINE if recording.strips else STEP, state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
@@ -194,8 +202,10 @@ def _timeline(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64
     return table[:, 0], table[:, 1]
 
 
-def _on_steps(chunk: Any, log_times_ns: NDArray[np.int64], steps: NDArray[np.int64]) -> list[Any]:
-    """The chunk with the timeline `step` beside its own."""
+def _on_steps(
+    chunk: Any, log_times_ns: NDArray[np.int64], steps: NDArray[np.int64], at_line_0: bool
+) -> list[Any]:
+    """The chunk with the timeline `step` beside its own; `at_line_0`: with the timeline `line`, too."""
     import pyarrow  # type: ignore[import-untyped]
     from rerun.chunk import Chunk
 
@@ -204,9 +214,12 @@ def _on_steps(chunk: Any, log_times_ns: NDArray[np.int64], steps: NDArray[np.int
     batch = chunk.to_record_batch()
     times = batch.column(_LOG_TIME).cast(pyarrow.int64()).to_numpy()
     at = np.clip(np.searchsorted(log_times_ns, times), 0, len(steps) - 1)
-    kind = {"rerun:kind": "index", "rerun:index_name": STEP}
-    column = pyarrow.field(STEP, pyarrow.int64(), nullable=False, metadata=kind)
-    return list(Chunk.from_record_batch(batch.add_column(1, column, pyarrow.array(steps[at]))))
+    timelines = {STEP: steps[at]} | ({LINE: np.zeros_like(at)} if at_line_0 else {})
+    for name, values in timelines.items():
+        kind = {"rerun:kind": "index", "rerun:index_name": name}
+        column = pyarrow.field(name, pyarrow.int64(), nullable=False, metadata=kind)
+        batch = batch.add_column(1, column, pyarrow.array(values))
+    return list(Chunk.from_record_batch(batch))
 
 
 def _log_maps(recording: Recording, stream: Any) -> None:

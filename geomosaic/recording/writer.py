@@ -26,7 +26,7 @@ from geomosaic import __version__
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.recording.messagefile import MessageFile
-from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, TiePoints
+from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, StripOffsets, TiePoints
 
 PROFILE = "geomosaic"
 FORMAT = "1"
@@ -40,7 +40,16 @@ COLOURS = {
 }
 _CLASSES: dict[str, Any] = {
     kind.DESCRIPTOR.full_name: kind
-    for kind in (CameraCalibration, CompressedImage, GeoJSON, LocationFix, Log, PairOffsets, TiePoints)
+    for kind in (
+        CameraCalibration,
+        CompressedImage,
+        GeoJSON,
+        LocationFix,
+        Log,
+        PairOffsets,
+        StripOffsets,
+        TiePoints,
+    )
 }
 _OTHER_COLOUR = (0.60, 0.60, 0.60, 1.0)
 
@@ -243,6 +252,41 @@ class Recorder:
             stage_index=max(self._stage_index, 0),
         )
         self._file.write("/tie_points", message)
+
+    def strip_offsets(
+        self,
+        pair: int,
+        left: str,
+        right: str,
+        line: ArrayLike,
+        dcol_px: ArrayLike,
+        dline_px: ArrayLike,
+        sd_col_px: ArrayLike,
+        sd_line_px: ArrayLike,
+        label: ArrayLike,
+    ) -> None:
+        """Offsets of a pair of strips at some lines, every eighth say; label 0 to 2 as in `ccd.model.LABELS`.
+
+        Recorded in single precision. Each pair has its own topic.
+        """
+        labels = np.asarray(label, dtype=np.uint32)
+        measured, bridged, unreliable = np.bincount(labels, minlength=3)[:3] / max(labels.size, 1)
+        message = StripOffsets(
+            pair=pair,
+            left=_text(left),
+            right=_text(right),
+            line=np.asarray(line, dtype=np.uint32),
+            dcol_px=np.asarray(dcol_px, dtype=np.float32),
+            dline_px=np.asarray(dline_px, dtype=np.float32),
+            sd_col_px=np.asarray(sd_col_px, dtype=np.float32),
+            sd_line_px=np.asarray(sd_line_px, dtype=np.float32),
+            label=labels,
+            share_measured=measured,
+            share_bridged=bridged,
+            share_unreliable=unreliable,
+            stage_index=max(self._stage_index, 0),
+        )
+        self._file.write(f"/strip_offsets/{pair}", message)
 
     def camera(self, name: str, camera: Camera) -> None:
         """A camera's interior orientation as OpenCV's model: pixel centres on whole numbers."""

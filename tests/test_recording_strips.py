@@ -1,0 +1,127 @@
+"""The strips' offsets in the recording: written, read by others, summed up, compared, replayed, drawn."""
+
+from __future__ import annotations
+
+from collections import Counter
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from rich.console import Console
+
+from geomosaic.pipeline.recorded import StageRecorder, record_again
+from geomosaic.recording import Recorder, compare, read_recording, summary
+from geomosaic.recording.reader import stage_messages
+from geomosaic.recording.tables import show_difference, show_summary
+
+LINE = np.arange(0, 4000, 8)
+DCOL = 0.5 + 0.25 * np.sin(LINE / 300.0)
+DLINE = -2.0 + LINE / 4000.0
+LABEL = np.where(LINE < 1000, 1, 0) + np.where(LINE >= 3600, 2, 0)
+
+
+def write(path: Path, pairs: tuple[int, ...] = (0, 2), more: float = 0.0, label: np.ndarray = LABEL) -> Path:
+    with Recorder(path, fixed_time=True) as recorder:
+        recorder.begin_run("name: strips\n", {"geomosaic": "0.1.0"}, {})
+        recorder.stage_started("ccd.offsets", 1, {"method": "joint"}, {})
+        for k in pairs:
+            sd = np.full(LINE.size, 0.05)
+            names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
+            recorder.strip_offsets(k, *names, LINE, DCOL + k, DLINE + more, sd, 2 * sd, label)
+        recorder.log("warning", "CCD 2 is dead", stage="ccd.offsets")
+        recorder.stage_finished("ccd.offsets", {}, None, False)
+    return path
+
+
+def shown(what: object, how: object) -> str:
+    out = StringIO()
+    how(what, Console(file=out, width=200))  # type: ignore[operator]
+    return out.getvalue()
+
+
+def test_mcaps_own_reader_finds_them(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mcap")
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        found = [(c.topic, s.name, m) for s, c, _, m in reader.iter_decoded_messages() if "strip" in c.topic]
+    assert [(topic, schema) for topic, schema, _ in found] == [
+        ("/strip_offsets/0", "geomosaic.StripOffsets"),
+        ("/strip_offsets/2", "geomosaic.StripOffsets"),
+    ]
+    message = found[1][2]
+    assert (message.pair, message.left, message.right) == (2, "ccd3.tif", "ccd4.tif")
+    assert list(message.line) == LINE.tolist() and list(message.label) == LABEL.tolist()
+    np.testing.assert_allclose(message.dcol_px, DCOL + 2, atol=1e-6)
+    np.testing.assert_allclose(message.dline_px, DLINE, atol=1e-6)
+    assert message.sd_line_px[7] == pytest.approx(0.1) and message.sd_col_px[7] == pytest.approx(0.05)
+    assert message.share_bridged == 0.25 and message.share_unreliable == pytest.approx(0.1)
+
+
+def test_the_summary_and_inspect(tmp_path: Path) -> None:
+    short = summary(read_recording(write(tmp_path / "run.mcap")))
+    first, second = short["strips"]
+    assert (first["stage"], first["pair"], second["pair"], first["lines"]) == ("ccd.offsets", 0, 2, 500)
+    assert second["dcol_px"] == pytest.approx([DCOL.min() + 2, DCOL.max() + 2])
+    assert first["dline_px"] == pytest.approx([-2.0, -1.002]) and first["largest_sd_px"] == pytest.approx(0.1)
+    assert first["share_measured"] == pytest.approx(0.65)
+    text = shown(short, show_summary)
+    for part in ("ccd3.tif", "-2.00 to -1.00", "65.0 %", "25.0 %", "/strip_offsets/2"):
+        assert part in text
+
+
+def test_equal_and_different_offsets(tmp_path: Path) -> None:
+    a = read_recording(write(tmp_path / "a.mcap"))
+    assert compare(a, read_recording(write(tmp_path / "b.mcap")))["equal"]
+    label = np.where(LINE < 2000, 1, LABEL)
+    found = compare(a, read_recording(write(tmp_path / "c.mcap", (0,), 0.125, label)))
+    assert not found["equal"]
+    changed, gone = found["strips"]
+    assert changed["stage"] == "ccd.offsets" and changed["pair"] == 0 and changed["lines"] == [500, 500]
+    assert changed["largest_px"] == pytest.approx(0.125) and changed["rms_px"] == pytest.approx(0.125)
+    assert changed["share_relabelled"] == pytest.approx(0.25)
+    assert gone == {"stage": "ccd.offsets", "pair": 2, "only_in": "a"}
+    text = shown(found, show_difference)
+    assert "up to 0.125 px" in text and "offsets of pair 2" in text and "25.0 %" in text
+
+
+def test_a_replay_tells_them_again(tmp_path: Path) -> None:
+    """From the recording, and from the spool of a stage taken from the cache."""
+    recording = read_recording(write(tmp_path / "a.mcap"))
+    stage = StageRecorder(None, tmp_path / "spool")
+    stage.strip_offsets(2, "l", "r", LINE, DCOL, DLINE, DCOL, DLINE, LABEL)
+    stage.close()
+    with Recorder(tmp_path / "b.mcap", fixed_time=True) as recorder:
+        recorder.begin_run("name: strips\n", {"geomosaic": "0.1.0"}, {})
+        recorder.stage_started("ccd.offsets", 1, {"method": "joint"}, {})
+        for topic, schema, data in stage_messages(recording, 0):
+            recorder.copy(topic, schema, data)
+        recorder.stage_finished("ccd.offsets", {}, None, False)
+        recorder.stage_started("spooled", 1, {}, {})
+        record_again(tmp_path / "spool", recorder)
+    again = read_recording(tmp_path / "b.mcap")
+    assert [c.pair for c in again.strips] == [0, 2, 2]
+    np.testing.assert_array_equal(again.strips[1].offset_px, recording.strips[1].offset_px)
+    np.testing.assert_allclose(again.strips[2].sd_px[:, 1], DLINE, atol=1e-6)
+    assert [s["pair"] for s in compare(recording, again)["strips"]] == [2]
+
+
+def test_the_view_draws_them_over_the_lines(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="Rerun isn't installed")
+    from rerun.chunk import RrdReader
+
+    from geomosaic.recording.view import write_rrd
+
+    path = tmp_path / "out.rrd"
+    write_rrd(read_recording(write(tmp_path / "run.mcap")), path)
+    rows: Counter[str] = Counter()
+    for chunk in RrdReader(path).stream():
+        if not chunk.is_static:
+            rows[chunk.entity_path] += chunk.num_rows
+            assert "line" in chunk.timeline_names
+    for pair in (0, 2):
+        for name in ("offsets", "interval", "not_measured"):
+            assert rows[f"/strips/{pair}/{name}"] == 500
+    assert rows["/log"] == 1
