@@ -11,6 +11,7 @@ from geomosaic.recording.model import Recording, StripCurve
 LINE: Final = "line"
 _INTERVAL_90 = 1.6449
 _COLOURS = {"dcol": (90, 170, 250), "dline": (130, 200, 90), "not measured": (235, 110, 60)}
+_MEANING = "px; blue dcol, green dline, orange not measured"
 _FAINT = [(60, 90, 125), (75, 105, 60)]
 
 
@@ -39,13 +40,22 @@ def log_strips(recording: Recording, stream: Any) -> None:
 
 
 def strip_views(recording: Recording) -> list[Any]:
-    """A plot for each pair."""
+    """A plot for each pair, over all its lines."""
+    import rerun
     import rerun.blueprint as rrb
 
-    return [
-        rrb.TimeSeriesView(origin=f"/strips/{c.pair}", name=f"pair {c.pair}: {c.left} - {c.right}")
-        for c in _last(recording)
-    ]
+    views = []
+    for c in _last(recording):
+        ends = (rerun.TimeRangeBoundary.absolute(seq=int(v)) for v in (c.line[0], c.line[-1]))
+        views.append(
+            rrb.TimeSeriesView(
+                origin=f"/strips/{c.pair}",
+                name=f"{c.left} - {c.right}: {_MEANING}",
+                axis_x=rrb.TimeAxis(view_range=rerun.TimeRange(*ends)),
+                plot_legend=rrb.PlotLegend(visible=False),
+            )
+        )
+    return views
 
 
 def _last(recording: Recording) -> list[StripCurve]:

@@ -59,8 +59,8 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
             )
         console.print(table)
     if short["strips"]:
-        columns = ("pair", "left", "right", "dcol, px", "dline, px", "largest sd, px")
-        table = _table("strips", *columns, "measured", "bridged", "unreliable")
+        ends = ("dcol, px", "dline, px", "largest sd, px")
+        table = _table("strips", "pair", "left", "right", *ends, "measured", "bridged", "unreliable")
         for c in short["strips"]:
             shares = (_share(c[f"share_{label}"]) for label in ("measured", "bridged", "unreliable"))
             ranges = (_range(c["dcol_px"]), _range(c["dline_px"]))

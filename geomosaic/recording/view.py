@@ -96,8 +96,10 @@ def layout(recording: Recording) -> Any:
         for topic in _topics(recording, "geomosaic.PairOffsets")
     ]
     right: list[Any] = [rrb.Grid(*pictures)] if pictures else []
-    right += [rrb.Tabs(*plots)] if plots else []
     place = rrb.MapView(origin="/map", name="map", zoom=_zoom(recording))
+    if recording.strips and _topics(recording, "foxglove.GeoJSON"):
+        right.append(place)
+    right += [rrb.Tabs(*plots)] if plots else []
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Grid(*strip_views(recording), grid_columns=2) if recording.strips else place,
