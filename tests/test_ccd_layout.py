@@ -143,7 +143,7 @@ def test_no_lines_in_common():
 
 @pytest.fixture(scope="module")
 def world():
-    plan = StripPlan(seed=5, lines=4200, targets=1500, drift_angle_deg=0.05, relief_m=0.0)
+    plan = StripPlan(seed=5, lines=4200, targets=1500, drift_angle_deg=0.05, relief_m=300.0)
     scene = Scene(plan)
     g = plan.geometry()
     truth = [scene.truth(k) for k in g.pairs]
@@ -177,5 +177,4 @@ def test_targets_seen_twice_land_on_one_place(world):
     twice = np.array([places for places in seen.values() if len(places) == 2])
     assert len(twice) > 60
     apart = twice[:, 1] - twice[:, 0]
-    assert np.sqrt((apart**2).mean()) < 0.02
-    assert np.abs(apart).max() < 0.06  # roll's and yaw's change across the overlap
+    assert np.abs(apart).max() < 0.02  # relief and yaw change a little across the overlap
