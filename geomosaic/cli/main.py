@@ -15,6 +15,7 @@ from geomosaic.cli.doctor import doctor
 from geomosaic.cli.mosaic import mosaic, name_methods, run
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
+from geomosaic.cli.strips import name_strip_methods, strips
 from geomosaic.errors import CancelledError, GeomosaicError
 from geomosaic.pipeline.executor import ALGEBRA_THREADS
 
@@ -53,7 +54,9 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
 
     if argv[:1] == ["mosaic"] and "--help" in argv:
         name_methods()
-    for command in (mosaic, run, stages, evaluate, doctor):
+    if argv[:1] == ["strips"] and "--help" in argv:
+        name_strip_methods()
+    for command in (mosaic, strips, run, stages, evaluate, doctor):
         app.command()(command)
     app.registered_commands += recordings.app.registered_commands
     for group, help in _GENERATED.items():

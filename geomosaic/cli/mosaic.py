@@ -34,6 +34,7 @@ RESULTS = {
     "mosaic": "mosaic.tif",
     "layers": "layers.gpkg",
     "positions": "positions.csv",
+    "offsets": "offsets.csv",
     "report": "report.html",
     "recording": "run.mcap",
 }
@@ -127,6 +128,10 @@ def run(
         Path | None,
         typer.Option(help="folder of frames: short for --set survey.read.frames=DIR", metavar="DIR"),
     ] = None,
+    strips: Annotated[
+        Path | None,
+        typer.Option(help="geometry of strips: short for --set survey.strips.geometry=F", metavar="F"),
+    ] = None,
     set: Sets = None,
     workers: Workers = None,
     dask: Dask = None,
@@ -139,7 +144,8 @@ def run(
     from geomosaic.pipeline.recipe import load_recipe
     from geomosaic.pipeline.registry import installed
 
-    overrides = [*([f"survey.read.frames={frames}"] if frames is not None else []), *(set or ())]
+    inputs = {"survey.read.frames": frames, "survey.strips.geometry": strips}
+    overrides = [*(f"{name}={path}" for name, path in inputs.items() if path is not None), *(set or ())]
     checked = load_recipe(recipe, installed(), overrides)
     if seed is not None:
         checked = replace(checked, seed=seed)

@@ -35,7 +35,7 @@ def write_cog(
 ) -> None:
     """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
 
-    The software and the ground pixel (`GSD_M`) stand in its metadata.
+    The software and the ground pixel (`GSD_M`) stand in its metadata, and an RPC where the raster has one.
     Raises: `InputError` if the compression can't hold these pixels; `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
@@ -60,15 +60,14 @@ def write_cog(
         ]
         if compression in LOSSY:
             options.append(f"QUALITY={quality}")
+        placed = source.GetGeoTransform(can_return_null=True)
+        gsd = [f"GSD_M={placed[1]:.10g}"] if placed is not None else []
         done = gdal.Translate(
             str(out),
             source,
             format="COG",
             creationOptions=options,
-            metadataOptions=[
-                f"TIFFTAG_SOFTWARE=geomosaic {__version__}",
-                f"GSD_M={source.GetGeoTransform()[1]:.10g}",
-            ],
+            metadataOptions=[f"TIFFTAG_SOFTWARE=geomosaic {__version__}", *gsd],
             callback=callback,
         )
         del done, band, source

@@ -1,4 +1,4 @@
-"""Artefacts as bytes: frozen dataclasses of plain values and numpy arrays to one file and back.
+"""Artefacts as bytes: frozen dataclasses of plain values, paths and numpy arrays to one file and back.
 
 An artefact is an uncompressed zip with a tree in JSON (`tree.json`) and one `.npy` member for each
 array. Equal artefacts give equal bytes, so a hash of the bytes names the artefact. Nothing in the file
@@ -16,6 +16,7 @@ import typing
 import zipfile
 from collections.abc import Iterable
 from hashlib import blake2b
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -69,6 +70,8 @@ def _tree(value: Any, members: list[bytes], where: str) -> Any:
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
         case complex():
             return {"complex": [repr(value.real), repr(value.imag)]}
+        case Path():
+            return {"path": str(value)}
         case bytes():
             members.append(value)
             return {"bytes": len(members) - 1}
@@ -158,6 +161,8 @@ def _value(tree: Any, file: zipfile.ZipFile, known: dict[str, type]) -> Any:
             return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[content]
         case "complex":
             return complex(float(content[0]), float(content[1]))
+        case "path":
+            return Path(str(content))
         case "bytes":
             return file.read(str(int(content)))
         case "array":

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.survey.strips import open_strip
 
 MOSAIC = "mosaic.tif"
+_THUMBNAIL_PX = 1024
 
 
 class ExportCog(Stage):
@@ -18,8 +23,8 @@ class ExportCog(Stage):
     id = "export.cog"
     display_name = "Write the mosaic as COG"
     group = "Export"
-    version = 1
-    inputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
+    version = 2
+    inputs: ClassVar[dict[str, type]] = {"raster_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
 
     class Params(StageParams):
@@ -45,4 +50,14 @@ class ExportCog(Stage):
                 threads=params.threads,
                 progress=lambda done, total: context.progress(done, total, MOSAIC),
             )
+        picture = thumbnail(_glance(context.run_folder / MOSAIC))
+        context.recorder.image("/images/mosaic", "mosaic", picture)
         return {"mosaic_file": context.run_file(MOSAIC)}
+
+
+def _glance(path: Path) -> Any:
+    """The mosaic at a fraction of its size, rows, cols, bands."""
+    with open_strip(path) as tiff:
+        reduction = max(1, max(tiff.width, tiff.height) // _THUMBNAIL_PX)
+        shape = (min(tiff.count, 3), -(-tiff.height // reduction), -(-tiff.width // reduction))
+        return np.moveaxis(tiff.read(list(range(1, shape[0] + 1)), out_shape=shape), 0, -1)

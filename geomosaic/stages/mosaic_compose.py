@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, ClassVar, Literal
-
-import numpy as np
-import rasterio
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.mosaic.compose import AUTO_FEATHER_PX, compose
@@ -21,12 +17,10 @@ from geomosaic.mosaic.window import RESAMPLING
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.model import Survey
 
 RASTER = "work/mosaic.compose/mosaic.tif"
 SOURCES = "sources.tif"
-_THUMBNAIL_PX = 1024
 
 
 class MosaicCompose(Stage):
@@ -35,7 +29,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -111,12 +105,3 @@ class MosaicCompose(Stage):
         context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
         context.metric("mosaic.frames_used", len(mosaic.frames_used))
         context.metric("mosaic.decodes", mosaic.decodes)
-        context.recorder.image("/images/mosaic", "mosaic", thumbnail(_glance(context.run_folder / RASTER)))
-
-
-def _glance(path: Path) -> Any:
-    """The raster at a fraction of its size, rows, cols, bands."""
-    with rasterio.open(path) as tiff:
-        reduction = max(1, max(tiff.width, tiff.height) // _THUMBNAIL_PX)
-        shape = (min(tiff.count, 3), -(-tiff.height // reduction), -(-tiff.width // reduction))
-        return np.moveaxis(tiff.read(list(range(1, shape[0] + 1)), out_shape=shape), 0, -1)

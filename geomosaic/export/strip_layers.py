@@ -1,0 +1,106 @@
+"""layers.gpkg of a scene of CCD strips: outlines, and the seams with their misplacement."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from geomosaic.camera.rpc import Rpc
+from geomosaic.ccd.outlines import Outlines, lonlat_by_rpc
+from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.mosaic.strip_compose import StripMosaic
+from geomosaic.quality.strip_figures import SEGMENT_LINES
+from geomosaic.quality.strips import StripQuality
+from geomosaic.survey.strips import StripGeometry
+
+_CRS = "EPSG:4326"
+
+
+def write_strip_layers(
+    path: Path,
+    geometry: StripGeometry,
+    mosaic: StripMosaic,
+    rings: Outlines,
+    rpc: Rpc | None,
+    quality: StripQuality,
+) -> None:
+    """Writes the GeoPackage, in longitude and latitude. Without a model or an RPC its layers are empty.
+
+    scene: the raster's outline. ccd_strips: what each CCD saw. seam_segments: 512 lines each of a seam, at
+    the RPC's middle height, with the root mean square misplacement of the lines that were checked (NULL
+    where none was) and whether it is above 1 px.
+    Raises: `OSError` if the file can't be written.
+    """
+    with writing_geopackage(path, _CRS, None) as package:
+        outline = [shapely.Polygon(rings.scene)] if len(rings.scene) else []
+        size = {"width_px": [mosaic.width_px], "height_px": [mosaic.height_px]}
+        package.add_layer(
+            "scene",
+            "The scene's outline",
+            "Polygon",
+            outline,
+            {k: v[: len(outline)] for k, v in size.items()},
+        )
+        ccds = list(rings.ccds)
+        package.add_layer(
+            "ccd_strips",
+            "What each CCD saw",
+            "Polygon",
+            [shapely.Polygon(rings.ccds[k]) for k in ccds],
+            {
+                "ccd": np.array(ccds, dtype=np.int64) + 1,
+                "strip": np.array([_name(geometry, k) for k in ccds], dtype=str),
+                "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
+                "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
+            },
+        )
+        pairs, firsts, misplaced = _segments(quality)
+        if rpc is None:
+            pairs, firsts, misplaced = pairs[:0], firsts[:0], misplaced[:0]
+        package.add_layer(
+            "seam_segments",
+            "Misplacement of each seam, by segments",
+            "LineString",
+            [] if rpc is None else _lines(geometry, mosaic, rpc, pairs, firsts),
+            {
+                "pair": pairs,
+                "first_line": firsts,
+                "misplacement_px": misplaced,
+                "above_1px": (misplaced > 1.0).astype(np.int64),
+            },
+        )
+
+
+def _name(geometry: StripGeometry, ccd: int) -> str:
+    path = geometry.ccds[ccd].path
+    return "" if path is None else path.name
+
+
+def _segments(quality: StripQuality) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pair, first line of the left strip, and misplacement of every segment."""
+    pairs = np.concatenate([np.full(len(p.segments_px), p.pair) for p in quality.pairs] or [np.zeros(0, int)])
+    firsts = np.concatenate(
+        [np.arange(len(p.segments_px)) * SEGMENT_LINES for p in quality.pairs] or [np.zeros(0, int)]
+    )
+    return pairs, firsts, np.concatenate([p.segments_px for p in quality.pairs] or [np.zeros(0)])
+
+
+def _lines(
+    geometry: StripGeometry, mosaic: StripMosaic, rpc: Rpc, pairs: np.ndarray, firsts: np.ndarray
+) -> list[shapely.LineString]:
+    """The segments on the ground, at their nominal places in the scene."""
+    ahead = np.array([0.5 * geometry.side(int(k)) for k in pairs]) * geometry.row_separation_lines
+    col = (pairs + 1) * (geometry.width_px - geometry.overlap_px) + 0.5 * geometry.overlap_px
+    ends = [
+        lonlat_by_rpc(
+            rpc, np.stack([col, np.minimum(line, _last(geometry, pairs)) + ahead - mosaic.first_line], -1)
+        )
+        for line in (firsts, firsts + SEGMENT_LINES)
+    ]
+    return [shapely.LineString([a, b]) for a, b in zip(*ends, strict=True)]
+
+
+def _last(geometry: StripGeometry, pairs: np.ndarray) -> np.ndarray:
+    return np.array([geometry.lines[int(k)] for k in pairs])

@@ -1,0 +1,97 @@
+"""The offsets of neighbouring strips, line by line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.ccd.methods import METHODS
+from geomosaic.ccd.model import MEASURED, UNRELIABLE, PairOffsets, Settings, StripOffsets
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.stages.strip_input import opened_strips
+from geomosaic.survey.strips import StripGeometry
+
+_SETTINGS = Settings()
+_RECORDED_LINES = 8
+
+
+class CcdOffsets(Stage):
+    """Where the right strip of each pair sees what the left one sees."""
+
+    id = "ccd.offsets"
+    display_name = "Offsets between the strips"
+    group = "CCD strips"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
+    outputs: ClassVar[dict[str, type]] = {"offsets": StripOffsets}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        method: str = param("joint", help="how the offsets are found", choices=METHODS)
+        search_cols_px: int = param(
+            _SETTINGS.search_cols_px,
+            help="how far across they may be from the nominal ones",
+            unit="px",
+            ge=2,
+            le=64,
+        )
+        search_lines_px: int = param(
+            _SETTINGS.search_lines_px,
+            help="how far along they may be from the nominal ones",
+            unit="px",
+            ge=2,
+            le=200,
+        )
+        knot_lines: int = param(
+            _SETTINGS.knot_lines, help="joint: lines between the knots of its curves", unit="px", ge=4, le=256
+        )
+        segment_lines: int = param(
+            _SETTINGS.segment_lines, help="piecewise_linear: lines of a segment", unit="px", ge=64, le=20000
+        )
+        enhance: bool = param(
+            _SETTINGS.enhance, help="piecewise_linear: stretch each segment's greys for matching"
+        )
+        ratio: float = param(
+            _SETTINGS.ratio, help="SIFT: nearest distance to second, at most", ge=0.1, le=1.0
+        )
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """By the method asked for."""
+        geometry: StripGeometry = inputs["strips"]
+        settings = Settings(**params.model_dump(exclude={"method"}))
+        with opened_strips(geometry) as strips:
+            pairs = METHODS[params.method](
+                strips, settings, lambda done, total: context.progress(done, total, "offsets")
+            )
+        for offsets in pairs:
+            self._tell(context, geometry, offsets)
+        context.metric("offsets.method", params.method)
+        return {"offsets": StripOffsets(params.method, pairs)}
+
+    @staticmethod
+    def _tell(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:
+        left, right = (geometry.ccds[k].path for k in (offsets.pair, offsets.pair + 1))
+        assert left is not None
+        assert right is not None
+        known = offsets.label != UNRELIABLE
+        if not (offsets.label == MEASURED).any():
+            text = f"nothing of its overlap with {right.name} could be measured: joined by the geometry alone"
+            context.warn("overlap-unmeasured", left.name, text)
+        elif known.mean() < 0.5:
+            text = f"offsets to {right.name} are unreliable on {100 * (1 - known.mean()):.0f} % of the lines"
+            context.warn("offsets-unreliable", left.name, text)
+        line = np.arange(0, len(offsets.label), _RECORDED_LINES)
+        context.recorder.strip_offsets(
+            pair=offsets.pair,
+            left=left.name,
+            right=right.name,
+            line=line,
+            dcol_px=offsets.dcol_px[line],
+            dline_px=offsets.dline_px[line],
+            sd_col_px=offsets.sd_col_px[line],
+            sd_line_px=offsets.sd_line_px[line],
+            label=offsets.label[line],
+        )

@@ -1,0 +1,131 @@
+"""The scene of CCD strips, every pixel resampled once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar, get_args
+
+import numpy as np
+import rasterio
+
+from geomosaic.ccd.layout import Ends, SceneLayout, image_space_layout
+from geomosaic.ccd.model import StripOffsets
+from geomosaic.ccd.object_space import read_object_space
+from geomosaic.ccd.outlines import Outlines, outlines
+from geomosaic.ccd.radiometry import Radiometry
+from geomosaic.ccd.scene_rpc import SceneRpc, scene_rpc
+from geomosaic.ccd.virtual_layout import virtual_layout
+from geomosaic.errors import InputError
+from geomosaic.mosaic.strip_blends import BLENDS
+from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
+from geomosaic.mosaic.window import RESAMPLING
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.survey.strips import StripGeometry
+
+RASTER = "work/mosaic.strips/raster.tif"
+RPC = "mosaic_RPC.TXT"
+_SPACES = ("auto", "image", "object")
+
+
+class MosaicStrips(Stage):
+    """Joins the strips to one scene, with an RPC where there is a model or an RPC."""
+
+    id = "mosaic.strips"
+    display_name = "Compose the scene of strips"
+    group = "Mosaic"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {
+        "strips": StripGeometry, "offsets": StripOffsets, "radiometry": Radiometry,
+    }  # fmt: skip
+    outputs: ClassVar[dict[str, type]] = {
+        "strip_mosaic": StripMosaic, "outlines": Outlines, "raster_file": RunFile,
+    }  # fmt: skip
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        blend: str = param("smooth", help="how greys go over at a seam", choices=BLENDS)
+        resampling: str = param("cubic", help="interpolation of the strips", choices=RESAMPLING)
+        ends: Ends = param(
+            "all", help="all: every line any strip has; common: those all have", choices=get_args(Ends)
+        )
+        space: str = param(
+            "auto",
+            help="image: joined by the offsets; object: the ideal line by model and DEM; auto: by the method",
+            choices=_SPACES,
+        )
+        threads: int = param(2, help="threads that resample", ge=1, le=64, affects_output=False)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Into RUN/work; export.cog makes it a COG."""
+        geometry, offsets = inputs["strips"], inputs["offsets"]
+        space = read_object_space(geometry)
+        for warning in space.warnings if space is not None else ():
+            context.warn(warning.code, warning.frame, warning.text)
+        by_object = params.space == "object" or (params.space == "auto" and offsets.method == "virtual_line")
+        if by_object and space is None:
+            raise InputError("object space needs a rigorous model", mend="give 'model' in the geometry file")
+        layout: SceneLayout
+        if by_object and space is not None:
+            layout = virtual_layout(geometry, space, params.ends)
+        else:
+            layout = image_space_layout(geometry, offsets, params.ends)
+        rpc = scene_rpc(geometry, layout, space)
+        with context.writing(RASTER) as path:
+            mosaic = compose_strips(
+                geometry,
+                layout,
+                inputs["radiometry"],
+                path,
+                blend=params.blend,
+                resampling=params.resampling,
+                threads=params.threads,
+                progress=lambda done, total: context.progress(done, total, "lines"),
+                check_cancelled=context.check_cancelled,
+            )
+            if rpc is not None:
+                with rasterio.open(path, "r+") as raster:
+                    raster.update_tags(ns="RPC", **rpc.rpc.metadata())
+        if rpc is not None:
+            with context.writing(RPC) as path:
+                path.write_text(rpc.rpc.text(), encoding="ascii")
+        rings = outlines(geometry, layout, space, rpc) or Outlines(np.zeros((0, 2)), {})
+        self._tell(context, geometry, mosaic, rpc, rings)
+        return {
+            "strip_mosaic": replace(mosaic, raster=RASTER),
+            "outlines": rings,
+            "raster_file": context.run_file(RASTER),
+        }
+
+    @staticmethod
+    def _tell(
+        context: Context, geometry: StripGeometry, mosaic: StripMosaic, rpc: SceneRpc | None, rings: Outlines
+    ) -> None:
+        context.report(
+            "mosaic",
+            {
+                "crs": None,
+                "gsd_m": geometry.ground_pixel_m,
+                "width": mosaic.width_px,
+                "height": mosaic.height_px,
+                "first_line": mosaic.first_line,
+            },
+        )
+        for first, last in mosaic.gaps_px:
+            text = f"columns {first} to {last - 1} of the scene are empty: no CCD saw them"
+            context.warn("scene-gap", "", text)
+        if rpc is not None and rpc.rms_px is not None:
+            context.metric("rpc.rms_px", round(rpc.rms_px, 4))
+            context.metric("rpc.worst_px", round(rpc.worst_px or 0.0, 4))
+        names = {k: path.name for k, ccd in enumerate(geometry.ccds) if (path := ccd.path) is not None}
+        features = [
+            {
+                "type": "Feature",
+                "properties": {"strip": names[k]},
+                "geometry": {"type": "Polygon", "coordinates": [ring.tolist()]},
+            }
+            for k, ring in rings.ccds.items()
+        ]
+        if features:
+            context.recorder.geojson("/map/strips", features)

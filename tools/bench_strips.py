@@ -1,0 +1,195 @@
+"""CCD strips against known truth: the table of cases, and the misplacement rate of mixed scenes.
+
+    python tools/bench_strips.py --seeds 20                 # joint on the five cases
+    python tools/bench_strips.py --seeds 5 --methods all    # its rivals beside it
+    python tools/bench_strips.py --mixed 60                 # the paper's two chains and joint
+
+Scenes are simulated anew (7 pairs of strips 4096 px wide, of which the overlaps alone are made; 16,384
+lines).
+What was measured is kept in OUT/strips.jsonl; a killed bench goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+
+from geomosaic.ccd.methods import METHODS
+from geomosaic.ccd.model import Settings, StripOffsets
+from geomosaic.ccd.overlaps import strips_in_memory
+from geomosaic.quality.strip_figures import scene_errors
+from geomosaic.simulate.strip_overlaps import simulate_overlaps
+from geomosaic.simulate.strip_plan import StripPlan
+
+LINES, WIDTH_PX = 16384, 4096
+RIVALS = ("whole_scene", "piecewise_linear", "image_registration")
+CASES = ("clean", "low contrast 40 %", "clouds 20 %", "clouds 50 %", "all together")
+AIMS = {"clean": (0.05, 0.10), "low contrast 40 %": (0.3, None), "clouds 20 %": (0.3, None),
+        "clouds 50 %": (0.5, None), "all together": (0.8, None)}  # fmt: skip
+
+
+def plan_of(case: str, seed: int) -> StripPlan:
+    """The plan of a case; clouds' height and wind are drawn by the seed."""
+    rng = np.random.default_rng([seed, 1804])
+    deck = {
+        "cloud_height_m": float(rng.uniform(1000, 8000)),
+        "wind_m_per_s": float(rng.uniform(5, 49)),
+        "wind_deg": float(rng.uniform(0, 360)),
+    }
+    more: dict[str, Any] = {
+        "clean": {},
+        "low contrast 40 %": {"low_contrast_share": 0.4},
+        "clouds 20 %": {"cloud_cover": 0.2, **deck},
+        "clouds 50 %": {"cloud_cover": 0.5, **deck},
+        "all together": {"cloud_cover": 0.3, "low_contrast_share": 0.4, "relief_m": 600.0, **deck},
+        "mixed": _mixed(rng, deck),
+    }[case]
+    return StripPlan(seed=seed, width_px=WIDTH_PX, lines=LINES, **more)
+
+
+def _mixed(rng: np.random.Generator, deck: dict[str, float]) -> dict[str, Any]:
+    """A scene as it comes: mostly a quiet platform, clouds below 20 % on half of them."""
+    quiet = float(np.exp(rng.normal(math.log(0.25), 0.6)))
+    return {
+        "jitter_1hz_px": 1.2 * quiet,
+        "jitter_5hz_px": 0.4 * quiet,
+        "jitter_22hz_px": 0.06 * quiet,
+        "drift_px_per_s": 2.0 * quiet,
+        "drift_angle_deg": float(rng.normal(0.0, 0.02)),
+        "relief_m": float(rng.uniform(0, 800)),
+        "contrast": float(rng.uniform(0.04, 0.16)),
+        "low_contrast_share": float(rng.uniform(0.1, 0.6)) if rng.random() < 0.4 else 0.0,
+        **({"cloud_cover": float(rng.uniform(0.02, 0.2)), **deck} if rng.random() < 0.5 else {}),
+    }
+
+
+def measured(job: tuple[str, int, tuple[str, ...]]) -> list[dict[str, Any]]:
+    """One scene by some methods."""
+    case, seed, methods = job
+    cv2.setNumThreads(1)
+    geometry, pairs = simulate_overlaps(plan_of(case, seed))
+    strips = strips_in_memory(geometry, [(p.left, p.right) for p in pairs])
+    truth = {p.truth.pair: np.stack([p.truth.dcol_px, p.truth.dline_px], axis=1) for p in pairs}
+    rows = []
+    for method in methods:
+        worked = time.process_time()
+        found = StripOffsets(method, METHODS[method](strips, Settings(), lambda done, total: None))
+        seconds = time.process_time() - worked
+        errors = scene_errors(found, truth, geometry)
+        rows.append(
+            {"case": case, "seed": seed, "method": method, "cpu_s": seconds, **dataclasses.asdict(errors)}
+        )
+    return rows
+
+
+def run(jobs: list[tuple[str, int, tuple[str, ...]]], out: Path, workers: int) -> list[dict[str, Any]]:
+    """All scenes, the ones already measured from the file."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "strips.jsonl"
+    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    have = {(r["case"], r["seed"], r["method"]) for r in done}
+    left = [(c, s, tuple(m for m in ms if (c, s, m) not in have)) for c, s, ms in jobs]
+    left = [job for job in left if job[2]]
+    began = time.monotonic()
+    with ProcessPoolExecutor(workers) as pool, path.open("a") as file:
+        for i, rows in enumerate(pool.map(measured, left), 1):
+            done += rows
+            file.writelines(json.dumps(row) + "\n" for row in rows)
+            file.flush()
+            spent = time.monotonic() - began
+            print(f"\r{i} of {len(left)} scenes, {spent:.0f} s", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    wanted = {(c, s, m) for c, s, ms in jobs for m in ms}
+    return sorted((r for r in done if (r["case"], r["seed"], r["method"]) in wanted), key=lambda r: r["seed"])
+
+
+HEAD = (
+    "case", "method", "seeds", "RMS, px", "95 %, px", "worst line, px", "lines > 1 px",
+    "scenes > 1 px (a segment)",
+    "scenes > 1 px (RMS)", "measured lines > 1 px", "inside 90 %", "measured, bridged, unreliable",
+    "CPU time",
+)  # fmt: skip
+
+
+def table(rows: list[dict[str, Any]]) -> list[str]:
+    """One line for each case and method: over all lines of all seeds."""
+    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    for case, method in sorted({(r["case"], r["method"]) for r in rows}, key=order):
+        some = [r for r in rows if (r["case"], r["method"]) == (case, method)]
+        lines.append("| " + " | ".join([case, f"`{method}`", *cells(case, method, some)]) + " |")
+    return lines
+
+
+def cells(case: str, method: str, rows: list[dict[str, Any]]) -> list[str]:
+    """A case's figures by one method."""
+    figures = [r["figures"] for r in rows]
+    count = [f["lines"] for f in figures]
+
+    def mean(values: list[float]) -> float:
+        return float(np.average(values, weights=count))
+
+    aim = AIMS.get(case, (None, None)) if method == "joint" else (None, None)
+    aims = ["" if a is None else f" (aim {a:g})" for a in aim]
+    labels = [100 * mean([r["share_of_labels"][i] for r in rows]) for i in range(3)]
+    return [
+        str(len(rows)),
+        f"{math.sqrt(mean([f['rms_px'] ** 2 for f in figures])):.3f}{aims[0]}",
+        f"{mean([f['p95_px'] for f in figures]):.3f}{aims[1]}",
+        f"{max(f['worst_line_px'] for f in figures):.2f}",
+        f"{100 * mean([f['share_above'] for f in figures]):.2f} %",
+        f"{100 * np.mean([f['misplaced'] for f in figures]):.0f} %",
+        f"{100 * np.mean([f['rms_px'] > 1.0 for f in figures]):.0f} %",
+        str(sum(r["measured_above"] for r in rows)),
+        f"{100 * mean([float(np.mean(r['coverage'])) for r in rows]):.1f} %",
+        ", ".join(f"{label:.0f}" for label in labels) + " %",
+        f"{np.mean([r['cpu_s'] for r in rows]):.1f} s",
+    ]
+
+
+def order(of: tuple[str, str]) -> tuple[int, int]:
+    """As the issue's table has them."""
+    names = (*CASES, "mixed")
+    return names.index(of[0]), (*RIVALS, "joint").index(of[1])
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, help="scenes of each case")
+    parser.add_argument("--first-seed", type=int, default=1)
+    parser.add_argument("--methods", default="joint", help="names with commas, or all")
+    parser.add_argument("--cases", default=",".join(CASES), help="names with commas")
+    parser.add_argument(
+        "--mixed", type=int, default=0, help="so many mixed scenes by whole_scene, piecewise_linear, joint"
+    )
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--out", type=Path, default=Path("out/bench-strips"))
+    told = parser.parse_args()
+    methods = (*RIVALS, "joint") if told.methods == "all" else tuple(told.methods.split(","))
+    seeds = range(told.first_seed, told.first_seed + told.seeds)
+    jobs = [(case, seed, methods) for case in told.cases.split(",") if case for seed in seeds]
+    if told.mixed:
+        jobs = [
+            ("mixed", seed, ("whole_scene", "piecewise_linear", "joint")) for seed in range(1, told.mixed + 1)
+        ]
+    lines = table(run(jobs, told.out, told.workers))
+    print("\n".join(lines))
+    name = "mixed.md" if told.mixed else "cases.md"
+    (told.out / name).write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
