@@ -9,7 +9,9 @@ from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.model import Floats
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 
-_IMAGE_ROUNDS = 5  # Newton's; jitter bends, by a hundredth a line
+_MOST_ROUNDS = 20  # Newton's; as a rule three are enough
+_SOLVED_LINES, _LOST_LINES = 1e-5, 1e-2
+_SLOPES = 0.4, 2.5  # of the usual one: steps neither run away nor stand still where attitudes are noisy
 
 
 class LinePoses:
@@ -39,24 +41,32 @@ class LinePoses:
         return pose[..., :3], np.einsum("...ij,...j->...i", rotation, look)
 
     def image(self, ccd: int, ecef_m: Floats, near_line: ArrayLike) -> tuple[Floats, Floats]:
-        """Cols and lines (...) at which a CCD sees points (..., 3)."""
+        """Cols and lines (...) at which a CCD sees points (..., 3).
+
+        NaN where it isn't found: attitudes that turn back faster than the ground goes by see a point often.
+        """
         (f_0, f_col, f_s), (r_0, r_col, r_s) = self.model.forward_tan[ccd], self.model.right_tan[ccd]
         rate = self.model.line_rate_hz
         line = np.array(np.broadcast_to(np.asarray(near_line, dtype=np.float64), ecef_m.shape[:-1]))
-        for last in [False] * _IMAGE_ROUNDS + [True]:
+        step = np.zeros_like(line)
+        for _ in range(_MOST_ROUNDS):
+            line = line - step
             pose, change = self._at(line)
             away = ecef_m - pose[..., :3]
             body = _turned(pose, away)
             forward, right = body[..., 0] / body[..., 2], body[..., 1] / body[..., 2]
             col = (right - r_0 - r_s * line / rate) / r_col
-            if last:
-                break
             moved = _turned(change, away) - _turned(pose, change[..., :3])
             forward_by = (moved[..., 0] - forward * moved[..., 2]) / body[..., 2]
             col_by = ((moved[..., 1] - right * moved[..., 2]) / body[..., 2] - r_s / rate) / r_col
             rest = forward - f_0 - f_col * col - f_s * line / rate
-            line = line - rest / (forward_by - f_col * col_by - f_s / rate)
-        return col, line
+            slope = forward_by - f_col * col_by - f_s / rate
+            usual = np.nanmedian(slope) if slope.size else 0.0
+            step = rest / (usual * np.clip(slope / usual, *_SLOPES))
+            if not (np.abs(step) > _SOLVED_LINES).any():
+                break
+        lost = ~(np.abs(step) <= _LOST_LINES)
+        return np.where(lost, np.nan, col), np.where(lost, np.nan, line)
 
     def _at(self, line: Floats) -> tuple[Floats, Floats]:
         """Poses (..., 12) at lines, and their change from line to line."""

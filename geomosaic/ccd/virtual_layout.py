@@ -22,6 +22,7 @@ _SAMPLE_LINES = 512
 _SAMPLE_STEP = 8
 _SPARE_LINES = 64
 _FIT_POINTS = 2000
+_NOWHERE_PX = -1e6
 
 
 def ideal_camera(geometry: StripGeometry, model: Pushbroom) -> Pushbroom:
@@ -105,7 +106,7 @@ class VirtualLayout:
         solved_at = start + _IMAGE_ROWS * np.arange(float(len(ground)))
         near = solved_at + np.interp(solved_at, self.sample_lines, self.shift_lines[ccd])
         real = LinePoses(self.space.model, near[0] - _SPARE_LINES, near[-1] + _SPARE_LINES)
-        image = np.stack(real.image(ccd, ground, near[:, None]))
+        image = np.nan_to_num(np.stack(real.image(ccd, ground, near[:, None])), nan=_NOWHERE_PX)
         image = np.moveaxis(_rows_between(np.moveaxis(image, 0, -1), _IMAGE_ROWS, 1)[:rows], -1, 0)
         return Places(knots, image)
 

@@ -32,7 +32,7 @@ def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tupl
     right CCD sees it. The standard deviations are what is taken for granted about such models (0.1 px), the
     heights' (`ObjectSpace.height_sd_m`) times the parallax, and the noise that the table of attitudes shows
     by its third differences; what else is wrong with the model can't be told from it. Lines whose right line
-    is beyond the model's attitudes are unreliable.
+    is beyond the model's attitudes, or isn't found, are unreliable.
     Raises: `InputError` without a model.
     """
     space, g = strips.object_space, strips.geometry
@@ -61,7 +61,7 @@ def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tupl
         largest = sd.max(axis=0)
         label = np.where(largest <= _MEASURED_SD_PX, MEASURED, BRIDGED)
         label[largest > _RELIABLE_SD_PX] = UNRELIABLE
-        col, line = np.nan_to_num(found)
+        col, line = (_filled(axis) for axis in found)
         out.append(PairOffsets(pair, col, line, sd[0], sd[1], label.astype(np.uint8)))
     return tuple(out)
 
@@ -123,6 +123,15 @@ def _parallax(space: ObjectSpace, g: StripGeometry, poses: LinePoses, pair: int,
         for step in (-_STEP_M, _STEP_M)
     )
     return np.abs(high - low)[:, 0] / (2.0 * _STEP_M)
+
+
+def _filled(values: Floats) -> Floats:
+    """Straight lines across what isn't finite; 0 where nothing is."""
+    known = np.isfinite(values)
+    if known.all() or not known.any():
+        return np.nan_to_num(values)
+    at = np.arange(values.size)
+    return np.interp(at, at[known], values[known])
 
 
 def _attitude_noise_px(model: Pushbroom) -> tuple[float, float]:
