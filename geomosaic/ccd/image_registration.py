@@ -32,6 +32,7 @@ _LEAST_CORRELATION = 0.4
 _ODD_PX = 1.5
 _LEAST_PATCHES = 5
 _BLUR_PX = 8
+_PHASE_SD_PX = 0.02  # a parabola's peak leans to whole pixels
 
 
 def image_registration(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -84,7 +85,10 @@ def patches(overlap: Overlap, geometry: StripGeometry, settings: Settings, spare
 
 
 def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
-    """Odd patches are those far from the middle of the seven about them."""
+    """Odd patches are those far from the middle of the seven about them.
+
+    The standard deviation is that of a patch: what the curve smooths is not counted on.
+    """
     centre, offset, r = found[:, 0], found[:, 1:3], found[:, 3]
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
     good = r >= _LEAST_CORRELATION
@@ -99,10 +103,8 @@ def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
     curves, deviations = [], []
     for axis in (0, 1):
         spline = make_smoothing_spline(at, offset[good, axis], w=r[good] ** 2)
-        smooth = np.asarray(spline(at))
         curves.append(np.asarray(spline(np.clip(t, at[0], at[-1]))))
-        rest = 1.4826 * float(np.median(np.abs(offset[good, axis] - smooth)))
-        deviations.append(bridging_sd(t, at, smooth, np.full(lines, rest), _PATCH_LINES))
+        deviations.append(bridging_sd(t, at, offset[good, axis], np.full(lines, _PHASE_SD_PX), _PATCH_LINES))
     for middle, kept in zip(centre, good, strict=True):
         first = round(middle - (_PATCH_LINES - 1) / 2)
         label[first : first + _PATCH_LINES] = MEASURED if kept else BRIDGED

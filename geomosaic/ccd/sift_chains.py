@@ -181,11 +181,7 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
 
 
 def segments(strips: Strips, settings: Settings, progress: Progress) -> tuple[Segments, ...]:
-    """Offsets segment by segment, for each of `strips.pairs`; with `settings.enhance` or without.
-
-    A segment is abnormal that leaves the line between its neighbours kept by more than 2 px: the platform
-    doesn't move so fast (Cheng et al. 2018, section 3). The worst goes first, the others are then seen anew.
-    """
+    """Offsets segment by segment, for each of `strips.pairs`; with `settings.enhance` or without."""
     rows: dict[int, list[tuple[float, ...]]] = {pair: [] for pair in strips.pairs}
     for done, (pair, first, stop, total) in enumerate(pieces(strips, settings.segment_lines)):
         overlap = strips.overlap(pair, first, stop)
@@ -202,23 +198,30 @@ def segments(strips: Strips, settings: Settings, progress: Progress) -> tuple[Se
 
 def _segments(pair: int, rows: Floats) -> Segments:
     first, stop, points = (rows[:, i].astype(np.intp) for i in (0, 1, 7))
-    centre, offset, sd = rows[:, 2], rows[:, 3:5], rows[:, 5:7]
-    kept = points >= _LEAST_POINTS
-    while kept.sum() >= 3:
+    kept = steady(rows[:, 2], rows[:, 3:5], points >= _LEAST_POINTS)
+    return Segments(pair, first, stop, rows[:, 2], rows[:, 3:5], rows[:, 5:7], points, kept)
+
+
+def steady(at: Floats, values: Floats, given: Flags) -> Flags:
+    """Which of the values given (n, 2) are not abnormal; the platform moves slowly (Cheng et al. 2018).
+
+    Abnormal is what leaves the line between its neighbours by more than 2 px; at an end, both the neighbour
+    and the line through the next two. The worst goes first, the others are then seen anew.
+    """
+    kept = given.copy()
+    while kept.sum() >= 4:
         index = np.flatnonzero(kept)
-        away = np.abs(departures(centre[index], offset[index])).max(axis=1)
-        if away.max() <= _ABNORMAL_PX:
+        t, v = at[index, None], values[index]
+        away = np.zeros_like(v)
+        away[1:-1] = v[1:-1] - v[:-2] - (v[2:] - v[:-2]) * (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+        for end, one, two in ((0, 1, 2), (-1, -2, -3)):
+            line = v[end] - v[one] - (v[two] - v[one]) * (t[end] - t[one]) / (t[two] - t[one])
+            away[end] = np.where(np.abs(line) < np.abs(v[end] - v[one]), line, v[end] - v[one])
+        worst = np.abs(away).max(axis=1)
+        if worst.max() <= _ABNORMAL_PX:
             break
-        kept[index[int(away.argmax())]] = False
-    return Segments(pair, first, stop, centre, offset, sd, points, kept)
-
-
-def departures(at: Floats, values: Floats) -> Floats:
-    """How far each value (n, 2) is from the straight line between its neighbours; at an end, from its one."""
-    before, after = np.r_[1, 0 : len(at) - 1], np.r_[1 : len(at), len(at) - 2]
-    apart = at[after] - at[before]
-    share = np.where(apart == 0.0, 0.0, (at - at[before]) / np.where(apart == 0.0, 1.0, apart))[:, None]
-    return np.asarray(values - (values[before] * (1.0 - share) + values[after] * share))
+        kept[index[int(worst.argmax())]] = False
+    return kept
 
 
 def piecewise_linear(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -250,18 +253,21 @@ def _polyline(lines: int, found: Segments) -> PairOffsets:
 def bridging_sd(t: Floats, at: Floats, values: Floats, own_sd: Floats, reach: float) -> Floats:
     """Standard deviation at t of a polyline through values (k,) at `at`, whose own are own_sd (at t).
 
-    Two parts are told by how far values are from their neighbours: from a cubic through four of them, their
-    noise; from the line between two, beyond that noise, the bend of the curve, which between values leaves
-    about a fifth of it. Beyond `reach` lines of any value the curve may have gone at its usual rate, at most
-    as far as its whole spread.
+    Two parts are told by how far evenly spaced values are from their neighbours: from a cubic through four of
+    them, their noise; from the line between two, beyond that noise, the bend of the curve, which between
+    values leaves about a fifth of it. Beyond `reach` lines of any value the curve may have gone at its usual
+    rate, at most as far as its whole spread.
     """
-    if len(at) < 5:
+    step = np.diff(at)
+    even = np.flatnonzero([(step[i : i + 4] < 1.5 * np.median(step)).all() for i in range(len(at) - 4)]) + 2
+    if not even.size:
         return np.asarray(np.hypot(own_sd, 1.0 + np.abs(t - at.mean()) / max(reach, 1.0)))
-    four = values[2:-2] - (4.0 * (values[1:-3] + values[3:-1]) - values[:-4] - values[4:]) / 6.0
+    before2, before, own, after, after2 = (values[even + i] for i in (-2, -1, 0, 1, 2))
+    four = own - (4.0 * (before + after) - before2 - after2) / 6.0
     noise = float((four**2).mean()) / (1.0 + 34.0 / 36.0)
-    two = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    two = own - 0.5 * (before + after)
     bend = max(float((two**2).mean()) - 1.5 * noise, 0.0) * 0.2**2
-    rate = float(np.sqrt((np.diff(values) ** 2).mean() / (np.diff(at) ** 2).mean()))
-    after = np.clip(np.searchsorted(at, t), 1, len(at) - 1)
-    away = np.maximum(np.minimum(np.abs(t - at[after - 1]), np.abs(at[after] - t)) - reach, 0.0)
+    rate = float(np.sqrt((np.diff(values) ** 2).mean() / (step**2).mean()))
+    right = np.clip(np.searchsorted(at, t), 1, len(at) - 1)
+    away = np.maximum(np.minimum(np.abs(t - at[right - 1]), np.abs(at[right] - t)) - reach, 0.0)
     return np.asarray(np.sqrt(own_sd**2 + noise + bend + np.minimum(rate * away, np.ptp(values)) ** 2))
