@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +13,20 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
+from mcap.reader import make_reader
+from osgeo import ogr
+from osgeo_utils.samples import validate_cloud_optimized_geotiff
+from rasterio.windows import Window
 from small_surveys import geomosaic
 
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
+from geomosaic.survey.strips import open_strip
 
-PLAN = StripPlan(
-    seed=4,
-    ccds=4,
-    width_px=384,
-    lines=3200,
-    row_separation_lines=700,
-    relief_m=150.0,
-    dead="",
-    jitter_22hz_px=0.0,
-)
-FINAL = {"mosaic.tif", "mosaic_RPC.TXT", "offsets.csv", "report.html", "run.json"}
+PLAN = StripPlan(seed=4, ccds=4, width_px=384, lines=3200, row_separation_lines=700, relief_m=150.0)
+FINAL = {"mosaic.tif", "mosaic_RPC.TXT", "offsets.csv", "layers.gpkg", "report.html", "run.mcap", "run.json"}
+
+RECIPES = Path(__file__).parents[1] / "recipes"
 
 
 @pytest.fixture(scope="session")
@@ -40,7 +39,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SimulatedStrips:
 def run(scene: SimulatedStrips, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A whole run with the defaults."""
     out = tmp_path_factory.mktemp("strips") / "run"
-    assert strips(with_companions(scene, out.parent / "whole.yaml"), out) == 0
+    assert strips(scene.geometry, out) == 0
     return out
 
 
@@ -48,13 +47,13 @@ def strips(geometry: Path, run: Path, *more: object) -> int:
     return geomosaic("strips", geometry, "-o", run, *more)
 
 
-def with_companions(scene: SimulatedStrips, path: Path, **more: Any) -> Path:
-    """The geometry with model, RPC and DEM, and other entries, in another place."""
+def elsewhere(scene: SimulatedStrips, path: Path, **more: Any) -> Path:
+    """The geometry file in another place, with other entries; None takes one out."""
     entry = yaml.safe_load(scene.geometry.read_text())
     folder = scene.geometry.parent
     for ccd in entry["ccds"]:
         ccd["path"] = str(folder / ccd["path"])
-    entry |= {"model": str(scene.model), "dem": str(scene.dem), **more}
+    entry |= {key: str(folder / entry[key]) for key in ("model", "dem", "rpc")} | more
     path.write_text(yaml.safe_dump({k: v for k, v in entry.items() if v is not None}))
     return path
 
@@ -62,3 +61,182 @@ def with_companions(scene: SimulatedStrips, path: Path, **more: Any) -> Path:
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
+
+
+def figures(run: Path) -> dict[str, Any]:
+    metrics = json.loads((run / "run.json").read_text(encoding="utf-8"))["metrics"]
+    return metrics["errors"]["figures"]  # type: ignore[no-any-return]
+
+
+def warnings_of(run: Path) -> dict[str, str]:
+    """Texts by code."""
+    told = json.loads((run / "run.json").read_text(encoding="utf-8"))["warnings"]
+    return {w["code"]: f"{w['frame']}: {w['text']}" for w in told}
+
+
+def test_a_run_is_whole_and_its_mosaic_a_cog_with_an_rpc(run: Path) -> None:
+    assert {p.name for p in run.iterdir() if p.is_file()} == FINAL
+    warnings, errors, _ = validate_cloud_optimized_geotiff.validate(str(run / "mosaic.tif"), full_check=True)
+    assert not errors and not warnings
+    with rasterio.open(run / "mosaic.tif") as mosaic:
+        assert mosaic.tags(ns="RPC")["LINE_OFF"]
+        assert (mosaic.width, mosaic.count, mosaic.dtypes[0]) == (4 * 384 - 3 * 96, 1, "uint16")
+        # Both rows' teeth: from half the rows' separation before line 0 to as much beyond the last.
+        assert abs(mosaic.height - (3200 + 700)) < 20
+        mask = mosaic.dataset_mask()
+    assert not mask[300, 100:300].any() and mask[300, 500].all()
+    assert mask[800:-800].all()
+
+
+def test_offsets_are_the_truth_within_a_tenth_of_a_pixel(run: Path, scene: SimulatedStrips) -> None:
+    truth = {(r["pair"], r["line"]): r for r in rows(scene.true_offsets)}
+    found = rows(run / "offsets.csv")
+    assert len(found) == 3 * 3200
+    measured = [r for r in found if r["label"] == "measured"]
+    assert len(measured) > 3 * 2300
+    errors = [
+        [float(r[key]) - float(truth[r["pair"], r["line"]][key]) for key in ("dcol_px", "dline_px")]
+        for r in measured
+    ]
+    assert np.sqrt(np.mean(np.square(errors).sum(axis=1))) < 0.1
+    assert np.abs(errors).max() < 1.0
+
+
+def test_run_json_tells_the_misplacement(run: Path) -> None:
+    metrics = json.loads((run / "run.json").read_text(encoding="utf-8"))["metrics"]
+    assert metrics["misplacement"]["misplaced"] is False
+    assert metrics["misplacement"]["rms_px"] < 0.1
+    assert metrics["misplacement"]["share_measured"] > 0.9
+
+
+def test_an_independent_reader_finds_the_pairs(run: Path) -> None:
+    with (run / "run.mcap").open("rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert len([t for t in topics if t.startswith("/strips/")]) >= 3
+    assert "/map/strips" in topics and "/images/mosaic" in topics
+
+
+def test_layers_lie_where_the_scene_is(run: Path) -> None:
+    layers = ogr.Open(str(run / "layers.gpkg"))
+    names = {layers.GetLayer(i).GetName(): layers.GetLayer(i) for i in range(layers.GetLayerCount())}
+    assert names["ccd_strips"].GetFeatureCount() == 4
+    west, east, south, north = names["scene"].GetExtent()
+    assert west < PLAN.lon_deg < east and south < PLAN.lat_deg < north
+    assert names["seam_segments"].GetFeatureCount() == 3 * 7
+
+
+@pytest.mark.parametrize("method", ["piecewise_linear", "image_registration", "virtual_line"])
+def test_other_methods_are_recipes(method: str, scene: SimulatedStrips, tmp_path: Path) -> None:
+    geometry = elsewhere(scene, tmp_path / "geometry.yaml")
+    recipe = RECIPES / f"strips_{method}.yaml"
+    truth = f"quality.strips.truth={scene.true_offsets}"
+    assert geomosaic("run", recipe, "-o", tmp_path / "run", "--strips", geometry, "--set", truth) == 0
+    assert figures(tmp_path / "run")["rms_px"] < {"virtual_line": 0.02}.get(method, 0.6)
+
+
+def test_equal_runs_give_equal_bytes(scene: SimulatedStrips, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert strips(scene.geometry, tmp_path / name, "--fixed-time") == 0
+    for path in (tmp_path / "a").iterdir():
+        if path.is_file() and path.name != "run.json":
+            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
+    scene: SimulatedStrips, tmp_path: Path
+) -> None:
+    folder = tmp_path / "strips"
+    shutil.copytree(scene.geometry.parent, folder, ignore=shutil.ignore_patterns("truth"))
+    assert strips(folder / "geometry.yaml", tmp_path / "run") == 0
+    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=none") == 0
+    told = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    assert "ccd.offsets" in told["cached_stages"] and "mosaic.strips" not in told["cached_stages"]
+    with open_strip(folder / "ccd2.tif", "r+") as strip:
+        strip.write(np.full((1, 20, 20), 7, dtype=strip.dtypes[0]), window=Window(50, 50, 20, 20))
+    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=none") == 0
+    told = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    assert "ccd.offsets" not in told["cached_stages"]
+
+
+def test_a_dead_ccd_and_a_short_strip_are_named_and_the_rest_is_stitched(tmp_path: Path) -> None:
+    plan = replace(PLAN, ccds=5, dead="2", short="5:2000", lost="4:1500:6")
+    made = simulate_strips(tmp_path / "scene", plan, scene=False)
+    truth = f"quality.strips.truth={made.true_offsets}"
+    assert strips(made.geometry, tmp_path / "run", "--set", truth) == 0
+    told = warnings_of(tmp_path / "run")
+    assert told["ccd-missing"].startswith("CCD 2:") and told["strip-short"].startswith(
+        "ccd5.tif: has 2000 lines"
+    )
+    assert "columns 384 to 575 of the scene are empty" in told["scene-gap"]
+    errors = json.loads((tmp_path / "run" / "run.json").read_text())["metrics"]["errors"]
+    assert errors["figures"]["p95_px"] < 0.2 and errors["measured_above"] == 0
+    with rasterio.open(tmp_path / "run" / "mosaic.tif") as mosaic:
+        mask = mosaic.dataset_mask()
+    assert not mask[:, 384:576].any() and mask[1000:1500, :384].all() and mask[1000:1500, 576:].all()
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 1"),
+    "another width": ({"width_px": 400}, "says strips of 400 columns, but they have 384"),
+    "rows too far apart": ({"row_separation_lines": 4000}, "rows are 4000 lines apart"),
+    "a key of its own": ({"gain": 2}, "gain"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_geometry_is_one_line_and_nothing_written(
+    case: str, scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, text = BAD[case]
+    geometry = elsewhere(scene, tmp_path / "geometry.yaml", **change)
+    assert strips(geometry, tmp_path / "run") == 2
+    told = capsys.readouterr().err.strip()
+    assert "\n" not in told and "geometry.yaml" in told and text in told
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_strip_of_text_is_named(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = yaml.safe_load(elsewhere(scene, tmp_path / "geometry.yaml").read_text())
+    (tmp_path / "notes.tif").write_text("these are notes")
+    entry["ccds"][1]["path"] = "notes.tif"
+    (tmp_path / "geometry.yaml").write_text(yaml.safe_dump(entry))
+    assert strips(tmp_path / "geometry.yaml", tmp_path / "run") == 2
+    told = capsys.readouterr().err.strip()
+    assert told.endswith("notes.tif: is no raster that GDAL reads; give a strip such as a GeoTIFF")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_rpc_of_another_scene_is_named(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = scene.rpc.read_text().splitlines()
+    moved = ["LONG_OFF: 12.5 degrees" if line.startswith("LONG_OFF") else line for line in text]
+    (tmp_path / "other_RPC.TXT").write_text("\n".join(moved))
+    geometry = elsewhere(scene, tmp_path / "geometry.yaml", rpc="other_RPC.TXT")
+    assert strips(geometry, tmp_path / "run") == 2
+    told = capsys.readouterr().err.strip()
+    assert "other_RPC.TXT: is of another scene" in told and "\n" not in told
+    assert not (tmp_path / "run").exists()
+
+
+def test_virtual_line_without_a_model_says_what_to_give(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    geometry = elsewhere(scene, tmp_path / "geometry.yaml", model=None)
+    assert strips(geometry, tmp_path / "run", "--method", "virtual_line") == 2
+    assert "give 'model'" in capsys.readouterr().err
+
+
+def test_a_strip_cut_short_on_disk_is_named(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "strips"
+    shutil.copytree(scene.geometry.parent, folder, ignore=shutil.ignore_patterns("truth"))
+    whole = (folder / "ccd3.tif").read_bytes()
+    (folder / "ccd3.tif").write_bytes(whole[: len(whole) // 2])
+    assert strips(folder / "geometry.yaml", tmp_path / "run") == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "ccd3.tif" in told
+    assert not (tmp_path / "run" / "mosaic.tif").exists()

@@ -10,6 +10,7 @@ from geomosaic.ccd.joint import joint
 from geomosaic.ccd.model import PairOffsets, Progress, Settings
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.sift_chains import piecewise_linear, whole_scene
+from geomosaic.ccd.virtual_line import virtual_line
 
 Method = Callable[[Strips, Settings, Progress], tuple[PairOffsets, ...]]
 
@@ -18,4 +19,5 @@ METHODS: Final[dict[str, Method]] = {
     "piecewise_linear": piecewise_linear,
     "whole_scene": whole_scene,
     "image_registration": image_registration,
+    "virtual_line": virtual_line,
 }

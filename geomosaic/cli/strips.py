@@ -21,7 +21,6 @@ STAGES = (
     "export.cog",
     "export.offsets",
     "export.strip_layers",
-    "export.strip_report",
 )
 """What `geomosaic strips` does."""
 

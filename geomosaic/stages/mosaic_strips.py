@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, ClassVar, get_args
 
 import numpy as np
-import rasterio
 
 from geomosaic.ccd.layout import Ends, SceneLayout, image_space_layout
 from geomosaic.ccd.model import StripOffsets
@@ -21,7 +20,7 @@ from geomosaic.mosaic.strip_blends import BLENDS
 from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.mosaic.window import RESAMPLING
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
-from geomosaic.survey.strips import StripGeometry
+from geomosaic.survey.strips import StripGeometry, open_strip
 
 RASTER = "work/mosaic.strips/raster.tif"
 RPC = "mosaic_RPC.TXT"
@@ -85,7 +84,7 @@ class MosaicStrips(Stage):
                 check_cancelled=context.check_cancelled,
             )
             if rpc is not None:
-                with rasterio.open(path, "r+") as raster:
+                with open_strip(path, "r+") as raster:
                     raster.update_tags(ns="RPC", **rpc.rpc.metadata())
         if rpc is not None:
             with context.writing(RPC) as path:

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
+from rasterio.errors import RasterioError
 
+from geomosaic.errors import FileError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
@@ -57,8 +58,15 @@ class SurveyStrips(Stage):
                 text = f"has {lines} lines, the longest strip {longest}; the rest of its place stays empty"
                 context.warn("strip-short", ccd.path.name, text)
             context.check_cancelled()
-            with open_strip(ccd.path) as strip:
-                reduction = max(1, lines // _THUMBNAIL_LINES)
-                picture = strip.read(1, out_shape=(-(-lines // reduction), -(-strip.width // reduction)))
-            context.recorder.image("/strips", ccd.path.name, thumbnail(picture[..., np.newaxis]))
+            context.recorder.image("/strips", ccd.path.name, thumbnail(_glance(ccd.path)))
         return {"strips": geometry}
+
+
+def _glance(path: Path) -> Any:
+    """A strip at a fraction of its size."""
+    try:
+        with open_strip(path) as strip:
+            reduction = max(1, strip.height // _THUMBNAIL_LINES)
+            return strip.read(1, out_shape=(-(-strip.height // reduction), -(-strip.width // reduction)))
+    except (RasterioError, OSError) as error:
+        raise FileError("can't be read whole", file=path, mend="copy it again") from error

@@ -192,11 +192,11 @@ def _numbers(entry: Mapping[str, Any], path: Path) -> Callable[..., float]:
     return number
 
 
-def open_strip(path: Path) -> Any:
+def open_strip(path: Path, mode: str = "r") -> Any:
     """A strip opened by rasterio; that it has no georeference of its own is no cause for a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return rasterio.open(path)
+        return rasterio.open(path, mode)
 
 
 def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | None]:
