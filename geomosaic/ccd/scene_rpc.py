@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import Rpc, fit_rpc
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.line_poses import LinePoses
@@ -15,12 +14,13 @@ from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.virtual_layout import ideal_camera
 from geomosaic.errors import InputError
+from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strips import StripGeometry
 
 _ROWS = 65
 _COLS_OF_A_CCD = 5
-_HEIGHTS = 5
+_NODES = 15, 25, 5
 _SPAN_M = 500.0
 _STEP_LINES = 64
 
@@ -29,7 +29,8 @@ _STEP_LINES = 64
 class SceneRpc:
     """An RPC of the raster, whose origin is the raster's own, and what it leaves of the pixels' places.
 
-    rms_px, worst_px: of the residuals' lengths where it was fitted; None for an RPC that was given.
+    rms_px, worst_px: of the residuals' lengths on the ground that the strips see; None for
+    a given RPC.
     """
 
     rpc: Rpc
@@ -63,29 +64,31 @@ def scene_rpc(geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace |
     line = raster[:, 1] + layout.first_line
     poses = LinePoses(camera, line.min() - _STEP_LINES, line.max() + _STEP_LINES, _STEP_LINES)
     ideal = np.stack(poses.image(0, ground, line), axis=-1)
+    moved = _cubic(ideal, raster - ideal)
     low, high = space.span_m
-    heights = np.linspace(low - _SPAN_M, high + _SPAN_M, _HEIGHTS)
-    places = _lonlath(camera, ideal, heights)
-    wanted = np.tile(raster, (_HEIGHTS, 1))
-    rpc, _ = fit_rpc(places, np.tile(ideal + _cubic(ideal, raster - ideal), (_HEIGHTS, 1)))
-    away = np.linalg.norm(rpc.image_from_ground(places) - wanted, axis=1)
+    heights = np.linspace(low - _SPAN_M, high + _SPAN_M, _NODES[2])
+    (left, top), (right, bottom) = ideal.min(axis=0), ideal.max(axis=0)
+    axes = np.linspace(left, right, _NODES[0]), np.linspace(top, bottom, _NODES[1])
+    col, at, height = (a.ravel() for a in np.meshgrid(*axes, heights, indexing="ij"))
+    nodes = np.stack([col, at], axis=-1)
+    rpc, _ = fit_rpc(camera.ground_from_image(0, col, at, height), nodes + moved(nodes))
+    away = np.linalg.norm(rpc.image_from_ground(geodetic_from_ecef(ground)) - raster, axis=1)
     return SceneRpc(rpc, float(np.sqrt((away**2).mean())), float(away.max()))
 
 
-def _lonlath(camera: Pushbroom, ideal: Floats, heights: Floats) -> Floats:
-    found = [camera.ground_from_image(0, ideal[:, 0], ideal[:, 1], height) for height in heights]
-    return np.concatenate(found)
-
-
-def _cubic(at: Floats, value: Floats) -> Floats:
-    """The cubics of cols and lines (n, 2) nearest to values (n, 2), at these places.
+def _cubic(at: Floats, value: Floats) -> Callable[[Floats], Floats]:
+    """The cubics of cols and lines (n, 2) nearest to values (n, 2).
 
     They take jitter off: an RPC fitted to it would have poles in its denominators.
     """
     middle, half = at.mean(axis=0), np.maximum(np.ptp(at, axis=0) / 2.0, 1.0)
-    x, y = ((at - middle) / half).T
-    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
-    return np.asarray(terms @ np.linalg.lstsq(terms, value, rcond=None)[0])
+
+    def terms(places: Floats) -> Floats:
+        x, y = ((places - middle) / half).T
+        return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+
+    found = np.linalg.lstsq(terms(at), value, rcond=None)[0]
+    return lambda places: np.asarray(terms(places) @ found)
 
 
 def _seen(

@@ -140,7 +140,7 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
         if not g.lines[k]:
             columns.append((0, 0))
             continue
-        columns.append((max(math.floor(left.min()), 0), min(math.ceil(right.max()), g.scene_width_px)))
+        columns.append((max(round(left.min()), 0), min(round(right.max()), g.scene_width_px)))
         for side in range(3):
             starts.append(float(np.interp(0.0, line[:, side], at)))
             stops.append(float(np.interp(g.lines[k], line[:, side], at)))
