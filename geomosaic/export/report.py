@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from pyproj import CRS
 
@@ -18,7 +17,16 @@ from geomosaic.export import report_parts as parts
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import orientations
 from geomosaic.export.overview import glance, overview
-from geomosaic.export.plots import Axis, bar_plot
+from geomosaic.export.report_page import (
+    duration,
+    grouped_warnings,
+    length,
+    markup,
+    part,
+    plural,
+    template,
+    timings_plot,
+)
 from geomosaic.export.report_solved import solved_section
 from geomosaic.export.solved import ground_reason
 from geomosaic.export.svg import short
@@ -30,9 +38,7 @@ from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
 from geomosaic.survey.model import Survey
 
-_TEMPLATES = Path(__file__).parent / "templates"
 _MOST_ROWS = 3000
-_MOST_WARNINGS = 500
 
 _GROUND = {"flat": "flat ground", "dem": "the DEM", "tie_surface": "the tie points' surface"}
 _STATUS = {
@@ -74,21 +80,14 @@ def render_report(
     orientation = orientations(survey, placement.poses, adjusted)
     rows = parts.frame_rows(placement, ties, orientation)
     ground = _ground(adjusted, summary)
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["short"] = short
-    environment.filters["svg"] = _markup
-    svg = _markup
-    return environment.get_template(
-        "report.html"
-    ).render(
-        css=Markup((_TEMPLATES / "report.css").read_text("utf-8")),  # noqa: S704
-        form_script=Markup((_TEMPLATES / "score_form.js").read_text("utf-8")),  # noqa: S704
-        title="Mosaic of " + _plural(len(names), "frame"),
+    svg = markup
+    return template("report.html").render(
+        css=part("report.css"),
+        form_script=part("score_form.js"),
+        title="Mosaic of " + plural(len(names), "frame"),
         facts=_facts(survey, placement, ties, adjusted, mosaic, summary, picture.covered_m2),
         verdict=_verdict(adjusted, pairs.rms_m, placement.ground_pixel_m),
-        warnings=_grouped_warnings(summary),
+        warnings=grouped_warnings(summary),
         overview=svg(drawn),
         crowded=len(names) > 60,
         comparison=comparison,
@@ -108,7 +107,7 @@ def render_report(
         control=parts.control_tables(adjusted),
         solved=solved_section(survey, placement, adjusted, orientation, footprints_m, ground),
         cameras=parts.camera_rows(survey, adjusted),
-        timings=svg(_timings(summary)),
+        timings=svg(timings_plot(summary)),
         recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
         versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
         levels=CCIR_500_1,
@@ -116,16 +115,11 @@ def render_report(
     )
 
 
-def _markup(svg: str | None) -> Markup:
-    """Text made by `export.svg`, which escapes what it is given."""
-    return Markup(svg or "")  # noqa: S704
-
-
 def _comparison_maps(comparison: Comparison) -> list[tuple[str, Markup]]:
     if not len(comparison.vectors_m):
         return []
     titles = (("As measured", False), ("After the best shift, turn and scale", True))
-    return [(title, _markup(parts.comparison_map(comparison, after))) for title, after in titles]
+    return [(title, markup(parts.comparison_map(comparison, after))) for title, after in titles]
 
 
 def _heat_width_px(comparison: Comparison) -> int:
@@ -154,20 +148,20 @@ def _facts(
     facts = [
         ("frames tied", f"{count['tied']} of {len(survey.frames)}", rejected),
         ("taken", *_taken(survey)),
-        ("ground pixel", _length(mosaic.grid.gsd_m), f"{mosaic.grid.width_px} × {mosaic.grid.height_px} px"),
-        ("area covered", short(*area), _plural(len(set(placement.lines)), "flight line")),
+        ("ground pixel", length(mosaic.grid.gsd_m), f"{mosaic.grid.width_px} × {mosaic.grid.height_px} px"),
+        ("area covered", short(*area), plural(len(set(placement.lines)), "flight line")),
         ("map", ":".join(code) if code else crs.name, crs.name if code else ""),
-        ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + _plural(len(ties.pairs), "pair")),
+        ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
     ]
     if timings:
         note = f"peak memory {memory:.0f} MB" if memory else ""
-        facts.append(("time taken", _duration(sum(map(float, timings.values()))), note))
+        facts.append(("time taken", duration(sum(map(float, timings.values()))), note))
     return facts
 
 
 def _adjustment_note(adjusted: Adjusted) -> str:
-    rounds = _plural(len(adjusted.rounds), "round") + ", " if adjusted.rounds else ""
+    rounds = plural(len(adjusted.rounds), "round") + ", " if adjusted.rounds else ""
     return f"{rounds}on {_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)}"
 
 
@@ -175,10 +169,6 @@ def _ground(adjusted: Adjusted, summary: Mapping[str, Any]) -> str:
     """Which surface, and why, as the run told it."""
     told = summary.get("metrics", {}).get("ground", {}).get("reason") or ground_reason(adjusted)
     return f"{_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)} ({told})"
-
-
-def _plural(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def _taken(survey: Survey) -> tuple[str, str]:
@@ -189,16 +179,6 @@ def _taken(survey: Survey) -> tuple[str, str]:
     return f"{first:%Y-%m-%d}", f"{first:%H:%M:%S} to {last:%H:%M:%S} UTC"
 
 
-def _length(metres: float) -> str:
-    return short(metres * 100.0, "cm") if metres < 1.0 else short(metres, "m")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120.0:
-        return f"{seconds:.1f}\u00a0s"
-    return f"{int(seconds // 60)}\u00a0min {int(seconds % 60)}\u00a0s"
-
-
 def _verdict(adjusted: Adjusted, rms_m: parts.Floats, ground_pixel_m: float) -> str:
     """One sentence on how well the frames agree."""
     known = rms_m[np.isfinite(rms_m)]
@@ -207,23 +187,7 @@ def _verdict(adjusted: Adjusted, rms_m: parts.Floats, ground_pixel_m: float) -> 
     typical = float(np.median(known)) / ground_pixel_m
     words = "well within a pixel" if typical < 0.5 else "to about a pixel" if typical < 1.5 else "roughly"
     odd = len(adjusted.status) - adjusted.status.count("tied")
-    more = f" {_plural(odd, 'frame')} not tied: see the table of frames." if odd else ""
+    more = f" {plural(odd, 'frame')} not tied: see the table of frames." if odd else ""
     return (
         f"Tied frames agree {words}: the typical pair is left with {short(typical, 'ground px')} RMS.{more}"
     )
-
-
-def _grouped_warnings(summary: Mapping[str, Any]) -> list[tuple[str, int, list[Mapping[str, Any]]]]:
-    """Code, number and first warnings of each code; the most frequent last, so that none hides another."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for warning in summary.get("warnings", []):
-        groups.setdefault(str(warning.get("code", "")), []).append(warning)
-    counted = ((code, len(group), group[:_MOST_WARNINGS]) for code, group in groups.items())
-    return sorted(counted, key=lambda g: g[1])
-
-
-def _timings(summary: Mapping[str, Any]) -> str | None:
-    timings = summary.get("timings_s", {})
-    if not timings:
-        return None
-    return bar_plot(list(timings), list(timings.values()), Axis("time", "s"), label="time of each stage")

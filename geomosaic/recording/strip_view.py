@@ -30,7 +30,7 @@ def log_strips(recording: Recording, stream: Any) -> None:
         drawn: dict[str, tuple[Any, list[str], list[tuple[int, int, int]], float]] = {
             "interval": (bounds, ["dcol 90 %", "", "dline 90 %", ""], [_FAINT[0]] * 2 + [_FAINT[1]] * 2, 1.0),
             "offsets": (curve.offset_px, names, both, 1.5),
-            "not_measured": (hidden, ["not measured", ""], odd, 2.5),
+            "not_measured": (hidden, ["not measured", ""], odd, 5.0),
         }
         index = rerun.TimeColumn(LINE, sequence=curve.line)
         for name, (values, titles, colours, width) in drawn.items():

@@ -1,0 +1,243 @@
+"""The report of a scene of CCD strips: one self-contained HTML page for people, without a network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from markupsafe import Markup
+
+from geomosaic.ccd.model import PairOffsets, StripOffsets
+from geomosaic.ccd.radiometry import Radiometry
+from geomosaic.export.report_page import (
+    duration,
+    grouped_warnings,
+    length,
+    markup,
+    part,
+    plural,
+    template,
+    timings_plot,
+)
+from geomosaic.export.strip_pictures import Place, scene_glance, scene_overview, seam_crops, seam_places
+from geomosaic.export.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
+from geomosaic.export.svg import short
+from geomosaic.mosaic.strip_compose import StripMosaic
+from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
+from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
+from geomosaic.quality.strips import PairQuality, StripQuality
+from geomosaic.survey.strips import StripGeometry
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """One pair of the table; shares in percent."""
+
+    name: str
+    strips: str
+    dcol_px: tuple[float, float]
+    dline_px: tuple[float, float]
+    labels: tuple[float, ...]
+    rms_px: float
+    worst_px: float
+    worst_lines: str
+
+
+def render_strips_report(
+    *,
+    geometry: StripGeometry,
+    offsets: StripOffsets,
+    quality: StripQuality,
+    radiometry: Radiometry | None,
+    mosaic: StripMosaic,
+    mosaic_file: Path,
+    summary: Mapping[str, Any],
+) -> str:
+    """The page's HTML; what comes from strangers is escaped, and the page forbids itself any network.
+
+    Args:
+        mosaic_file: mosaic.tif, read at reduced size, and at full size about the seams.
+        summary: what run.json holds (`warnings`, `timings_s`, `peak_memory_mb`, `recipe`, `versions`);
+            missing keys are left out of the page.
+    """
+    picture = scene_glance(mosaic_file)
+    names = [_pair_name(p.pair) for p in quality.pairs]
+    by_pair = {p.pair: p for p in offsets.pairs}
+    found = jitter_spectrum(offsets, geometry.line_rate_hz)
+    left = residual_spectrum(quality, geometry.line_rate_hz)
+    seams = []
+    for name, checked in zip(names, quality.pairs, strict=True):
+        places = seam_places(geometry, checked, by_pair[checked.pair])
+        crops = seam_crops(mosaic_file, geometry, checked.pair, places, mosaic.first_line)
+        seams.append((name, [(_crop_words(place), markup(crop)) for place, crop in crops]))
+    return template("report_strips.html").render(
+        css=part("report.css"),
+        title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
+        verdict=_verdict(quality),
+        misplaced=quality.misplaced,
+        facts=_facts(geometry, offsets, quality, mosaic, summary),
+        warnings=grouped_warnings(summary),
+        gaps=_gaps(geometry, mosaic),
+        overview=markup(scene_overview(picture, geometry, quality, mosaic.first_line)),
+        limit=LIMIT_PX,
+        segment_lines=SEGMENT_LINES,
+        misplacement=markup(misplacement_plot(quality, names, label="misplacement of each segment")),
+        pairs=[_pair_row(geometry, p, by_pair[p.pair]) for p in quality.pairs],
+        seams=seams,
+        curves=[(_pair_name(p.pair), _curve(p)) for p in offsets.pairs],
+        spectrum=markup(spectrum_plot(found, left, label="spectrum of the offsets found and left")),
+        separation_s=geometry.row_separation_lines / geometry.line_rate_hz,
+        ccds=_ccd_rows(geometry, radiometry),
+        timings=markup(timings_plot(summary)),
+        recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
+        versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
+    )
+
+
+def _pair_name(pair: int) -> str:
+    return f"{pair + 1}–{pair + 2}"
+
+
+def _curve(pair: PairOffsets) -> Markup:
+    return markup(offsets_plot(pair, label=f"offsets of CCD {pair.pair + 2} against CCD {pair.pair + 1}"))
+
+
+def _crop_words(place: Place) -> str:
+    left = "" if np.isnan(place.left_px) else f", {short(place.left_px, 'px', 2)} left"
+    return f"{place.why}: line {place.line}{left}"
+
+
+def _verdict(quality: StripQuality) -> str:
+    """One sentence on how well the strips lie on one another."""
+    f = quality.figures
+    if not f.lines:
+        return "Nothing could be checked: the strips lie where the offsets and the geometry put them."
+    rest = 1.0 - f.lines / max(quality.lines, 1)
+    unknown = (
+        f" {_percent(rest)} of the lines could not be checked: bridged, unreliable or without texture."
+        if rest > 0.005
+        else ""
+    )
+    if quality.misplaced:
+        pair, segment = _worst(quality)
+        odd = sum(int((p.segments_px > LIMIT_PX).sum()) for p in quality.pairs)
+        many = sum(int(np.isfinite(p.segments_px).sum()) for p in quality.pairs)
+        return (
+            f"Misplaced: {odd} of {plural(many, 'segment')} {'is' if odd == 1 else 'are'} off by more than "
+            f"{LIMIT_PX:g} px; the worst, between CCDs {pair.pair + 1} and {pair.pair + 2} at lines "
+            f"{_segment_words(pair, segment)}, by {short(f.worst_segment_px, 'px', 2)}.{unknown}"
+        )
+    return (
+        f"In place: neighbouring strips agree to {short(f.rms_px, 'px', 2)} RMS where they were checked; "
+        f"the worst segment is off by {short(f.worst_segment_px, 'px', 2)}, the limit is {LIMIT_PX:g} px."
+        f"{unknown}"
+    )
+
+
+def _worst(quality: StripQuality) -> tuple[PairQuality, int]:
+    best = [np.nanmax(p.segments_px, initial=-1.0) for p in quality.pairs]
+    pair = quality.pairs[int(np.argmax(best))]
+    return pair, int(np.nanargmax(pair.segments_px))
+
+
+def _segment_words(pair: PairQuality, segment: int) -> str:
+    last = min((segment + 1) * SEGMENT_LINES, pair.lines) - 1
+    return f"{segment * SEGMENT_LINES} to {last}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}\u00a0%" if np.isfinite(share) else "–"
+
+
+def _facts(
+    geometry: StripGeometry,
+    offsets: StripOffsets,
+    quality: StripQuality,
+    mosaic: StripMosaic,
+    summary: Mapping[str, Any],
+) -> list[tuple[str, str, str]]:
+    """What the head of the page says: name, value, a note."""
+    f, living = quality.figures, sum(map(bool, geometry.lines))
+    n = max(quality.lines, 1)
+    size = f"{mosaic.width_px} × {mosaic.height_px}"
+    facts = [
+        (
+            "strips",
+            f"{living} of {len(geometry.ccds)}",
+            f"{geometry.width_px} px by {max(geometry.lines)} lines",
+        ),
+        ("scene", size, f"{mosaic.dtype}, {mosaic.bit_depth} bits"),
+        ("ground pixel", length(geometry.ground_pixel_m), f"{geometry.line_rate_hz:g} lines a second"),
+        ("method", offsets.method.replace("_", " "), "of the offsets"),
+        ("misplacement", short(f.rms_px, "px", 2), f"RMS; 95 %: {short(f.p95_px, 'px', 2)}"),
+        (
+            "worst segment",
+            short(f.worst_segment_px, "px", 2),
+            f"lines above {LIMIT_PX:g} px: {_percent(f.share_above)}",
+        ),
+        ("checked", _percent(f.lines / n), f"of {quality.lines:,} lines of the overlaps"),
+        ("not measured", _percent(quality.other_lines / n), "bridged or unreliable"),
+    ]
+    timings, memory = summary.get("timings_s", {}), summary.get("peak_memory_mb")
+    if timings:
+        note = f"peak memory {memory:.0f} MB" if memory else ""
+        facts.append(("time taken", duration(sum(map(float, timings.values()))), note))
+    return facts
+
+
+def _gaps(geometry: StripGeometry, mosaic: StripMosaic) -> list[str]:
+    """What is missing from the scene."""
+    longest = max(geometry.lines)
+    out = [f"CCD {k + 1} has no strip." for k, lines in enumerate(geometry.lines) if not lines]
+    out += [
+        f"Columns {first} to {last - 1} of the scene are empty: no CCD saw them."
+        for first, last in mosaic.gaps_px
+    ]
+    out += [
+        f"The strip of CCD {k + 1} ends {plural(longest - lines, 'line')} before the longest."
+        for k, lines in enumerate(geometry.lines)
+        if 0 < lines < longest
+    ]
+    return out
+
+
+def _pair_row(geometry: StripGeometry, checked: PairQuality, offsets: PairOffsets) -> PairRow:
+    length_px = np.hypot(*checked.residual_px.T)
+    known = np.isfinite(length_px) & (checked.counts > 0)
+    counts = np.where(known, checked.counts, 0.0)
+    rms = (
+        float(np.sqrt((np.where(known, length_px, 0.0) ** 2 @ counts) / counts.sum()))
+        if known.any()
+        else np.nan
+    )
+    segments = checked.segments_px
+    some = bool(np.isfinite(segments).any())
+    files = [ccd.path.name if ccd.path else "" for ccd in geometry.ccds[checked.pair : checked.pair + 2]]
+    return PairRow(
+        _pair_name(checked.pair),
+        " – ".join(files),
+        (float(offsets.dcol_px.min()), float(offsets.dcol_px.max())),
+        (float(offsets.dline_px.min()), float(offsets.dline_px.max())),
+        tuple(100.0 * share for share in checked.share_of_labels),
+        rms,
+        float(np.nanmax(segments)) if some else float("nan"),
+        _segment_words(checked, int(np.nanargmax(segments))) if some else "–",
+    )
+
+
+def _ccd_rows(
+    geometry: StripGeometry, radiometry: Radiometry | None
+) -> list[tuple[int, str, str, int, str, str]]:
+    """Number, strip, row, lines, gain, offset of every CCD."""
+    out = []
+    for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True)):
+        gain = offset = "–"
+        if radiometry is not None and lines:
+            gain, offset = f"{radiometry.gain[k]:.4f}", f"{radiometry.offset[k]:+.2f}"
+        row = "leading" if ccd.row == 1 else "trailing"
+        out.append((k + 1, ccd.path.name if ccd.path else "none", row, lines, gain, offset))
+    return out
