@@ -10,8 +10,9 @@ import pytest
 
 from geomosaic.ccd.image_registration import image_registration
 from geomosaic.ccd.methods import Method
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, Settings
-from geomosaic.ccd.overlaps import Strips, strips_in_memory
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, Settings, StripOffsets
+from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
+from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import (
     bridging_sd,
     consensus,
@@ -24,6 +25,8 @@ from geomosaic.ccd.sift_chains import (
 )
 from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic.simulate.strips import simulate_strips
+from geomosaic.survey.strips import read_geometry
 
 STILL = StripPlan(
     seed=3,
@@ -218,6 +221,35 @@ def test_methods_hold_no_more_than_a_piece_of_the_strips():
         watched.most = 0
         method(watched, Settings(), silent)
         assert 0 < watched.most <= most
+
+
+def test_files_are_read_once_for_both_their_edges(tmp_path, monkeypatch):
+    plan = replace(STILL, width_px=224, lines=3150)
+    geometry = read_geometry(simulate_strips(tmp_path, plan, scene=False).geometry)
+    read: list[tuple[int, int, int]] = []
+    edges = StripFiles._edges
+
+    def watched(self: StripFiles, ccd: int, start: int, stop: int):
+        read.append((ccd, start, stop))
+        return edges(self, ccd, start, stop)
+
+    monkeypatch.setattr(StripFiles, "_edges", watched)
+    truth = [p.truth for p in simulated(plan)[1]]
+    for method, most in ((piecewise_linear, 1036), (image_registration, 1036 + 96)):
+        read.clear()
+        with StripFiles(geometry) as strips:
+            offsets = method(strips, Settings(), silent)
+        for found, true in zip(offsets, truth, strict=True):
+            lines = shared(strips, found.pair)
+            assert abs(np.median((found.dcol_px - true.dcol_px)[lines])) < 0.1
+            assert abs(np.median((found.dline_px - true.dline_px)[lines])) < 0.1
+        assert sum(stop - start for ccd, start, stop in read if ccd == 1) <= most
+    read.clear()
+    with StripFiles(geometry) as strips:
+        found_gains = radiometry(strips, StripOffsets("image_registration", offsets), silent)
+    assert len(found_gains.gain) == 3
+    middle = [(start, stop) for ccd, start, stop in read if ccd == 1]
+    assert len(middle) == len(set(middle))
 
 
 def test_a_dead_ccd_and_a_short_strip_leave_the_others_alone():

@@ -29,6 +29,7 @@ from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
 _AGREE_PX = 1.0
+_NEAR_PX = 0.5
 _LEAST_POINTS = 6
 _ABNORMAL_PX = 2.0
 _MOST_TRIED = 500
@@ -155,7 +156,7 @@ def whole_scene(strips: Strips, settings: Settings, progress: Progress) -> tuple
     """One offset for the scene and pair: the old chain, without enhancement.
 
     The standard deviation is the points' robust scatter about the one offset, with what drift and jitter make
-    of it. A line is labelled measured where most points of its piece agree with the offset.
+    of it. A line is labelled measured where the middle of its piece's points is within 0.5 px of the offset.
     """
     found: dict[int, list[tuple[int, int, Matched]]] = {pair: [] for pair in strips.pairs}
     for done, (pair, first, stop, total) in enumerate(pieces(strips, settings.segment_lines)):
@@ -173,9 +174,9 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
     if inside.sum() >= _LEAST_POINTS:
         sd = np.maximum(1.4826 * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
         for first, stop, part in parts:
-            agree = (np.abs(part.moved_px - shift) <= _AGREE_PX).all(axis=1)
-            most = len(part) >= _LEAST_POINTS and 2 * agree.sum() > len(part)
-            label[first:stop] = MEASURED if most else BRIDGED
+            enough = len(part) >= _LEAST_POINTS
+            near = enough and np.hypot(*(np.median(part.moved_px, axis=0) - shift)) <= _NEAR_PX
+            label[first:stop] = MEASURED if near else BRIDGED
     dcol, dline, sd_col, sd_line = (np.full(lines, value) for value in (*shift, *sd))
     return PairOffsets(pair, dcol, dline, sd_col, sd_line, label)
 
