@@ -315,6 +315,42 @@ def test_layouts_with_many_knots(tmp_path):
     assert np.abs(pixels - want)[valid].max() < 3.0
 
 
+@pytest.mark.parametrize("nodata", [None, 0.0])
+def test_places_that_are_none(tmp_path, nodata):
+    """A knot without a place: nothing up to the next knots; the right strip stands in where it has pixels."""
+    g = strips(tmp_path, ccds=2)
+    if nodata is not None:
+        with rasterio.open(g.ccds[0].path, "r+") as strip:
+            strip.write(np.zeros((1, 1), np.uint16), 1, window=rasterio.windows.Window(0, 0, 1, 1))
+        g = dataclasses.replace(g, nodata=nodata)
+    base = image_space_layout(g, NOMINAL)
+
+    class Holed:
+        first_line, width_px, height_px, seams_px = (
+            base.first_line,
+            base.width_px,
+            base.height_px,
+            base.seams_px,
+        )
+        cols = staticmethod(base.cols)
+
+        def places(self, ccd, top, bottom):
+            first, last = self.cols(ccd)
+            knots = np.arange(first, last + 1.0, 8.0)
+            line = self.first_line + np.arange(top, bottom)[:, None] + 0.5 + 0.0 * knots
+            line += -50.0 if ccd == 0 else 50.0
+            if ccd == 0:
+                line[:, [5, 13]] = np.nan  # cols 40 and 104
+            return Places(knots, np.stack([np.broadcast_to(knots - first, line.shape), line]))
+
+    mosaic, pixels, valid = composed(g, tmp_path / "m.tif", Holed())
+    assert mosaic.lines_read == (900, 900)
+    assert valid[150:850, :32].all()
+    assert not valid[:, 32:48].any()
+    assert valid[150:850, 48:].all()
+    np.testing.assert_array_equal(pixels[valid], np.rint(expected(base))[valid])
+
+
 def test_bad_names_and_broken_strips(tmp_path):
     g = strips(tmp_path, ccds=2)
     layout = image_space_layout(g, NOMINAL)

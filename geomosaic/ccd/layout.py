@@ -27,7 +27,8 @@ class Places:
     """Where raster rows see a strip: at knots, bilinear between them across the columns.
 
     knots_px: (m,) raster cols, ascending, from the first to the last col of the CCD at least.
-    image_px: (2, rows, m) the strip's col and line (the file's own) at the middles of the rows.
+    image_px: (2, rows, m) the strip's col and line (the file's own) at the middles of the rows; NaN where
+    there is no such place, and then nothing between it and the next knots is the strip's.
     """
 
     knots_px: Floats

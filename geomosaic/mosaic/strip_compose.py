@@ -176,7 +176,8 @@ class _Source:
         begin, end = max(block.top - REACH_ROWS, 0), min(block.bottom + REACH_ROWS, height)
         places = self.layout.places(self.ccd, begin, end)
         line = places.image_px[1]
-        lines = self.lines.between(float(line.min()), float(line.max()))
+        line = line[np.isfinite(line)]
+        lines = self.lines.between(float(line.min()), float(line.max())) if line.size else None
 
         def part(cols: tuple[int, int], top: int, bottom: int) -> Part:
             rows = begin, top, bottom

@@ -85,10 +85,10 @@ def _valid(lines: Lines, count: int, x: Floats32, y: Floats32) -> Flags | bool:
     """Where the nearest pixel is one of the strip's and valid."""
     width, top, bottom = lines.pixels.shape[1], -lines.first, count - lines.first
     inside: Flags | bool = True
-    if x.min() < 0.0 or x.max() > width or y.min() < top or y.max() > bottom:
+    if not (x.min() >= 0.0 and x.max() <= width and y.min() >= top and y.max() <= bottom):  # or NaN
         inside = (x >= 0.0) & (x <= width) & (y >= top) & (y <= bottom)
     if lines.valid is None:
         return inside
-    row = np.clip(np.floor(y), 0, len(lines.valid) - 1).astype(np.intp)
-    col = np.clip(np.floor(x), 0, width - 1).astype(np.intp)
+    row = np.clip(np.floor(np.nan_to_num(y)), 0, len(lines.valid) - 1).astype(np.intp)
+    col = np.clip(np.floor(np.nan_to_num(x)), 0, width - 1).astype(np.intp)
     return np.asarray(lines.valid[row, col] & inside)
