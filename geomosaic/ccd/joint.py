@@ -24,8 +24,8 @@ from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
 
 _WINDOW_LINES, _MARGIN_LINES = 20000, 2000
 _LEAST_KNOTS = 16
-# What the cubic kernel leaves of the sub-pixel phase.
-_RESAMPLING_SD_PX = 0.004
+# What resampling leaves, and what the overlap's columns differ by: columns, lines.
+_RESAMPLING_SD_PX = (0.0055, 0.0045)
 _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 _UNKNOWN_SD_PX = 10.0

@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from geomosaic.ccd.brightness import bright_part, moves
 from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
 from geomosaic.ccd.model import Flags, Floats, Settings
 from geomosaic.ccd.motion import FIRST_HABITS, Habits, Smoothed, learned, smooth
@@ -59,14 +60,15 @@ def solved_window(pairs: Sequence[RowPair], settings: Settings) -> KnotOffsets:
     now = smooth(coarse, weights, np.median(coarse, axis=1), FIRST_HABITS)
     habits = FIRST_HABITS
     cells: list[Cells] = []
+    used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
         ready = each(lambda pair, scale=scale: pictures(pair, scale), pairs)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
-            now, cells, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
+            now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
-    own = np.stack([(c.fit >= _LEAST_FIT) & (np.trace(c.information, axis1=1, axis2=2) > 0) for c in cells])
+    own = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
 
 
@@ -96,8 +98,11 @@ def _refined(
     centres: Floats,
     habits: Habits,
     last: bool,
-) -> tuple[Smoothed, list[Cells], Habits]:
-    """One round: cells measured along the curves, implausible ones set back, curves drawn anew."""
+) -> tuple[Smoothed, list[Cells], Flags, Habits]:
+    """One round: cells measured along the curves, implausible ones set back, curves drawn anew.
+
+    Returns: curves, cells, which of them (pairs, knots) had a say, habits.
+    """
     step = round(centres[1] - centres[0])
     at = np.clip(np.arange(len(centres) * step, dtype=np.float64), centres[0], centres[-1])
 
@@ -112,6 +117,12 @@ def _refined(
     offset = np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse)
     anchor = _ANCHOR_SD_PX**-2 * np.eye(2)
     level = _level(now, measured)
+    bright = bright_part(np.stack([_knot_means(pair.brightness, len(centres)) for pair in pairs]))
+    if (bright & found).any():
+        without = np.where(bright[..., None, None], 0.0, measured)
+        solution = smooth(offset, without + anchor, level, habits)
+        if moves((offset - solution.offsets_px)[bright], measured[bright]):
+            measured = without
     information, factor = measured, 1.0
     for _ in range(2):
         solution = smooth(offset, information + anchor, level, habits)
@@ -120,7 +131,11 @@ def _refined(
     known = np.trace(information, axis1=2, axis2=3) > 2 * _SURE_SD_PX**-2
     habits = learned(solution, known, habits)
     final = smooth(offset, information + anchor, level, habits, covariance=last)
-    return final, cells, habits
+    return final, cells, np.trace(measured, axis1=2, axis2=3) > 0, habits
+
+
+def _knot_means(values: Floats, knots: int) -> Floats:
+    return np.asarray(values[: len(values) // knots * knots].reshape(knots, -1).mean(axis=1))
 
 
 def _level(now: Smoothed, measured: Floats) -> Floats:

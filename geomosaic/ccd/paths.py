@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.brightness import bright_part
 from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
@@ -20,6 +21,8 @@ _MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
 _LAYER_GAIN = 0.003
 # How far the ground may well lie from the nominal geometry.
 _NOMINAL_PX = 6.0
+# What bright blocks count: enough to find bright ground, not to lead the path off to clouds.
+_BRIGHT_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -83,10 +86,12 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
 
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
+    bright = bright_part(brightness)
+    volumes = volumes * np.where(bright, _BRIGHT_WEIGHT, 1.0)[..., None, None]
     best, evidence = _solve(volumes, rounds)
     layers: list[Layer] = []
     threshold = _LAYER_GAIN * evidence
-    for candidate in layer_candidates(volumes):
+    for candidate in [] if bright.any() else layer_candidates(volumes):
         tried, found = _solve(either_layer(volumes, [candidate]), rounds)
         opposite = Layer(-candidate.lines, -candidate.cols)
         moved, other = _solve(either_layer(volumes, [opposite]), rounds)

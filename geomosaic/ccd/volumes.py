@@ -9,8 +9,8 @@ from geomosaic.ccd.model import Flags, Floats, Images
 
 BLOCK_LINES = 32
 # Of the pixels of a band-passed picture one in so many tells something of its own.
-_PIXELS_PER_FACT = 4.0
-_MOST_EVIDENCE = 12.0
+_PIXELS_PER_FACT = 24.0
+_MOST_EVIDENCE = 30.0
 _BOX_PX = 17
 
 
