@@ -13,6 +13,7 @@ from geomosaic.ccd.model import Flags, Floats
 _BINS = 128
 # The bright part's mean is above the other's by this, of the other's.
 _STANDS_OUT = 0.2
+_IN_PART = 0.25
 _MOST_SHARE = 0.97
 _MOVED_PX, _MOVED_DEVIATIONS = 0.06, 4.0
 # Neighbouring knots' residuals are no independent facts: one in so many counts.
@@ -20,7 +21,10 @@ _KNOTS_PER_FACT = 10.0
 
 
 def bright_part(brightness: Floats) -> Flags:
-    """Where brightness (any shape) belongs to the brighter of two groups, if these stand apart (Otsu 1979)."""
+    """Where brightness (any shape) is more than that of the darker of two groups, if these stand apart.
+
+    The groups are Otsu's (1979); what lies between them counts as bright: rows that are in part so.
+    """
     counts, edges = np.histogram(brightness, _BINS)
     middle = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(counts)[:-1]
@@ -31,7 +35,7 @@ def bright_part(brightness: Floats) -> Flags:
     split = int(np.argmax(below * above * (high - low) ** 2))
     if high[split] - low[split] < _STANDS_OUT * low[split]:
         return np.zeros(brightness.shape, dtype=np.bool_)
-    found: Flags = brightness > edges[split + 1]
+    found: Flags = brightness > low[split] + _IN_PART * (high[split] - low[split])
     return found if found.mean() < _MOST_SHARE else np.zeros_like(found)
 
 
