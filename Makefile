@@ -50,6 +50,13 @@ bench-speed: setup ## 1,000 frames with 300,000 image observations (about a minu
 bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
 	$(PY) tools/bench_oracle.py
 
+bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object space, speed, the paper's figures (about 2 hours)
+	$(PY) tools/bench_strips.py --seeds 20 --methods all --out out/bench-strips
+	$(PY) tools/bench_strips.py --mixed 60 --out out/bench-strips
+	$(PY) tools/bench_strips_crossover.py
+	$(PY) tools/bench_strips_speed.py
+	$(PY) tools/bench_strips_figures.py --out out/bench-strips
+
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
 	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
 
@@ -60,4 +67,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-oracle bench-real format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-oracle bench-strips bench-real format clean
