@@ -103,7 +103,7 @@ def table(level: Level, seeds: int, lines: int) -> tuple[str, bool]:
     """The table in Markdown, and whether the true model serves."""
     plans = [StripPlan(seed=FIRST_SEED + k, width_px=4096, lines=lines) for k in range(seeds)]
     level_px = float(np.mean([level(plan) for plan in plans])) if callable(level) else level
-    told = f"{level_px:.3g} px, {'measured on these scenes' if callable(level) else 'as given, not measured here'}"
+    origin = "measured on these scenes" if callable(level) else "as given, not measured here"
     scenes = [Scene(plan) for plan in plans]
     truths = [
         [scene.truth(pair) for pair in plan.geometry().pairs]
@@ -121,7 +121,9 @@ def table(level: Level, seeds: int, lines: int) -> tuple[str, bool]:
         found += rows
         at = crossing(STEPS_URAD, [r.rms_px for r in rows], level_px)
         where = "not in this range" if at is None else f"at {at:.2g} urad"
-        crossings.append(f"- {name}: object space is worse than image space ({told}) from: {where}")
+        crossings.append(
+            f"- {name}: object space is worse than image space ({level_px:.3g} px, {origin}) from: {where}"
+        )
     text = ["| case | RMS px | 95 % px | worst px | better |", "|---|---|---|---|---|"]
     for r in found:
         better = "object space" if r.rms_px < level_px else "image space"
