@@ -134,6 +134,22 @@ def test_other_methods_are_recipes(method: str, scene: SimulatedStrips, tmp_path
     assert figures(tmp_path / "run")["rms_px"] < {"virtual_line": 0.02}.get(method, 0.6)
 
 
+def test_the_misplacement_rate_counts_runs_by_method(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(run, tmp_path / "worse", ignore=shutil.ignore_patterns("work"))
+    told = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    told["metrics"]["misplacement"] |= {"misplaced": True, "worst_segment_px": 1.25}
+    (tmp_path / "worse" / "run.json").write_text(json.dumps(told))
+    capsys.readouterr()
+    assert geomosaic("misplacement", run, tmp_path / "worse") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "in place" in lines[0] and lines[1].endswith("worst segment 1.25 px (joint)")
+    assert lines[2] == "joint: 1 of 2 misplaced, 50.0 % (95 % interval 9.5 to 90.5 %)"
+    (tmp_path / "worse" / "run.json").write_text('{"metrics": {}}')
+    assert geomosaic("misplacement", tmp_path / "worse") == 2
+
+
 def test_equal_runs_give_equal_bytes(scene: SimulatedStrips, tmp_path: Path) -> None:
     for name in ("a", "b"):
         assert strips(scene.geometry, tmp_path / name, "--fixed-time") == 0

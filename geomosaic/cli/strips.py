@@ -21,6 +21,7 @@ STAGES = (
     "export.cog",
     "export.offsets",
     "export.strip_layers",
+    "export.strip_report",
 )
 """What `geomosaic strips` does."""
 

@@ -1,0 +1,68 @@
+"""`geomosaic misplacement`: how many scenes of strips are no good, as the paper's table 1 counts them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from geomosaic.cli.options import AsJson
+from geomosaic.errors import InputError
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A run's figures; `misplaced` as run.json tells it."""
+
+    run: str
+    method: str
+    misplaced: bool
+    rms_px: float | None
+    worst_segment_px: float | None
+
+
+def misplacement(
+    runs: Annotated[
+        list[Path], typer.Argument(help="folders of finished runs of `geomosaic strips`", metavar="RUN...")
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Say which scenes of strips are misplaced by more than 1 px, and what share of them by each method."""
+    from geomosaic.quality.strip_figures import misplacement_rate
+
+    scenes = [_scene(run) for run in runs]
+    methods = sorted({s.method for s in scenes})
+    rates = {m: asdict(misplacement_rate([s for s in scenes if s.method == m])) for m in methods}
+    if as_json:
+        print(json.dumps({"scenes": [asdict(s) for s in scenes], "rates": rates}, indent=2))
+        return
+    for s in scenes:
+        verdict = "misplaced" if s.misplaced else "in place"
+        print(
+            f"{s.run}: {verdict}, {_px(s.rms_px)} RMS, worst segment {_px(s.worst_segment_px)} ({s.method})"
+        )
+    for method, rate in rates.items():
+        print(
+            f"{method}: {rate['misplaced']} of {rate['scenes']} misplaced, {100 * rate['rate']:.1f} % "
+            f"(95 % interval {100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
+        )
+
+
+def _scene(run: Path) -> _Scene:
+    from geomosaic.pipeline.finished import read_summary
+
+    metrics: dict[str, Any] = read_summary(run)["metrics"]
+    told = metrics.get("misplacement")
+    if not isinstance(told, dict) or not isinstance(told.get("misplaced"), bool):
+        raise InputError(
+            "tells no misplacement", file=run / "run.json", mend="give runs of `geomosaic strips`"
+        )
+    method = str(metrics.get("offsets", {}).get("method", ""))
+    return _Scene(str(run), method, told["misplaced"], told.get("rms_px"), told.get("worst_segment_px"))
+
+
+def _px(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2f} px"
