@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,9 +104,25 @@ def test_clouds_that_the_labels_know_are_not_misplacement() -> None:
     quality = checked(strips, offsets_of(pairs, thin=0.02))
     assert not quality.misplaced and quality.figures.worst_segment_px < 0.2
     assert quality.other_lines > 0.15 * quality.lines
+    # What the bridged lines show is told beside it: the clouds' own motion, or a method that doesn't trust itself.
+    assert quality.others.lines > 0 and quality.others.share_above > 0.5
+    assert quality_metrics(quality)["others_share_above_1px"] == pytest.approx(quality.others.share_above)
     assert quality.figures.lines + quality.unmeasured_lines + quality.other_lines == quality.lines
     unlabelled = checked(strips, offsets_of(pairs, thin=1.0))
     assert unlabelled.misplaced, "the same clouds, had the labels called them measured"
+
+
+def test_misplacement_of_lines_called_bridged_is_told_beside(
+    clean: tuple[Strips, tuple[SimulatedPair, ...]],
+) -> None:
+    """One offset for all lines, labelled bridged but for a tenth: as an old chain would have it."""
+    strips, pairs = clean
+    offsets = offsets_of(pairs, lambda k, t: (0.0, 3.0 * (t % 1280 > 128)))
+    labelled = [replace(p, label=(np.arange(5200) % 1280 > 128).astype(np.uint8)) for p in offsets.pairs]
+    quality = checked(strips, StripOffsets("x", tuple(labelled)))
+    assert not quality.misplaced and quality.figures.share_above < 0.1
+    assert quality.others.rms_px == pytest.approx(3.0, abs=0.1) and quality.others.share_above > 0.95
+    assert quality.others.lines > 0.9 * quality.other_lines
 
 
 def test_what_cannot_be_measured_is_said_to_be_so(clean: tuple[Strips, tuple[SimulatedPair, ...]]) -> None:

@@ -122,6 +122,11 @@ def _verdict(quality: StripQuality) -> str:
         if rest > 0.005
         else ""
     )
+    if quality.others.lines and quality.others.share_above > 0.05:
+        share = _percent(quality.others.share_above)
+        unknown += (
+            f" Where lines were bridged, {share} seem off by more than {LIMIT_PX:g} px: clouds, or misplaced."
+        )
     if quality.misplaced:
         pair, segment = _worst(quality)
         odd = sum(int((p.segments_px > LIMIT_PX).sum()) for p in quality.pairs)

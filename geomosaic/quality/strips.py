@@ -15,6 +15,7 @@ from geomosaic.ccd.volumes import flattened
 from geomosaic.quality.displacement import Displacements, measure_displacements
 from geomosaic.quality.least_squares_matching import bspline_weights
 from geomosaic.quality.strip_figures import (
+    LIMIT_PX,
     StripFigures,
     common_lines,
     label_shares,
@@ -32,6 +33,7 @@ _AGREE_PX = 0.5
 _LEAST_AGREEING = 0.75
 _LEAST_PATCHES = 2
 _LEAST_SD_PX = 0.01
+_LEAST_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,10 @@ class PairQuality:
     residual_px: (blocks, 2) dcol, dline: where the right strip has the ground minus where the offsets say, so
     that offsets + residual would be right; NaN where it can't be measured. sd_px: (blocks,) one standard
     deviation of it. counts: (blocks,) lines of the block that are labelled measured and whose ground both
-    strips have; the others don't count. segments_px: root mean square of each segment's lines that count, NaN
-    where there are none. share_of_labels: of the lines whose ground both strips have, by `ccd.model.LABELS`.
+    strips have; the others don't count. other_px: (blocks, 2) the residual of lines that aren't labelled
+    measured, which may be the clouds' own motion. segments_px: root mean square of each segment's lines that
+    count, NaN where there are none. share_of_labels: of the lines whose ground both strips have, in the order
+    of `ccd.model.LABELS`.
     """
 
     pair: int
@@ -50,6 +54,7 @@ class PairQuality:
     residual_px: Floats
     sd_px: Floats
     counts: Floats
+    other_px: Floats
     segments_px: Floats
     share_of_labels: tuple[float, float, float]
 
@@ -65,7 +70,8 @@ class StripQuality:
     """The check of a scene. figures: over the lines labelled measured, where a residual could be measured.
 
     lines: whose ground both strips have. unmeasured_lines: labelled measured, but nothing there to check them
-    by (too little texture, or clouds and ground mixed). other_lines: bridged or unreliable.
+    by (too little texture, or clouds and ground mixed). other_lines: bridged or unreliable. others: figures
+    of those of them where something could be measured; they decide nothing, since it may be clouds.
     """
 
     pairs: tuple[PairQuality, ...]
@@ -73,6 +79,7 @@ class StripQuality:
     lines: int
     unmeasured_lines: int
     other_lines: int
+    others: StripFigures = strip_figures([])  # noqa: RUF009
 
     @property
     def misplaced(self) -> bool:
@@ -86,9 +93,10 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
     The right strip is laid on the left one along the offsets; patches of 28 px are matched by correlation
     within 14 px and then by least squares (`quality.displacement`). A block's residual is the mean of its
     patches, if three quarters agree within half a pixel: where they don't, clouds and ground lie beside each
-    other. Clouds alone do agree, upon their own motion: only lines labelled measured are looked at.
+    other. Clouds alone do agree, upon their own motion: only lines labelled measured count, and a residual
+    above 1 px must be seen by three quarters of all the block's patches, not of the measurable ones alone.
     """
-    pairs, errors = [], []
+    pairs, errors, other_errors = [], [], []
     total = sum(strips.lines(p.pair) for p in offsets.pairs)
     done = seen_lines = unmeasured = other = 0
     for pair in offsets.pairs:
@@ -98,7 +106,7 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
             parts.append(_piece(strips, pair, start, min(start + _PIECE_LINES, lines)))
             done += min(_PIECE_LINES, lines - start)
             progress(done, total)
-        residual, sd = (np.concatenate(v) for v in zip(*parts, strict=True))
+        residual, sd, elsewhere = (np.concatenate(v) for v in zip(*parts, strict=True))
         seen = common_lines(strips.geometry, pair.pair, pair.dline_px)
         own = seen & (pair.label == MEASURED)
         error = np.where(own[:, None], by_line(residual, lines), np.nan)
@@ -106,12 +114,15 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
         starts = np.arange(0, lines, BLOCK_LINES)
         counts = np.add.reduceat(own.astype(np.float64), starts)
         labels = label_shares(pair.label[seen])
-        pairs.append(PairQuality(pair.pair, lines, residual, sd, counts, segment_rms(error), labels))
+        segments = segment_rms(error)
+        pairs.append(PairQuality(pair.pair, lines, residual, sd, counts, elsewhere, segments, labels))
         errors.append(error)
+        other_errors.append(np.where((seen & ~own)[:, None], by_line(elsewhere, lines), np.nan))
         seen_lines += int(seen.sum())
         unmeasured += int((own & ~known).sum())
         other += int((seen & ~own).sum())
-    return StripQuality(tuple(pairs), strip_figures(errors), seen_lines, unmeasured, other)
+    figures, others = strip_figures(errors), strip_figures(other_errors)
+    return StripQuality(tuple(pairs), figures, seen_lines, unmeasured, other, others)
 
 
 def by_line(residual_px: Floats, lines: int) -> Floats:
@@ -143,6 +154,7 @@ def quality_metrics(quality: StripQuality) -> dict[str, object]:
         "lines": quality.lines,
         "lines_checked": f.lines,
         **{key: _plain(value) for key, value in numbers.items()},
+        "others_share_above_1px": _plain(quality.others.share_above),
         "share_unmeasurable": round(quality.unmeasured_lines / n, 6),
         **{f"share_{label}": _plain(float(value)) for label, value in zip(LABELS, told, strict=True)},
         "pairs": [
@@ -156,8 +168,8 @@ def _plain(value: float) -> float | None:
     return round(value, 6) if np.isfinite(value) and value >= 0.0 else None
 
 
-def _piece(strips: Strips, pair: PairOffsets, start: int, stop: int) -> tuple[Floats, Floats]:
-    """Residuals (blocks, 2) and their deviations (blocks,) of the lines start to stop."""
+def _piece(strips: Strips, pair: PairOffsets, start: int, stop: int) -> tuple[Floats, Floats, Floats]:
+    """Residuals (blocks, 2), their deviations (blocks,), residuals of lines not measured (blocks, 2)."""
     first, last = start - _MARGIN_LINES, stop + _MARGIN_LINES
     g, overlap = strips.geometry, strips.overlap(pair.pair, first, last)
     lines = np.arange(first, last)
@@ -167,18 +179,20 @@ def _piece(strips: Strips, pair: PairOffsets, start: int, stop: int) -> tuple[Fl
     left, right = (flattened(x.astype(np.float32), overlap.valid) for x in (overlap.left, overlap.right))
     whole = overlap.side * g.row_separation_lines
     laid, laid_valid = laid_on(right, overlap.valid, dcol - nominal, dline + whole - round(whole), nominal)
-    asked = (lines >= start) & (lines < stop) & (pair.label[at] == MEASURED)
+    inside = (lines >= start) & (lines < stop)
     wide = ((0, 0), (0, nominal))
-    left, left_valid = np.pad(left, wide), np.pad(overlap.valid & asked[:, None], wide)
+    left, left_valid = np.pad(left, wide), np.pad(overlap.valid & inside[:, None], wide)
     blocks = -(-(stop - start) // BLOCK_LINES)
     corners = _corners(np.maximum(nominal - dcol, 0.0), g.read_px, blocks)
     if not len(corners) or not left_valid.any():
-        return np.full((blocks, 2), np.nan), np.full(blocks, np.nan)
+        return np.full((blocks, 2), np.nan), np.full(blocks, np.nan), np.full((blocks, 2), np.nan)
     found = measure_displacements(
         laid, left, laid_valid, left_valid, corners,
         patch_px=_PATCH_PX, search_px=_SEARCH_PX, min_correlation=_LEAST_CORRELATION,
     )  # fmt: skip
-    return _of_blocks(found, blocks)
+    counts = inside & (pair.label[at] == MEASURED)
+    own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks)
+    return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]
 
 
 def laid_on(picture: Images, valid: Flags, cols: Floats, lines: Floats, wider: int) -> tuple[Images, Flags]:
@@ -234,18 +248,30 @@ def _corners(begin_px: Floats, end_px: int, blocks: int) -> NDArray[np.int64]:
     return np.array(out, dtype=np.int64).reshape(-1, 2)
 
 
-def _of_blocks(found: Displacements, blocks: int) -> tuple[Floats, Floats]:
-    """Weighted means of the patches that agree with their block's middle one."""
+def _of_blocks(
+    found: Displacements, corners: NDArray[np.int64], asked: Flags, blocks: int
+) -> tuple[Floats, Floats]:
+    """Weighted means of the patches, in the lines asked for, that agree with their block's middle one."""
+    share = np.array([asked[r : r + _PATCH_PX, c : c + _PATCH_PX].mean() for r, c in corners])
+    home = corners[share >= _LEAST_SHARE]
+    patches = np.bincount((home[:, 0] - _MARGIN_LINES) // BLOCK_LINES, minlength=blocks)
+    places = np.rint(found.centres_px[:, ::-1] - _PATCH_PX / 2).astype(np.int64)
+    among = np.isin(places @ [1 << 20, 1], home @ [1 << 20, 1])
     residual, sd = np.full((blocks, 2), np.nan), np.full(blocks, np.nan)
     block = ((found.centres_px[:, 1] - _MARGIN_LINES) // BLOCK_LINES).astype(np.int64)
     for b in np.unique(block):
-        of_block = block == b
+        of_block = (block == b) & among
+        if not of_block.any():
+            continue
         shift, own_sd = found.displacement_px[of_block], np.maximum(found.sd_px[of_block], _LEAST_SD_PX)
         off = np.abs(shift - np.median(shift, axis=0)).max(axis=1)
         agree = off <= np.maximum(_AGREE_PX, 3.0 * own_sd)
         if agree.sum() < max(_LEAST_PATCHES, _LEAST_AGREEING * agree.size):
             continue
         weight = own_sd[agree] ** -2
-        residual[b] = weight @ shift[agree] / weight.sum()
+        mean = weight @ shift[agree] / weight.sum()
+        if np.hypot(*mean) > LIMIT_PX and agree.sum() < _LEAST_AGREEING * patches[b]:
+            continue
+        residual[b] = mean
         sd[b] = weight.sum() ** -0.5
     return residual, sd
