@@ -1,7 +1,7 @@
 """What is bright: clouds mostly are, and whatever is bright and moves against the rest as a whole is cloud.
 
-Brightness alone condemns nothing: snow and sand are bright too. It says which part of a scene to ask last and,
-once the curves are drawn by the rest, whether that part agrees with them.
+Brightness alone condemns nothing: snow and sand are bright too. It says which part of a scene to ask last
+and, once the curves are drawn by the rest, whether that part agrees with them.
 """
 
 from __future__ import annotations

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from geomosaic.ccd.joint_window import KnotOffsets, solved_window
+from geomosaic.ccd.lost_lines import steps
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
@@ -22,8 +25,12 @@ from geomosaic.ccd.model import (
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
 
+Ints = NDArray[np.intp]
 _WINDOW_LINES, _MARGIN_LINES = 20000, 2000
 _LEAST_KNOTS = 16
+_MOST_ROUNDS = 4
+# So near to lost lines a line may belong to either side.
+_BESIDE_LINES = 3.0
 # What resampling leaves, and what the overlap's columns differ by: columns, lines.
 _RESAMPLING_SD_PX = (0.0055, 0.0045)
 _MEASURED_SD_PX = 0.25
@@ -38,7 +45,7 @@ def joint(
 
     The strips are gone through in windows of about `window_lines` lines, which overlap and fade into each
     other; all pairs are solved together in each (`joint_window`). What a DEM tells of dline is taken out
-    before and added after. Lines whose ground only one strip has keep the nearest offset and are `unreliable`.
+    before and added after. Lines whose ground only one strip has keep the nearest offset, `unreliable`.
     """
     step = settings.knot_lines
     knots = max((shared_lines(strips, pair) for pair in strips.pairs), default=0) // step
@@ -49,19 +56,14 @@ def joint(
     whole = KnotOffsets.nothing(len(strips.pairs), knots)
     for count, window in enumerate(windows):
         progress(count, len(windows))
-        first, last = window.first * step, window.last * step
-        pairs = [
-            row_pair(strips, pair, first, last, px[first:last])
-            for pair, px in zip(strips.pairs, known, strict=True)
-        ]
-        whole.add(solved_window(pairs, settings), window.first, window.weight)
+        whole.add(_solved(strips, settings, window, known), window.first, window.weight)
     progress(len(windows), len(windows))
     return tuple(_of_pair(strips, pair, whole, k, step, known[k]) for k, pair in enumerate(strips.pairs))
 
 
 @dataclass(frozen=True)
 class _Window:
-    """Knots first to last, and what each counts in the whole: 1 inside, fading where the next window begins."""
+    """Knots first to last, and what each counts in the whole: 1 inside, fading into the next window."""
 
     first: int
     last: int
@@ -73,7 +75,7 @@ def _windows(knots: int, longest: int, margin: int) -> Iterator[_Window]:
     ends = np.linspace(0, knots, count + 1).astype(int)
     at = np.arange(knots) + 0.5
     fade = max(margin // 2, 1)
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
+    for first, last in pairwise(ends):
         weight = np.ones(knots)
         if first > 0:
             weight *= np.clip(0.5 + (at - first) / (2 * fade), 0.0, 1.0)
@@ -81,6 +83,25 @@ def _windows(knots: int, longest: int, margin: int) -> Iterator[_Window]:
             weight *= np.clip(0.5 + (last - at) / (2 * fade), 0.0, 1.0)
         reach = max(first - margin, 0), min(last + margin, knots)
         yield _Window(int(reach[0]), int(reach[1]), weight[slice(*reach)])
+
+
+def _solved(strips: Strips, settings: Settings, window: _Window, known_px: list[Floats]) -> KnotOffsets:
+    """A window's curves; lines found lost or repeated are added to what is known, from there to the end."""
+    step = settings.knot_lines
+    first, last = window.first * step, window.last * step
+    pairs = [
+        row_pair(strips, pair, first, last, px[first:last])
+        for pair, px in zip(strips.pairs, known_px, strict=True)
+    ]
+    found = solved_window(pairs, settings)
+    for _ in range(_MOST_ROUNDS):
+        lost = steps(pairs, found.offset_px, step)
+        if not lost:
+            break
+        for at in lost:
+            known_px[at.index][first + at.line :] += at.count
+        found = solved_window(pairs, settings)
+    return found
 
 
 def _of_pair(
@@ -92,13 +113,23 @@ def _of_pair(
     u = np.clip(np.arange(knots * step, dtype=np.float64), centres[0], centres[-1])
     dcol, dline = np.asarray(CubicSpline(centres, whole.offset_px[k], axis=0)(u)).T
     (col, line), at = left_offsets(strips, pair, dcol, dline + known_px)
+    broken = np.flatnonzero(np.abs(np.diff(known_px)) > 0.5)
+    unsure = _beside(at, broken, np.abs(np.diff(known_px)[broken]) + _BESIDE_LINES)
     outside = (at < -step) | (at > shared_lines(strips, pair) + step)
     sd = np.hypot(whole.sd_px[k], _RESAMPLING_SD_PX)
     sd_col, sd_line = (np.interp(at, centres, sd[:, axis]) for axis in (0, 1))
     nearest = np.clip(np.rint((at - centres[0]) / step).astype(int), 0, knots - 1)
-    label = _labels(whole.own[k][nearest] >= 0.5, outside, np.maximum(sd_col, sd_line))
-    sd_col[outside], sd_line[outside] = _UNKNOWN_SD_PX, _UNKNOWN_SD_PX
+    label = _labels(whole.own[k][nearest] >= 0.5, outside | unsure, np.maximum(sd_col, sd_line))
+    sd_col[outside], sd_line[outside | unsure] = _UNKNOWN_SD_PX, _UNKNOWN_SD_PX
     return PairOffsets(pair, col, line, sd_col, sd_line, label)
+
+
+def _beside(at: Floats, places: Ints, reach: Floats) -> Flags:
+    """Which of `at` lie within reach (m,) of places (m,)."""
+    found = np.zeros(at.shape, dtype=np.bool_)
+    for place, most in zip(places, reach, strict=True):
+        found |= np.abs(at - place) <= most
+    return found
 
 
 def _labels(own: Flags, outside: Flags, sd_px: Floats) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -55,14 +56,14 @@ def solved_window(pairs: Sequence[RowPair], settings: Settings) -> KnotOffsets:
     """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand."""
     step = settings.knot_lines
     knots = len(pairs[0]) // step
-    centres = np.arange(knots) * float(step) + (step - 1) / 2
+    centres = np.asarray(np.arange(knots) * float(step) + (step - 1) / 2)
     coarse, weights = _start(pairs, centres, settings)
     now = smooth(coarse, weights, np.median(coarse, axis=1), FIRST_HABITS)
     habits = FIRST_HABITS
     cells: list[Cells] = []
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
-        ready = each(lambda pair, scale=scale: pictures(pair, scale), pairs)
+        ready = each(partial(pictures, scale=scale), pairs)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
             now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)

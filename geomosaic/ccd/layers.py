@@ -1,8 +1,8 @@
-"""Clouds as a second layer: moved against the ground by one vector, the wind's and their height's, everywhere.
+"""Clouds as a second layer: moved against the ground by one vector, the wind's and their height's.
 
-Correlation alone can't say which of two layers is the ground; but ground + vector is seen where there are clouds
-and ground - vector nowhere, so that a path which may change layers for a fixed vector is the ground's all the
-way, or the cloud's all the way. Which of the two is settled once for the scene (`clouds_are_second`).
+Correlation alone can't say which of two layers is the ground; but ground + vector is seen where there are
+clouds and ground - vector nowhere, so that a path which may change layers for a fixed vector is the ground's
+all the way, or the cloud's all the way. Which of the two is settled once for the scene (`paths`).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class Layer:
 def layer_candidates(volumes: Floats, most: int = 4) -> list[Layer]:
     """Vectors between two layers, most probable first: peaks of the volumes' correlation with themselves.
 
-    Args: volumes (pairs, blocks, l, c). Only one of a vector and its opposite is given.
+    Args: volumes (pairs, blocks, h, c). Only one of a vector and its opposite is given.
     """
-    k, n, l, c = volumes.shape
-    size = (2 * l, 2 * c)
+    n, h, c = volumes.shape[1:]
+    size = (2 * h, 2 * c)
     peaks = np.where(volumes >= maximum_filter(volumes, size=(1, 1, 3, 3)), volumes, 0.0)
     near = uniform_filter1d(np.maximum(peaks - _PEAK, 0.0), min(_AROUND_BLOCKS, n), axis=1, mode="nearest")
     total = np.zeros(size)
@@ -46,7 +46,7 @@ def layer_candidates(volumes: Floats, most: int = 4) -> list[Layer]:
         total += irfft2((spectrum.real**2 + spectrum.imag**2).sum(axis=0), s=size)
     lag_l = np.fft.fftfreq(size[0], 1 / size[0]).astype(int)[:, None]
     lag_c = np.fft.fftfreq(size[1], 1 / size[1]).astype(int)[None, :]
-    share = (l - np.abs(lag_l)) * (c - np.abs(lag_c))
+    share = (h - np.abs(lag_l)) * (c - np.abs(lag_c))
     total = gaussian_filter(total, 0.6, mode="wrap")
     one_half = (lag_l > 0) | ((lag_l == 0) & (lag_c > 0))
     far = (np.abs(lag_l) > _LEAST_BINS) | (np.abs(lag_c) > _LEAST_BINS)
@@ -60,11 +60,11 @@ def layer_candidates(volumes: Floats, most: int = 4) -> list[Layer]:
 
 def either_layer(volumes: Floats, layers: list[Layer]) -> Floats:
     """For every shift of the ground, the evidence of the layer that explains a block best."""
-    l, c = volumes.shape[2:]
+    h, c = volumes.shape[2:]
     out = volumes
     for layer in layers:
         spread = maximum_filter(volumes, size=(1, 1, 3, 3), mode="constant") - _SECOND_COSTS
-        to_l, from_l = _slices(layer.lines, l)
+        to_l, from_l = _slices(layer.lines, h)
         to_c, from_c = _slices(layer.cols, c)
         out = out.copy() if out is volumes else out
         out[:, :, to_l, to_c] = np.maximum(out[:, :, to_l, to_c], spread[:, :, from_l, from_c])
@@ -73,16 +73,17 @@ def either_layer(volumes: Floats, layers: list[Layer]) -> Floats:
 
 def second_layer(volumes: Floats, layer: Layer, path: NDArray[np.intp]) -> NDArray[np.bool_]:
     """(pairs, blocks): where the second layer explains more than the first along paths (pairs, blocks, 2)."""
-    l, c = volumes.shape[2:]
     spread = maximum_filter(volumes, size=(1, 1, 3, 3), mode="constant")
-    return _along(spread, path + (layer.lines, layer.cols), l, c) > _along(spread, path, l, c) + 2.0
+    away = np.array([layer.lines, layer.cols])
+    return np.asarray(_along(spread, path + away) > _along(spread, path) + 2.0)
 
 
-def _along(volumes: Floats, path: NDArray[np.intp], l: int, c: int) -> Floats:
-    inside = (path[..., 0] >= 0) & (path[..., 0] < l) & (path[..., 1] >= 0) & (path[..., 1] < c)
+def _along(volumes: Floats, path: NDArray[np.intp]) -> Floats:
+    h, c = volumes.shape[2:]
+    inside = (path[..., 0] >= 0) & (path[..., 0] < h) & (path[..., 1] >= 0) & (path[..., 1] < c)
     k, n = path.shape[:2]
     at = volumes[
-        np.arange(k)[:, None], np.arange(n), np.clip(path[..., 0], 0, l - 1), np.clip(path[..., 1], 0, c - 1)
+        np.arange(k)[:, None], np.arange(n), np.clip(path[..., 0], 0, h - 1), np.clip(path[..., 1], 0, c - 1)
     ]
     return np.where(inside, at, 0.0)
 

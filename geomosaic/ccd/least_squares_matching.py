@@ -60,8 +60,8 @@ def pictures(pair: RowPair, scale: int) -> Pictures:
     if scale == 2:
         lead, trail = halved(lead), halved(trail)
         n, w = lead.shape
-        valid = valid[: 2 * n, : 2 * w].reshape(n, 2, w, 2).all(axis=(1, 3))
-    gain = float(np.std(lead[valid]) / max(np.std(trail[valid]), 1e-9)) if valid.any() else 1.0
+        valid = np.asarray(valid[: 2 * n, : 2 * w].reshape(n, 2, w, 2).all(axis=(1, 3)))
+    gain = float(np.std(lead[valid])) / max(float(np.std(trail[valid])), 1e-9) if valid.any() else 1.0
     lead, trail = (
         np.asarray(cv2.GaussianBlur(x, (0, 0), 0.8), dtype=np.float32)
         for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
@@ -72,8 +72,8 @@ def pictures(pair: RowPair, scale: int) -> Pictures:
 def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int) -> Cells:
     """Offsets at every knot, from a curve near them.
 
-    Args: curve_px (2, n) dcol, dline of every line of the strips beyond what is known, known_px (n,), of dline;
-    n is a whole number of knots, of knot_lines lines each.
+    Args: curve_px (2, n) dcol, dline of every line of the strips beyond known_px (n,), the known part of
+    dline; n is a whole number of knots, of knot_lines lines each.
     """
     s = given.scale
     lines = knot_lines // s
@@ -104,7 +104,10 @@ def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int
 
 
 def _gradients(image: Images) -> list[Images]:
-    return [cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=1, scale=0.5) for i in (1, 0)]
+    return [
+        np.asarray(cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=1, scale=0.5), dtype=np.float32)
+        for i in (1, 0)
+    ]
 
 
 def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int, scale: int) -> Cells:

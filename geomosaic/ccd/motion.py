@@ -1,9 +1,10 @@
-"""The motion shared by all pairs and each pair's own part, from what was measured at knots: a Gaussian smoother.
+"""The motion shared by all pairs and each pair's own part, from what was measured at knots: a smoother.
 
 Unknowns at every knot: the motion b and one own part p per pair, columns and lines each; a pair measures
 b + p. What can be expected of a curve between measurements is learned from the scene itself: an
-autoregression, of some order for the motion, whose jitter is a few nearly pure tones, and of a low one for the own
-parts (drift angle, mounting, relief). The normal equations are sparse along the strip and solved by Cholesky.
+autoregression, of some order for the motion, whose jitter is a few nearly pure tones, and of a low one for
+the own parts (drift angle, mounting, relief). It holds forwards and backwards. The normal equations are
+sparse along the strip and solved by Cholesky.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
 
     Args: known (pairs, knots) bool.
     """
-    any_known = known.any(axis=0)
+    any_known: Flags = np.asarray(known.any(axis=0))
     shared = solution.motion - solution.motion[any_known].mean(axis=0) if any_known.any() else solution.motion
     mean = np.stack([_mean(own, good) for own, good in zip(solution.own, known, strict=True)])
     own = solution.own - mean[:, None]
@@ -156,12 +157,12 @@ def _fitted(
     if len(y) < 15 * order:
         return None
     normal = a.T @ a + len(y) * 0.1 * least_px**2 * np.eye(order)
-    weights = _stable(np.linalg.solve(normal, a.T @ y))
+    weights = _stable(np.asarray(np.linalg.solve(normal, a.T @ y)))
     return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
 def _bending(curves: list[Floats], known: list[Flags], before: Curve) -> Curve:
-    """How much neighbouring knots differ from a cubic: it ties the chains of a stride to each other, no more."""
+    """How much neighbouring knots differ from a cubic: ties the chains of a stride to each other, no more."""
     y, a = _windows(curves, known, len(CUBIC), 1)
     if len(y) < 30:
         return before
@@ -169,7 +170,7 @@ def _bending(curves: list[Floats], known: list[Flags], before: Curve) -> Curve:
 
 
 def _stable(weights: Floats) -> Floats:
-    """The prediction whose roots lie inside the unit circle, so that nothing grows where nothing is measured."""
+    """The prediction with its roots inside the unit circle: nothing grows where nothing is measured."""
     roots = np.roots(np.concatenate([[1.0], -weights]))
     size = np.abs(roots)
     if not size.size or size.max() <= _MOST_RADIUS:
@@ -185,7 +186,9 @@ def _bands(habits: Habits, knots: int, pairs: int) -> list[Floats]:
     out = [np.zeros((max(knots - d, 0), len(each))) for d in range(reach + 1)]
     for column, curves in enumerate(each):
         for curve in curves:
-            forth = np.concatenate([-curve.weights[::-1], [1.0]]) / (curve.sd_px * (2.0 * curve.stride) ** 0.5)
+            forth = np.concatenate([-curve.weights[::-1], [1.0]]) / (
+                curve.sd_px * (2.0 * curve.stride) ** 0.5
+            )
             order, step = len(curve.weights), curve.stride
             rows = max(knots - order * step, 0)
             for taps in (forth, forth[::-1]):

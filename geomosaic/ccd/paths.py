@@ -17,8 +17,12 @@ _BIN_PX = 2
 _WINDOW_BLOCKS = 8
 # What a step of one bin costs: of the motion, of a pair's own part, of a pair taken alone.
 _MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
+_JUMP = 250.0
 # A second layer must explain this share more than one layer does.
 _LAYER_GAIN = 0.003
+# And be seen beside the first, on such a share of the lines, in so many pairs; what one or two show alone
+# is lost lines.
+_LAYER_SHARE, _LAYER_PAIRS = 0.05, 0.4
 # How far the ground may well lie from the nominal geometry.
 _NOMINAL_PX = 6.0
 # What bright blocks count: enough to find bright ground, not to lead the path off to clouds.
@@ -38,17 +42,20 @@ class Coarse:
     cloudy: Flags
 
 
-def best_path(volumes: Floats, cost: float) -> Ints:
+def best_path(volumes: Floats, cost: float, jump: float = np.inf) -> Ints:
     """The paths of most evidence less what their steps cost: dynamic programming (Viterbi 1967).
 
-    A step is one bin at most along lines and along columns, from one block to the next.
+    A step is one bin at most along lines and along columns, from one block to the next; or any number along
+    lines, where lines were lost.
 
-    Args: volumes (pairs, blocks, h, c) evidence for every shift. cost: of a step of one bin.
+    Args: volumes (pairs, blocks, h, c) evidence for every shift. cost: of a step of one bin. jump: of one of
+    any number along lines.
     Returns: (pairs, blocks, 2) indices into h and c.
     """
     k, n, h, c = volumes.shape
     steps = sorted(((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)), key=lambda s: (abs(s[0]) + abs(s[1]), s))
     came = np.zeros((n, k, h, c), dtype=np.int8)
+    best = np.zeros((n, k, c), dtype=np.intp)
     score = volumes[:, 0].copy()
     padded = np.full((k, h + 2, c + 2), -np.inf)
     for t in range(1, n):
@@ -57,12 +64,19 @@ def best_path(volumes: Floats, cost: float) -> Ints:
             [padded[:, 1 + i : 1 + i + h, 1 + j : 1 + j + c] - cost * (i * i + j * j) for i, j in steps]
         )
         came[t] = candidates.argmax(axis=0)
-        score = candidates.max(axis=0) + volumes[:, t]
+        best[t] = score.argmax(axis=1)
+        highest = score.max(axis=1, keepdims=True) - jump
+        score = candidates.max(axis=0)
+        came[t][score < highest] = len(steps)
+        score = np.maximum(score, highest) + volumes[:, t]
     path = np.zeros((k, n, 2), dtype=np.intp)
-    pairs, moves = np.arange(k), np.array(steps)
+    pairs, moves = np.arange(k), np.array([*steps, (0, 0)])
     path[:, -1] = np.stack(np.unravel_index(score.reshape(k, -1).argmax(axis=1), (h, c)), axis=1)
     for t in range(n - 1, 0, -1):
-        path[:, t - 1] = path[:, t] + moves[came[t, pairs, path[:, t, 0], path[:, t, 1]]]
+        how = came[t, pairs, path[:, t, 0], path[:, t, 1]]
+        path[:, t - 1] = path[:, t] + moves[how]
+        jumped = how == len(steps)
+        path[jumped, t - 1, 0] = best[t, pairs, path[:, t, 1]][jumped]
     return path
 
 
@@ -79,8 +93,8 @@ def shifted(volume: Floats, by: Ints) -> Floats:
 def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coarse:
     """Offsets of all pairs at once, to about a bin: the shared motion, and a slow part of each pair.
 
-    By turns: the evidence of all pairs is summed, each moved by its own slow part, and the best path taken for
-    the motion; then each pair's evidence is summed over windows of 256 lines along the motion, and
+    By turns: the evidence of all pairs is summed, each moved by its own slow part, and the best path taken
+    for the motion; then each pair's evidence is summed over windows of 256 lines along the motion, and
     the best slow path taken for its own part. A second layer, clouds, is tried wherever the volumes
     hint at one, and taken where it explains more than a path through one layer does.
 
@@ -90,13 +104,15 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
     volumes = volumes * np.where(bright, _BRIGHT_WEIGHT, 1.0)[..., None, None]
     best, evidence = _solve(volumes, rounds)
     layers: list[Layer] = []
-    threshold = _LAYER_GAIN * evidence
+    threshold = _LAYER_GAIN * evidence.sum()
     for candidate in [] if bright.any() else layer_candidates(volumes):
         tried, found = _solve(either_layer(volumes, [candidate]), rounds)
         opposite = Layer(-candidate.lines, -candidate.cols)
         moved, other = _solve(either_layer(volumes, [opposite]), rounds)
         for path, value, layer in ((tried, found, candidate), (moved, other, opposite)):
-            if value > evidence + threshold:
+            hidden = second_layer(volumes, layer, path).mean(axis=1)
+            both = np.mean((hidden > _LAYER_SHARE) & (hidden < 1.0 - _LAYER_SHARE)) > _LAYER_PAIRS
+            if both and value.sum() > evidence.sum() + threshold:
                 best, evidence, layers = path, value, [layer]
                 threshold = 0.0
     if layers:
@@ -127,11 +143,11 @@ def _ground_first(
     swapped = Layer(-layer.lines, -layer.cols)
     either = either_layer(volumes, [swapped])
     tried = [_solve(either, rounds, start) for start in (None, path + step)]
-    return max(tried, key=lambda solved: solved[1])[0], [swapped]
+    return max(tried, key=lambda solved: solved[1].sum())[0], [swapped]
 
 
-def _solve(volumes: Floats, rounds: int, start: Ints | None = None) -> tuple[Ints, float]:
-    """Paths (pairs, blocks, 2) as indices, and the evidence along them less the cost of their steps."""
+def _solve(volumes: Floats, rounds: int, start: Ints | None = None) -> tuple[Ints, Floats]:
+    """Paths (pairs, blocks, 2) as indices, and each pair's evidence along them less the cost of its steps."""
     k, n, h, c = volumes.shape
     middle = np.array([h // 2, c // 2])
     prior = -0.5 * (((np.arange(h) - h // 2) / (0.5 * h)) ** 2)[:, None] - 0.5 * (
@@ -148,9 +164,10 @@ def _solve(volumes: Floats, rounds: int, start: Ints | None = None) -> tuple[Int
         motion = best_path(summed[None], _MOTION_STEP)[0] - middle
         own = _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]) + 0.1 * prior) - middle
     path = np.clip(motion[None] + own + middle, 0, (h - 1, c - 1))
-    evidence = float(volumes[np.arange(k)[:, None], np.arange(n), path[..., 0], path[..., 1]].sum())
-    steps = _MOTION_STEP * float((np.diff(motion, axis=0) ** 2).sum())
-    return path, evidence - steps - _OWN_STEP * float((np.diff(own, axis=1) ** 2).sum())
+    evidence = volumes[np.arange(k)[:, None], np.arange(n), path[..., 0], path[..., 1]].sum(axis=1)
+    steps = _MOTION_STEP / k * float((np.diff(motion, axis=0) ** 2).sum())
+    own_steps = np.minimum(_OWN_STEP * (np.diff(own, axis=1) ** 2).sum(axis=2), _JUMP).sum(axis=1)
+    return path, np.asarray(evidence - steps - own_steps)
 
 
 def _slow_parts(volumes: Floats) -> Ints:
@@ -159,10 +176,10 @@ def _slow_parts(volumes: Floats) -> Ints:
     windows = -(-n // _WINDOW_BLOCKS)
     padded = np.zeros((k, windows * _WINDOW_BLOCKS, h, c))
     padded[:, :n] = volumes
-    path = best_path(padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2), _OWN_STEP)
+    path = best_path(padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2), _OWN_STEP, _JUMP)
     return np.asarray(np.repeat(path, _WINDOW_BLOCKS, axis=1)[:, :n], dtype=np.intp)
 
 
 def block_centres(blocks: int) -> Floats:
     """Lines u of the blocks' centres, as positions between rows: the first row's centre is 0."""
-    return np.arange(blocks) * float(BLOCK_LINES) + (BLOCK_LINES - 1) / 2
+    return np.asarray(np.arange(blocks) * float(BLOCK_LINES) + (BLOCK_LINES - 1) / 2)

@@ -1,8 +1,8 @@
 """A pair as its leading and its trailing strip: the view in which all pairs see one and the same motion.
 
 With the pointing error a(t), in lines and columns at time t, the ground that the leading row sees at line u
-comes to the trailing row at u + S + a(u) - a(u + S): every pair sees b(u) = a(u) - a(u + S), whatever its side.
-In the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1, hence the
+comes to the trailing row at u + S + a(u) - a(u + S): every pair sees b(u) = a(u) - a(u + S), whatever its
+side. In the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1, hence the
 alternating sign and the lag of S = row_separation lines. Relief and clouds too move all pairs alike here.
 """
 
@@ -72,8 +72,8 @@ def left_offsets(strips: Strips, pair: int, dcol_px: Floats, dline_px: Floats) -
     """A pair's offsets in the words of its left strip.
 
     Args: dcol_px, dline_px (n,) trailing minus leading at the leading strip's lines u = 0, 1, ...
-    Returns: (2, lines) dcol and dline of the left strip's lines, and (lines,) the u, with fractions, which see
-    the same ground; beyond the ends the offsets stay what they are there.
+    Returns: (2, lines) dcol and dline of the left strip's lines, and (lines,) the u, with fractions, which
+    see the same ground; beyond the ends the offsets stay what they are there.
     """
     g = strips.geometry
     side = g.side(pair)

@@ -78,7 +78,7 @@ def volume(
     half = BLOCK_LINES // 2
     moved = np.rint(known_px[: blocks * BLOCK_LINES].reshape(blocks, -1).mean(axis=1) / 2).astype(int)
     spare = reach_l + int(np.abs(moved).max(initial=0))
-    trail = cv2.copyMakeBorder(trail, spare, spare, 0, 0, cv2.BORDER_CONSTANT, value=0.0)
+    trail = np.pad(trail, ((spare, spare), (0, 0)))
     facts = half * (end - begin) / _PIXELS_PER_FACT
     for block in range(blocks):
         pattern = lead[block * half : (block + 1) * half, begin:end]
@@ -96,6 +96,6 @@ def volume(
 def _band_passed(image: Images) -> Images:
     """Fine detail in units of its own local deviation: a cloud's edge weighs no more than a field."""
     fine = cv2.GaussianBlur(image, (0, 0), 0.7)
-    fine -= cv2.GaussianBlur(image, (0, 0), 2.5)
+    fine = fine - cv2.GaussianBlur(image, (0, 0), 2.5)
     power = cv2.GaussianBlur(fine * fine, (0, 0), 4.0)
     return np.asarray(fine / np.sqrt(power + 1e-2 * float(np.median(power)) + 1e-12), dtype=np.float32)

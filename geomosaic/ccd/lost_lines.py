@@ -1,0 +1,124 @@
+"""Lines that a strip has lost or twice: from one line to the next, the offset changes by a whole number.
+
+The curves bend steeply where that happens, but so they may elsewhere; what decides are the lines themselves.
+Up to one line the offset before explains them, from it on the offset after, and each fails on the other side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.ccd.model import Floats, Images
+from geomosaic.ccd.rows import RowPair
+
+Ints = NDArray[np.intp]
+_KNOTS_APART, _KNOTS_FITTED = 10, 8
+_ENOUGH_PAIRS = 3
+# Between knots 8 apart: a pair against the middle of all, and where there are too few for a middle.
+_STEEP_PX, _STEEP_ALONE_PX = 0.5, 1.2
+_AROUND_LINES, _SHARP_LINES = 192, 48
+_MOST_MISFIT = 0.5
+
+
+@dataclass(frozen=True)
+class Step:
+    """From `line` of a pair's (`index`) window on, dline is larger by `count`."""
+
+    index: int
+    line: int
+    count: int
+
+
+def steps(pairs: Sequence[RowPair], offset_px: Floats, knot_lines: int) -> list[Step]:
+    """Where pairs' dline changes by whole lines; offset_px (pairs, knots, 2) as solved without the steps."""
+    return [
+        step
+        for knot in _steep(offset_px[..., 1])
+        for index, pair in enumerate(pairs)
+        if (step := _step(pair, index, offset_px, knot, knot_lines)) is not None
+    ]
+
+
+def _steep(dline_px: Floats) -> list[int]:
+    """Knots, some apart, about which any pair's curve rises or falls more than motion and relief let it."""
+    enough = len(dline_px) >= 3
+    apart = dline_px - np.median(dline_px, axis=0) if enough else dline_px
+    rise = np.abs(apart[:, 8:] - apart[:, :-8]).max(axis=0)
+    found = []
+    while rise.size and rise.max() > (_STEEP_PX if enough else _STEEP_ALONE_PX):
+        at = int(rise.argmax())
+        found.append(at + 4)
+        rise[max(at - 12, 0) : at + 13] = 0.0
+    return sorted(found)
+
+
+def _step(pair: RowPair, index: int, offset_px: Floats, knot: int, knot_lines: int) -> Step | None:
+    near, far = _KNOTS_APART, _KNOTS_APART + _KNOTS_FITTED
+    if knot < far or knot + far >= offset_px.shape[1]:
+        return None
+    others = np.delete(offset_px, index, axis=0)
+    motion = np.median(others, axis=0) if len(others) >= _ENOUGH_PAIRS else np.zeros(offset_px.shape[1:])
+    own = offset_px[index] - motion
+    first = max((knot * knot_lines) - _AROUND_LINES, 0)
+    u = np.arange(first, min(first + 2 * _AROUND_LINES, len(pair)), dtype=np.intp)
+    at = (u - (knot_lines - 1) / 2) / knot_lines
+    left, right = np.arange(knot - far, knot - near), np.arange(knot + near, knot + far)
+    moved = np.stack([np.interp(at, np.arange(len(motion)), axis) for axis in motion.T])
+    before, after = (_line(fitted, own[fitted], at) + moved for fitted in (left, right))
+    middle = len(u) // 2
+    jump = float(after[1, middle] - before[1, middle])
+    tried = []
+    for count in range(round(jump) - 1, round(jump) + 2):
+        half = np.array([[0.0], [(count - jump) / 2]])
+        found = _split(pair, u, before - half, after + half) if count else None
+        if found is not None:
+            tried.append((*found, count))
+    if not tried:
+        return None
+    _, line, count = min(tried)
+    return Step(index, line, count)
+
+
+def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float, int] | None:
+    """What misfit is left if a pair lies at `before` up to a line and then at `after`, and that line."""
+    misfit = np.stack([_misfit(pair, u, curve) for curve in (before, after)])
+    if not np.isfinite(misfit).all():
+        return None
+    sums = np.concatenate([np.zeros((2, 1)), np.cumsum(misfit, axis=1)], axis=1)
+    where = int(np.argmin(sums[0] - sums[1]))
+    if not _SHARP_LINES <= where <= len(u) - _SHARP_LINES:
+        return None
+    ahead, behind = misfit[:, where - _SHARP_LINES : where], misfit[:, where : where + _SHARP_LINES]
+    (here, there), (back, then) = ahead.sum(axis=1), behind.sum(axis=1)
+    sharp = here < _MOST_MISFIT * there and then < _MOST_MISFIT * back
+    return (float(here + then), int(u[where])) if sharp else None
+
+
+def _line(knots: Ints, offset_px: Floats, at: Floats) -> Floats:
+    """Straight lines through (dcol, dline) at knots, at others: (2, n)."""
+    slope, level = np.polyfit(knots, offset_px, 1)
+    return np.asarray(slope[:, None] * at + level[:, None])
+
+
+def _misfit(pair: RowPair, u: Ints, curve_px: Floats) -> Floats:
+    """Mean squares (n,) of lead's lines u less trail's at (dcol, dline) curve_px (2, n); NaN where unseen."""
+    width = pair.lead.shape[1]
+    shift = curve_px[0] + pair.nominal_col
+    first, last = int(max(0, np.ceil(2 - shift.min()))), int(min(width, np.floor(width - 2 - shift.max())))
+    lines = u + pair.known_px[u] + curve_px[1]
+    low, high = int(np.floor(lines.min())) - 3, int(np.ceil(lines.max())) + 4
+    if last - first < 16 or low < 0 or high > len(pair):
+        return np.full(len(u), np.nan)
+    cols = (np.arange(first, last) + shift[:, None]).astype(np.float32)
+    rows = np.broadcast_to((lines - low)[:, None], cols.shape).astype(np.float32)
+    moved: Images = np.asarray(
+        cv2.remap(pair.trail[low:high], cols, rows, cv2.INTER_LINEAR), dtype=np.float32
+    )
+    apart = pair.lead[u, first:last] - moved
+    seen = pair.valid[u, first:last]
+    return np.asarray((apart**2 * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1), dtype=np.float64)
