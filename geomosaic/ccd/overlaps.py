@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 import numpy as np
+import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
@@ -21,6 +22,7 @@ Edge = Literal["left", "right"]
 Columns = Callable[[int, Edge, int, int], NDArray[Any]]
 """The first (`left`) or last (`right`) read_px columns of a CCD's strip, of its lines start to stop."""
 _MEND = "copy it again, then run once more"
+_CACHE_MB = 64
 
 
 class Strips:
@@ -80,6 +82,7 @@ class StripFiles(Strips):
         self._kept: dict[int, tuple[tuple[int, int], dict[Edge, NDArray[Any]]]] = {}
 
     def __enter__(self) -> Self:
+        self._open.enter_context(rasterio.Env(GDAL_CACHEMAX=_CACHE_MB))
         return self
 
     def __exit__(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +23,19 @@ COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
 LOSSY: Final = ("webp", "jpeg")
 OVERVIEWS: Final = ("average", "cubic", "bilinear", "lanczos", "nearest")
 _BLOCK_PX = 512
+_CACHE_BYTES = 128 << 20
+_MOST_OVERVIEWS = 7
+
+
+@contextmanager
+def _block_cache(most_bytes: int) -> Iterator[None]:
+    """GDAL's cache of blocks held to a size; by itself it grows to a twentieth of the memory."""
+    before = gdal.GetCacheMax()
+    gdal.SetCacheMax(min(most_bytes, before))
+    try:
+        yield
+    finally:
+        gdal.SetCacheMax(before)
 
 
 def write_cog(
@@ -39,7 +54,7 @@ def write_cog(
     Raises: `InputError` if the compression can't hold these pixels; `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
-    with callback.reraise(), gdal_failures(out):
+    with callback.reraise(), gdal_failures(out), _block_cache(_CACHE_BYTES):
         source = gdal.Open(str(raster))
         band = source.GetRasterBand(1)
         eight_bits = band.DataType == gdal.GDT_Byte
@@ -60,6 +75,9 @@ def write_cog(
         ]
         if compression in LOSSY:
             options.append(f"QUALITY={quality}")
+        if max(source.RasterXSize, source.RasterYSize) > _BLOCK_PX << _MOST_OVERVIEWS:
+            # GDAL holds as many rows at once as one of the smallest overview stands for.
+            options.append(f"OVERVIEW_COUNT={_MOST_OVERVIEWS}")
         placed = source.GetGeoTransform(can_return_null=True)
         gsd = [f"GSD_M={placed[1]:.10g}"] if placed is not None else []
         done = gdal.Translate(

@@ -124,6 +124,8 @@ class Scene:
         """The true offsets of a pair, and where clouds hide the ground."""
         plan = self.plan
         left, right = plan.acquired(pair), plan.acquired(pair + 1)
+        if not left.size:
+            return PairTruth(pair, *(np.zeros(0) for _ in range(4)))
         apart = plan.geometry().side(pair) * plan.row_separation_lines
         at = np.asarray(left + 0.5)
         first_col, middle = plan.width_px - plan.overlap_px, plan.overlap_px / 2.0
