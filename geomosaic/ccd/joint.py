@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from geomosaic.ccd.joint_window import KnotOffsets, solved_window
-from geomosaic.ccd.lost_lines import steps
+from geomosaic.ccd.joint_window import KnotOffsets, first_offsets, solved_window
+from geomosaic.ccd.lost_lines import Step, steps
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
@@ -28,7 +28,7 @@ from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
 Ints = NDArray[np.intp]
 _WINDOW_LINES, _MARGIN_LINES = 20000, 2000
 _LEAST_KNOTS = 16
-_MOST_ROUNDS = 4
+_MOST_ROUNDS = 2
 # So near to lost lines a line may belong to either side.
 _BESIDE_LINES = 3.0
 # What resampling leaves, and what the overlap's columns differ by: columns, lines.
@@ -93,14 +93,20 @@ def _solved(strips: Strips, settings: Settings, window: _Window, known_px: list[
         row_pair(strips, pair, first, last, px[first:last])
         for pair, px in zip(strips.pairs, known_px, strict=True)
     ]
-    found = solved_window(pairs, settings)
-    for _ in range(_MOST_ROUNDS):
-        lost = steps(pairs, found.offset_px, step)
-        if not lost:
-            break
+
+    def known(lost: list[Step]) -> bool:
         for at in lost:
             known_px[at.index][first + at.line :] += at.count
-        found = solved_window(pairs, settings)
+        return bool(lost)
+
+    start = first_offsets(pairs, settings)
+    if known(steps(pairs, start.offset_px, step, coarse=True)):
+        start = first_offsets(pairs, settings)
+    found = solved_window(pairs, start, settings)
+    for _ in range(_MOST_ROUNDS):
+        if not known(steps(pairs, found.offset_px, step)):
+            break
+        found = solved_window(pairs, first_offsets(pairs, settings), settings)
     return found
 
 

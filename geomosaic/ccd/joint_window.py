@@ -52,12 +52,18 @@ class KnotOffsets:
         self.own[:, at] += part.own * weight
 
 
-def solved_window(pairs: Sequence[RowPair], settings: Settings) -> KnotOffsets:
+@dataclass(frozen=True)
+class Start:
+    """Offsets (pairs, knots, 2) and their information (pairs, knots, 2, 2)."""
+
+    offset_px: Floats
+    information: Floats
+
+
+def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) -> KnotOffsets:
     """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand."""
-    step = settings.knot_lines
-    knots = len(pairs[0]) // step
-    centres = np.asarray(np.arange(knots) * float(step) + (step - 1) / 2)
-    coarse, weights = _start(pairs, centres, settings)
+    centres = _centres(pairs, settings)
+    coarse, weights = start.offset_px, start.information
     now = smooth(coarse, weights, np.median(coarse, axis=1), FIRST_HABITS)
     habits = FIRST_HABITS
     cells: list[Cells] = []
@@ -73,8 +79,14 @@ def solved_window(pairs: Sequence[RowPair], settings: Settings) -> KnotOffsets:
     return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
 
 
-def _start(pairs: Sequence[RowPair], centres: Floats, settings: Settings) -> tuple[Floats, Floats]:
-    """Offsets and their information at the knots, from correlation volumes."""
+def _centres(pairs: Sequence[RowPair], settings: Settings) -> Floats:
+    step = settings.knot_lines
+    return np.asarray(np.arange(len(pairs[0]) // step) * float(step) + (step - 1) / 2)
+
+
+def first_offsets(pairs: Sequence[RowPair], settings: Settings) -> Start:
+    """Offsets to about a pixel, from correlation volumes."""
+    centres = _centres(pairs, settings)
     blocks = max(len(pairs[0]) // BLOCK_LINES, 1)
     reach = settings.search_cols_px, settings.search_lines_px
 
@@ -88,7 +100,7 @@ def _start(pairs: Sequence[RowPair], centres: Floats, settings: Settings) -> tup
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
     known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
-    return coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2)
+    return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2))
 
 
 def _refined(

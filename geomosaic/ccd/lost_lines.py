@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -20,9 +21,11 @@ Ints = NDArray[np.intp]
 _KNOTS_APART, _KNOTS_FITTED = 10, 8
 _ENOUGH_PAIRS = 3
 # Between knots 8 apart: a pair against the middle of all, and where there are too few for a middle.
-_STEEP_PX, _STEEP_ALONE_PX = 0.5, 1.2
-_AROUND_LINES, _SHARP_LINES = 192, 48
-_MOST_MISFIT = 0.5
+_STEEP_PX, _STEEP_ALONE_PX, _STEEP_COARSE_PX = 0.5, 1.2, 3.5
+_LEAST_COARSE = 3
+_COARSE_PX = (-0.8, 0.0, 0.8)
+_AROUND_LINES, _SHARP_LINES = 256, 48
+_MOST_MISFIT = 0.3
 
 
 @dataclass(frozen=True)
@@ -34,30 +37,38 @@ class Step:
     count: int
 
 
-def steps(pairs: Sequence[RowPair], offset_px: Floats, knot_lines: int) -> list[Step]:
-    """Where pairs' dline changes by whole lines; offset_px (pairs, knots, 2) as solved without the steps."""
-    return [
-        step
-        for knot in _steep(offset_px[..., 1])
-        for index, pair in enumerate(pairs)
-        if (step := _step(pair, index, offset_px, knot, knot_lines)) is not None
-    ]
+def steps(pairs: Sequence[RowPair], offset_px: Floats, knot_lines: int, coarse: bool = False) -> list[Step]:
+    """Where pairs' dline changes by whole lines.
+
+    Args: offset_px (pairs, knots, 2) as found without the steps. coarse: they are so to about a pixel, and
+    only steps of several lines are looked for.
+    A place shows one step, of the CCD that one or two pairs share: the largest.
+    """
+    found: list[Step] = []
+    for knot in _steep(offset_px[..., 1], _STEEP_COARSE_PX if coarse else None):
+        here = [_step(pair, index, offset_px, knot, knot_lines, coarse) for index, pair in enumerate(pairs)]
+        most = max((abs(step.count) for step in here if step), default=0)
+        found += [step for step in here if step and abs(step.count) == most]
+    return found
 
 
-def _steep(dline_px: Floats) -> list[int]:
+def _steep(dline_px: Floats, least_px: float | None) -> list[int]:
     """Knots, some apart, about which any pair's curve rises or falls more than motion and relief let it."""
     enough = len(dline_px) >= 3
     apart = dline_px - np.median(dline_px, axis=0) if enough else dline_px
+    least_px = least_px or (_STEEP_PX if enough else _STEEP_ALONE_PX)
     rise = np.abs(apart[:, 8:] - apart[:, :-8]).max(axis=0)
     found = []
-    while rise.size and rise.max() > (_STEEP_PX if enough else _STEEP_ALONE_PX):
-        at = int(rise.argmax())
+    while rise.size and rise.max() > least_px:
+        at = int(np.median(np.flatnonzero(rise >= rise.max() - 1e-6)[:8]))
         found.append(at + 4)
         rise[max(at - 12, 0) : at + 13] = 0.0
     return sorted(found)
 
 
-def _step(pair: RowPair, index: int, offset_px: Floats, knot: int, knot_lines: int) -> Step | None:
+def _step(
+    pair: RowPair, index: int, offset_px: Floats, knot: int, knot_lines: int, coarse: bool
+) -> Step | None:
     near, far = _KNOTS_APART, _KNOTS_APART + _KNOTS_FITTED
     if knot < far or knot + far >= offset_px.shape[1]:
         return None
@@ -73,11 +84,16 @@ def _step(pair: RowPair, index: int, offset_px: Floats, knot: int, knot_lines: i
     middle = len(u) // 2
     jump = float(after[1, middle] - before[1, middle])
     tried = []
-    for count in range(round(jump) - 1, round(jump) + 2):
+    spare, least = (2, _LEAST_COARSE) if coarse else (1, 1)
+    for count in range(round(jump) - spare, round(jump) + spare + 1):
+        if abs(count) < least:
+            continue
         half = np.array([[0.0], [(count - jump) / 2]])
-        found = _split(pair, u, before - half, after + half) if count else None
-        if found is not None:
-            tried.append((*found, count))
+        for across, along in product(_COARSE_PX, repeat=2) if coarse else ((0.0, 0.0),):
+            beside = np.array([[across], [along]])
+            found = _split(pair, u, before - half + beside, after + half + beside)
+            if found is not None:
+                tried.append((*found, count))
     if not tried:
         return None
     _, line, count = min(tried)
