@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomosaic.ccd.line_poses import LinePoses, on_height
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Settings
+from geomosaic.ccd.model import BRIDGED, UNRELIABLE, Settings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground, read_object_space
 from geomosaic.ccd.overlaps import StripFiles, strips_in_memory
 from geomosaic.ccd.virtual_line import relief_px, virtual_line
@@ -64,7 +64,7 @@ def test_model_and_dem_out_of_their_files_give_the_true_offsets(tmp_path: Path) 
         assert np.ptp(true["dline_px"]) > 2.0
         np.testing.assert_allclose(offsets.dcol_px, true["dcol_px"], atol=0.002)
         np.testing.assert_allclose(offsets.dline_px, true["dline_px"], atol=0.002)
-        assert (offsets.label == MEASURED).all()
+        assert (offsets.label == BRIDGED).all()
         np.testing.assert_allclose(offsets.sd_line_px, np.hypot(0.1, 10.0 / 233.0), atol=0.002)
         np.testing.assert_allclose(offsets.sd_col_px, 0.1, atol=0.002)
 
@@ -101,7 +101,7 @@ def test_without_a_model_the_error_says_what_to_give() -> None:
         virtual_line(strips, Settings(), quiet)
 
 
-@pytest.mark.parametrize(("noise_urad", "label"), [(0.1, MEASURED), (1.0, BRIDGED), (3.0, UNRELIABLE)])
+@pytest.mark.parametrize(("noise_urad", "label"), [(1.0, BRIDGED), (3.0, UNRELIABLE)])
 def test_noise_of_the_attitudes_is_found_and_told(noise_urad: float, label: int) -> None:
     """A microradian is 0.27 px, twice in each offset; between its samples a spline's noise is a bit less."""
     plan = StripPlan(ccds=2, lines=4000, seed=5, attitude_noise_urad=noise_urad)
@@ -134,7 +134,7 @@ def test_lines_beyond_the_attitudes_are_unreliable() -> None:
         roll_pitch_yaw_rad=space.model.roll_pitch_yaw_rad[known],
     )
     (offsets,) = found(plan, replace(space, model=model))
-    last = int(np.flatnonzero(offsets.label == MEASURED)[-1])
+    last = int(np.flatnonzero(offsets.label == BRIDGED)[-1])
     assert last == pytest.approx(886, abs=15)
     true = scene.truth(0)
     np.testing.assert_allclose(offsets.dline_px[:860], true.dline_px[:860], atol=0.01)

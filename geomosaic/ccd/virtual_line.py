@@ -9,7 +9,7 @@ from scipy.stats import median_abs_deviation
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Floats, PairOffsets, Progress, Settings
+from geomosaic.ccd.model import BRIDGED, UNRELIABLE, Floats, PairOffsets, Progress, Settings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.errors import InputError
@@ -19,7 +19,6 @@ _PIECE_LINES = 8192
 _SPARE_LINES = 200
 _MODEL_SD_PX = 0.1
 """What a calibrated camera's looks, orbit and slow attitude leave between the rows: some 0.4 microradian."""
-_MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 _STEP_M = 50.0
 _RELIEF_STEP_LINES = 4
@@ -32,7 +31,7 @@ def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tupl
     right CCD sees it. The standard deviations are what is taken for granted about such models (0.1 px), the
     heights' (`ObjectSpace.height_sd_m`) times the parallax, and the noise that the table of attitudes shows
     by its third differences; what else is wrong with the model can't be told from it. Lines whose right line
-    is beyond the model's attitudes, or isn't found, are unreliable.
+    is beyond the model's attitudes, or isn't found, are unreliable. No line is labelled measured.
     Raises: `InputError` without a model.
     """
     space, g = strips.object_space, strips.geometry
@@ -58,9 +57,7 @@ def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tupl
         noise = np.sqrt(2.0) * np.array([[noise_col], [noise_line]])
         sd = np.sqrt(_MODEL_SD_PX**2 + (parallax * space.height_sd_m) ** 2 + noise**2)
         sd[:, ~known] = np.maximum(sd[:, ~known], 10.0)
-        largest = sd.max(axis=0)
-        label = np.where(largest <= _MEASURED_SD_PX, MEASURED, BRIDGED)
-        label[largest > _RELIABLE_SD_PX] = UNRELIABLE
+        label = np.where(sd.max(axis=0) <= _RELIABLE_SD_PX, BRIDGED, UNRELIABLE)
         col, line = (_filled(axis) for axis in found)
         out.append(PairOffsets(pair, col, line, sd[0], sd[1], label.astype(np.uint8)))
     return tuple(out)

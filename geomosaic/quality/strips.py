@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from geomosaic.ccd.model import LABELS, MEASURED, Flags, Floats, Images, PairOffsets, Progress, StripOffsets
+from geomosaic.ccd.model import (
+    BRIDGED,
+    LABELS,
+    MEASURED,
+    Flags,
+    Floats,
+    Images,
+    PairOffsets,
+    Progress,
+    StripOffsets,
+)
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.volumes import flattened
 from geomosaic.quality.displacement import Displacements, measure_displacements
@@ -69,9 +79,10 @@ class PairQuality:
 class StripQuality:
     """The check of a scene. figures: over the lines labelled measured, where a residual could be measured.
 
-    lines: whose ground both strips have. unmeasured_lines: labelled measured, but nothing there to check them
-    by (too little texture, or clouds and ground mixed). other_lines: bridged or unreliable. others: figures
-    of those of them where something could be measured; they decide nothing, since it may be clouds.
+    Of a method that looks at no picture, and so measures nothing, the bridged lines count instead.
+    lines: whose ground both strips have. unmeasured_lines: that count, but have nothing to check them by (too
+    little texture, or clouds and ground mixed). other_lines: that don't count. others: figures of those of
+    them where something could be measured; they decide nothing, since it may be clouds.
     """
 
     pairs: tuple[PairQuality, ...]
@@ -93,22 +104,24 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
     The right strip is laid on the left one along the offsets; patches of 28 px are matched by correlation
     within 14 px and then by least squares (`quality.displacement`). A block's residual is the mean of its
     patches, if three quarters agree within half a pixel: where they don't, clouds and ground lie beside each
-    other. Clouds alone do agree, upon their own motion: only lines labelled measured count, and a residual
-    above 1 px must be seen by three quarters of all the block's patches, not of the measurable ones alone.
+    other. Clouds alone do agree, upon their own motion: only lines labelled measured count (bridged ones,
+    where no line of the scene is measured), and a residual above 1 px must be seen by three quarters of all
+    the block's patches, not of the measurable ones alone.
     """
     pairs, errors, other_errors = [], [], []
     total = sum(strips.lines(p.pair) for p in offsets.pairs)
     done = seen_lines = unmeasured = other = 0
+    label = MEASURED if any((p.label == MEASURED).any() for p in offsets.pairs) else BRIDGED
     for pair in offsets.pairs:
         lines = strips.lines(pair.pair)
         parts = []
         for start in range(0, lines, _PIECE_LINES):
-            parts.append(_piece(strips, pair, start, min(start + _PIECE_LINES, lines)))
+            parts.append(_piece(strips, pair, label, start, min(start + _PIECE_LINES, lines)))
             done += min(_PIECE_LINES, lines - start)
             progress(done, total)
         residual, sd, elsewhere = (np.concatenate(v) for v in zip(*parts, strict=True))
         seen = common_lines(strips.geometry, pair.pair, pair.dline_px)
-        own = seen & (pair.label == MEASURED)
+        own = seen & (pair.label == label)
         error = np.where(own[:, None], by_line(residual, lines), np.nan)
         known = np.isfinite(error[:, 0])
         starts = np.arange(0, lines, BLOCK_LINES)
@@ -168,8 +181,10 @@ def _plain(value: float) -> float | None:
     return round(value, 6) if np.isfinite(value) and value >= 0.0 else None
 
 
-def _piece(strips: Strips, pair: PairOffsets, start: int, stop: int) -> tuple[Floats, Floats, Floats]:
-    """Residuals (blocks, 2), their deviations (blocks,), residuals of lines not measured (blocks, 2)."""
+def _piece(
+    strips: Strips, pair: PairOffsets, label: int, start: int, stop: int
+) -> tuple[Floats, Floats, Floats]:
+    """Residuals (blocks, 2), their deviations (blocks,), residuals of lines that don't count."""
     first, last = start - _MARGIN_LINES, stop + _MARGIN_LINES
     g, overlap = strips.geometry, strips.overlap(pair.pair, first, last)
     lines = np.arange(first, last)
@@ -190,7 +205,7 @@ def _piece(strips: Strips, pair: PairOffsets, start: int, stop: int) -> tuple[Fl
         laid, left, laid_valid, left_valid, corners,
         patch_px=_PATCH_PX, search_px=_SEARCH_PX, min_correlation=_LEAST_CORRELATION,
     )  # fmt: skip
-    counts = inside & (pair.label[at] == MEASURED)
+    counts = inside & (pair.label[at] == label)
     own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks)
     return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]
 
