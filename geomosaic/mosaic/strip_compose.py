@@ -57,7 +57,7 @@ def compose_strips(
     raster_path: Path,
     *,
     blend: str = "smooth",
-    resampling: str = "cubic",
+    resampling: str = "lanczos",
     threads: int = 2,
     progress: Callable[[int, int], None] | None = None,
     check_cancelled: Callable[[], None] | None = None,

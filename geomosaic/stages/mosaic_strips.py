@@ -45,7 +45,9 @@ class MosaicStrips(Stage):
         """See each parameter's help."""
 
         blend: str = param("smooth", help="how greys go over at a seam", choices=BLENDS)
-        resampling: str = param("cubic", help="interpolation of the strips", choices=RESAMPLING)
+        resampling: str = param(
+            "lanczos", help="interpolation of the strips; cubic shifts by up to 0.05 px", choices=RESAMPLING
+        )
         ends: Ends = param(
             "all", help="all: every line any strip has; common: those all have", choices=get_args(Ends)
         )
