@@ -8,9 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
-from geomosaic.ccd.joint_window import KnotOffsets, first_offsets, solved_window
+from geomosaic.ccd.joint_window import KnotOffsets, curve_of, first_offsets, solved_window
 from geomosaic.ccd.lost_lines import Step, steps
 from geomosaic.ccd.model import (
     BRIDGED,
@@ -32,7 +31,7 @@ _MOST_ROUNDS = 2
 # So near to lost lines a line may belong to either side.
 _BESIDE_LINES = 3.0
 # What resampling leaves, and what the overlap's columns differ by: columns, lines.
-_RESAMPLING_SD_PX = (0.0055, 0.0045)
+_RESAMPLING_SD_PX = (0.006, 0.005)
 _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 _UNKNOWN_SD_PX = 10.0
@@ -48,9 +47,10 @@ def joint(
     before and added after. Lines whose ground only one strip has keep the nearest offset, `unreliable`.
     """
     step = settings.knot_lines
-    knots = max((shared_lines(strips, pair) for pair in strips.pairs), default=0) // step
-    if knots < _LEAST_KNOTS:
+    lines = max((shared_lines(strips, pair) for pair in strips.pairs), default=0)
+    if lines < _LEAST_KNOTS * step:
         return tuple(_nothing(pair, strips.lines(pair)) for pair in strips.pairs)
+    knots = lines // step + 2  # a few lines beyond: offsets move what is shared
     known = [relief_of(strips, pair, knots * step) for pair in strips.pairs]
     windows = list(_windows(knots, window_lines // step, _MARGIN_LINES // step))
     whole = KnotOffsets.nothing(len(strips.pairs), knots)
@@ -115,9 +115,8 @@ def _of_pair(
 ) -> PairOffsets:
     """A pair's curves as offsets of its left strip's lines."""
     knots = whole.offset_px.shape[1]
-    centres = np.arange(knots) * float(step) + (step - 1) / 2
-    u = np.clip(np.arange(knots * step, dtype=np.float64), centres[0], centres[-1])
-    dcol, dline = np.asarray(CubicSpline(centres, whole.offset_px[k], axis=0)(u)).T
+    centres = np.asarray(np.arange(knots) * float(step) + (step - 1) / 2)
+    dcol, dline = curve_of(centres, whole.offset_px[k], np.arange(knots * step, dtype=np.float64))
     (col, line), at = left_offsets(strips, pair, dcol, dline + known_px)
     broken = np.flatnonzero(np.abs(np.diff(known_px)) > 0.5)
     unsure = _beside(at, broken, np.abs(np.diff(known_px)[broken]) + _BESIDE_LINES)

@@ -29,6 +29,7 @@ _ANCHOR_SD_PX = 40.0
 _FAR_PX = 3.5
 _SURE_SD_PX = 0.25
 _LEAST_FIT = 0.25
+_LEAST_KNOTS = 8
 
 
 @dataclass(frozen=True)
@@ -117,10 +118,10 @@ def _refined(
     Returns: curves, cells, which of them (pairs, knots) had a say, habits.
     """
     step = round(centres[1] - centres[0])
-    at = np.clip(np.arange(len(centres) * step, dtype=np.float64), centres[0], centres[-1])
+    at = np.arange(len(centres) * step, dtype=np.float64)
 
     def measured_cells(k: int) -> Cells:
-        curve = np.asarray(CubicSpline(centres, now.offsets_px[k], axis=0)(at)).T
+        curve = curve_of(centres, now.offsets_px[k], at)
         return measure(ready[k], curve, pairs[k].known_px[: len(at)], step)
 
     cells = each(measured_cells, range(len(pairs)))
@@ -129,7 +130,7 @@ def _refined(
     found = np.trace(measured, axis1=2, axis2=3) > 0
     offset = np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse)
     anchor = _ANCHOR_SD_PX**-2 * np.eye(2)
-    level = _level(now, measured)
+    level = _level(offset, found, now)
     bright = bright_part(np.stack([_knot_means(pair.brightness, len(centres)) for pair in pairs]))
     if (bright & found).any():
         without = np.where(bright[..., None, None], 0.0, measured)
@@ -147,14 +148,25 @@ def _refined(
     return final, cells, np.trace(measured, axis1=2, axis2=3) > 0, habits
 
 
+def curve_of(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
+    """Curves (2, n) through values (knots, 2) at the knots' centres; straight on beyond them."""
+    curve = CubicSpline(centres, knots_px, axis=0, bc_type="natural")
+    inside = np.clip(at, centres[0], centres[-1])
+    return np.asarray(curve(inside) + (at - inside)[:, None] * curve(inside, 1)).T
+
+
 def _knot_means(values: Floats, knots: int) -> Floats:
     return np.asarray(values[: len(values) // knots * knots].reshape(knots, -1).mean(axis=1))
 
 
-def _level(now: Smoothed, measured: Floats) -> Floats:
-    """(pairs, 2) where each pair's curves lie in the mean, by what was measured of them."""
-    weight = (np.trace(measured, axis1=2, axis2=3) > 0) + 1e-6
-    return np.asarray((now.offsets_px * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None])
+def _level(offset_px: Floats, found: Flags, now: Smoothed) -> Floats:
+    """(pairs, 2) about where each pair's curves lie: by what was measured, or by the curves if little was."""
+    return np.stack(
+        [
+            np.median(measured[good], axis=0) if good.sum() >= _LEAST_KNOTS else curve.mean(axis=0)
+            for measured, good, curve in zip(offset_px, found, now.offsets_px, strict=True)
+        ]
+    )
 
 
 def _plausible(residual: Floats, information: Floats) -> tuple[Floats, float]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import bright_part
 from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
@@ -20,9 +21,8 @@ _MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
 _JUMP = 250.0
 # A second layer must explain this share more than one layer does.
 _LAYER_GAIN = 0.003
-# And be seen beside the first, on such a share of the lines, in so many pairs; what one or two show alone
-# is lost lines.
-_LAYER_SHARE, _LAYER_PAIRS = 0.05, 0.4
+# And be seen beside the first, on such a share of the lines, in such a share of the pairs, and come and go.
+_LAYER_SHARE, _LAYER_PAIRS, _LAYER_CHANGES = 0.05, 0.4, 1.5
 # How far the ground may well lie from the nominal geometry.
 _NOMINAL_PX = 6.0
 # What bright blocks count: enough to find bright ground, not to lead the path off to clouds.
@@ -110,9 +110,7 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
         opposite = Layer(-candidate.lines, -candidate.cols)
         moved, other = _solve(either_layer(volumes, [opposite]), rounds)
         for path, value, layer in ((tried, found, candidate), (moved, other, opposite)):
-            hidden = second_layer(volumes, layer, path).mean(axis=1)
-            both = np.mean((hidden > _LAYER_SHARE) & (hidden < 1.0 - _LAYER_SHARE)) > _LAYER_PAIRS
-            if both and value.sum() > evidence.sum() + threshold:
+            if _by_patches(second_layer(volumes, layer, path)) and value.sum() > evidence.sum() + threshold:
                 best, evidence, layers = path, value, [layer]
                 threshold = 0.0
     if layers:
@@ -122,6 +120,15 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
         cloudy |= second_layer(volumes, layer, best)
     middle = np.array(volumes.shape[2:]) // 2
     return Coarse(_BIN_PX * (best - middle)[:, :, ::-1].astype(np.float64), layers, cloudy)
+
+
+def _by_patches(hidden: Flags) -> bool:
+    """Whether a second layer, at (pairs, blocks), comes and goes as clouds do: lost lines change it once."""
+    share = hidden.mean(axis=1)
+    both = (share > _LAYER_SHARE) & (share < 1.0 - _LAYER_SHARE)
+    patches = uniform_filter1d(hidden.astype(np.float64), 9, axis=1, mode="nearest") > 0.5
+    changes = np.count_nonzero(np.diff(patches, axis=1), axis=1)
+    return bool(both.mean() > _LAYER_PAIRS and changes[both].mean() > _LAYER_CHANGES)
 
 
 def _ground_first(

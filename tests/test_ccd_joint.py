@@ -1,0 +1,205 @@
+"""`joint` against the truth of simulated scenes: accuracy, clouds, low contrast, faults, honesty of what it states."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from geomosaic.ccd.joint import joint
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Settings
+from geomosaic.ccd.overlaps import strips_in_memory
+from geomosaic.simulate.strip_overlaps import simulate_overlaps
+from geomosaic.simulate.strip_plan import StripPlan
+
+SEPARATION = 2114
+PLAN = StripPlan(width_px=512, lines=6000, ccds=4, seed=71)
+
+
+@cache
+def scene(plan):
+    geometry, pairs = simulate_overlaps(plan)
+    return geometry, tuple((pair.left, pair.right) for pair in pairs), tuple(pair.truth for pair in pairs)
+
+
+def solved(plan, window_lines=20000, edges=None):
+    geometry, simulated, _ = scene(plan)
+    return joint(
+        strips_in_memory(geometry, edges or simulated), Settings(), lambda done, of: None, window_lines
+    )
+
+
+def errors(plan, offsets):
+    """Of each pair: (n, 2) offsets less truth, (n, 2) deviations, labels, of the lines both strips have."""
+    geometry, _, truths = scene(plan)
+    out = []
+    for found in offsets:
+        truth = truths[found.pair]
+        apart = geometry.side(found.pair) * SEPARATION
+        there = np.arange(len(truth.dcol_px)) + apart + truth.dline_px
+        shared = (there >= 3) & (there < geometry.lines[found.pair + 1] - 3)
+        off = np.stack([found.dcol_px - truth.dcol_px, found.dline_px - truth.dline_px], axis=1)
+        sd = np.stack([found.sd_col_px, found.sd_line_px], axis=1)
+        out.append((off[shared], sd[shared], found.label[shared]))
+    return out
+
+
+def rms(off):
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+def pooled(plan, offsets=None):
+    parts = errors(plan, offsets or solved(plan))
+    return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+
+
+def honest(off, sd):
+    return float((np.abs(off) < 1.645 * sd).mean())
+
+
+def test_clean_scene_to_hundredths_of_a_pixel():
+    off, sd, label = pooled(PLAN)
+    away = np.hypot(*off.T)
+    assert rms(off) < 0.02
+    assert np.quantile(away, 0.95) < 0.04 and away.max() < 0.25
+    assert (label == MEASURED).mean() > 0.98
+    assert 0.82 < honest(off, sd) < 0.97
+
+
+def test_signs_and_sides():
+    """Both strips' pictures of one ground, moved by hand: right = left + (dcol, side lag + dline)."""
+    rng = np.random.default_rng(5)
+    geometry = replace(PLAN.geometry(), lines=(4000, 4000, 4000, 4000), row_separation_lines=1000.0)
+    fine = rng.normal(size=(6200, 160))
+    ground = gaussian_filter(fine, 1.5) * 500 + 500
+    edges, margin = [], 14
+    for side in (1, -1, 1):
+        # Left line i sees ground row 1100 + i; right line i + side 1000 + dline sees the same.
+        dcol, dline = 3, -5
+        left = ground[1100 : 1100 + 4000, 20:130]
+        first = 1100 - side * 1000 - dline
+        # A point in the left's overlap column c lies in the right's column c - margin + dcol.
+        right = ground[
+            np.clip(np.arange(first, first + 4000), 0, 6199), 20 + margin - dcol : 130 + margin - dcol
+        ]
+        edges.append(tuple(np.rint(x + rng.normal(0, 2, x.shape)).astype(np.uint16) for x in (left, right)))
+    for found in joint(strips_in_memory(geometry, edges), Settings(), lambda done, of: None):
+        sure = found.label == MEASURED
+        assert sure.sum() > 2500
+        inside = np.flatnonzero(sure)[100:-100]
+        assert np.abs(found.dcol_px[inside] - 3).max() < 0.1
+        assert np.abs(found.dline_px[inside] + 5).max() < 0.1
+
+
+def test_low_contrast():
+    off, _, label = pooled(replace(PLAN, low_contrast_share=0.4))
+    assert rms(off) < 0.06
+    assert np.hypot(*off[label == MEASURED].T).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("wind_m_per_s", "wind_deg", "height_m"),
+    [(15.0, 60.0, 3000.0), (22.0, 341.0, 2800.0), (49.0, 180.0, 8000.0), (9.0, 20.0, 700.0)],
+)
+def test_clouds_are_no_ground(wind_m_per_s, wind_deg, height_m):
+    plan = replace(
+        PLAN, cloud_cover=0.4, wind_m_per_s=wind_m_per_s, wind_deg=wind_deg, cloud_height_m=height_m
+    )
+    off, _, label = pooled(plan)
+    away = np.hypot(*off.T)
+    assert rms(off) < 0.3
+    assert 0.3 < (label == MEASURED).mean() < 0.8
+    assert away[label == MEASURED].max() < 1.0
+    assert (away[label != UNRELIABLE] > 1.0).mean() < 0.01
+    assert (label == BRIDGED).any()
+
+
+def test_stated_deviations_hold_where_lines_are_bridged():
+    parts = [
+        pooled(replace(PLAN, ccds=6, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)
+    ]
+    off, sd, label = (np.concatenate(part) for part in zip(*parts, strict=True))
+    assert 0.82 < honest(off, sd) < 0.98
+    bridged = label == BRIDGED
+    assert honest(off[bridged], sd[bridged]) > 0.75
+    assert sd[bridged].mean() > 1.5 * sd[label == MEASURED].mean()
+
+
+def test_missing_ccd_and_shorter_strip():
+    geometry, edges, _ = scene(PLAN)
+    lines = (6000, 6000, 0, 5000)
+    found = joint(strips_in_memory(replace(geometry, lines=lines), edges), Settings(), lambda done, of: None)
+    assert [part.pair for part in found] == [0]
+    assert rms(errors(PLAN, found)[0][0]) < 0.03
+    lines = (6000, 6000, 6000, 5000)
+    cut = [*edges[:2], (edges[2][0], edges[2][1][:5000])]
+    found = joint(strips_in_memory(replace(geometry, lines=lines), cut), Settings(), lambda done, of: None)
+    assert [len(part.label) for part in found] == [6000, 6000, 6000]
+    assert (found[2].label[5000 - SEPARATION + 20 :] == UNRELIABLE).all()
+    assert (found[2].label[: 5000 - SEPARATION - 40] == MEASURED).mean() > 0.95
+    assert rms(errors(PLAN, found)[1][0]) < 0.03
+
+
+@pytest.mark.parametrize("fault", [{"lost": "1:3200:5"}, {"repeated": "2:3500:7"}, {"lost": "3:2800:1"}])
+def test_lost_and_repeated_lines(fault):
+    plan = replace(PLAN, **fault)
+    for off, _, label in errors(plan, solved(plan)):
+        assert np.hypot(*off[label == MEASURED].T).max() < 0.7
+        assert rms(off[label != UNRELIABLE]) < 0.05
+        assert (label == MEASURED).mean() > 0.95
+
+
+def test_saturated_parts_and_nodata():
+    plan = replace(PLAN, saturated_share=0.2)
+    geometry, edges, _ = scene(plan)
+    edges = [(left.copy(), right.copy()) for left, right in edges]
+    edges[1][0][2500:3300] = 0
+    strips = strips_in_memory(replace(geometry, nodata=0.0), edges)
+    found = joint(strips, Settings(), lambda done, of: None)
+    for off, _, label in errors(plan, found):
+        assert np.hypot(*off[label == MEASURED].T).max() < 0.3
+    assert (found[1].label[2550:3250] != MEASURED).all()
+
+
+def test_heights_known_beforehand_are_given_back():
+    geometry, edges, _ = scene(PLAN)
+    strips = strips_in_memory(geometry, edges)
+    bump = 9.0 * np.sin(np.arange(6000) / 700.0)
+    strips.relief_px = {0: bump}
+    with_relief = joint(strips, Settings(), lambda done, of: None)
+    off, _, label = errors(PLAN, with_relief)[0]
+    # What was taken out wrongly is measured, and so put right.
+    assert rms(off[label == MEASURED]) < 0.1
+
+
+def test_windows_agree_with_one_piece():
+    one, many = solved(PLAN), solved(PLAN, window_lines=2000)
+    for whole, parts in zip(one, many, strict=True):
+        both = (whole.label == MEASURED) & (parts.label == MEASURED)
+        assert both.mean() > 0.6
+        assert np.abs(whole.dcol_px - parts.dcol_px)[both].max() < 0.05
+        assert np.abs(whole.dline_px - parts.dline_px)[both].max() < 0.05
+
+
+def test_second_run_is_byte_identical():
+    plan = replace(PLAN, cloud_cover=0.3)
+    for first, second in zip(solved(plan), solved(plan), strict=True):
+        for name in ("dcol_px", "dline_px", "sd_col_px", "sd_line_px", "label"):
+            assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+def test_nothing_to_match():
+    geometry = replace(PLAN.geometry(), lines=(2300,) * 4)
+    empty = np.full((2300, 110), 300, dtype=np.uint16)
+    for found in joint(strips_in_memory(geometry, [(empty, empty)] * 3), Settings(), lambda done, of: None):
+        assert len(found.label) == 2300 and (found.label == UNRELIABLE).all()
+
+
+def test_progress_may_stop_it():
+    def stop(done, of):
+        raise KeyboardInterrupt
+
+    geometry, edges, _ = scene(PLAN)
+    with pytest.raises(KeyboardInterrupt):
+        joint(strips_in_memory(geometry, edges), Settings(), stop)
