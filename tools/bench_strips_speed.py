@@ -36,7 +36,7 @@ TILE_LINES = 1024
 
 
 def make_strips(plan: StripPlan, out: Path) -> None:
-    """Ground of amplitudes that fall as 1 / f, noise of 150:1, from one tile; the overlaps as they are seen."""
+    """Ground of amplitudes that fall as 1 / f, noise of 150:1, from one tile; overlaps as they are seen."""
     rng = np.random.default_rng(1)
     f = np.hypot(np.fft.fftfreq(TILE_LINES)[:, None], np.fft.rfftfreq(plan.width_px))
     spectrum = np.fft.rfft2(rng.standard_normal((TILE_LINES, plan.width_px))) / np.maximum(f, 0.003) ** 1.2

@@ -23,7 +23,7 @@ COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
 LOSSY: Final = ("webp", "jpeg")
 OVERVIEWS: Final = ("average", "cubic", "bilinear", "lanczos", "nearest")
 _BLOCK_PX = 512
-_CACHE_BYTES = 128 << 20
+_CACHE_BYTES = 256 << 20
 _MOST_OVERVIEWS = 7
 
 
