@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from geomosaic.ccd.brightness import bright_part, moves
+from geomosaic.ccd.brightness import moves
 from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
 from geomosaic.ccd.model import Flags, Floats, Settings
 from geomosaic.ccd.motion import FIRST_HABITS, Habits, Smoothed, learned, smooth
@@ -55,10 +55,11 @@ class KnotOffsets:
 
 @dataclass(frozen=True)
 class Start:
-    """Offsets (pairs, knots, 2) and their information (pairs, knots, 2, 2)."""
+    """Offsets (pairs, knots, 2), their information (pairs, knots, 2, 2), what may be cloud (pairs, knots)."""
 
     offset_px: Floats
     information: Floats
+    aside: Flags
 
 
 def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) -> KnotOffsets:
@@ -73,7 +74,7 @@ def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) ->
         ready = each(partial(pictures, scale=scale), pairs)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
-            now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
+            now, cells, used, habits = _refined(pairs, ready, now, coarse, start.aside, centres, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
     own = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
@@ -101,7 +102,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: Settings) -> Start:
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
     known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
-    return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2))
+    return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), coarse.aside[:, nearest])
 
 
 def _refined(
@@ -109,6 +110,7 @@ def _refined(
     ready: Sequence[Pictures],
     now: Smoothed,
     coarse: Floats,
+    aside: Flags,
     centres: Floats,
     habits: Habits,
     last: bool,
@@ -131,11 +133,10 @@ def _refined(
     offset = np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse)
     anchor = _ANCHOR_SD_PX**-2 * np.eye(2)
     level = _level(offset, found, now)
-    bright = bright_part(np.stack([_knot_means(pair.brightness, len(centres)) for pair in pairs]))
-    if (bright & found).any():
-        without = np.where(bright[..., None, None], 0.0, measured)
+    if (aside & found).any():
+        without = np.where(aside[..., None, None], 0.0, measured)
         solution = smooth(offset, without + anchor, level, habits)
-        if moves((offset - solution.offsets_px)[bright], measured[bright]):
+        if moves((offset - solution.offsets_px)[aside], measured[aside]):
             measured = without
     information, factor = measured, 1.0
     for _ in range(2):
@@ -153,10 +154,6 @@ def curve_of(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
     curve = CubicSpline(centres, knots_px, axis=0, bc_type="natural")
     inside = np.clip(at, centres[0], centres[-1])
     return np.asarray(curve(inside) + (at - inside)[:, None] * curve(inside, 1)).T
-
-
-def _knot_means(values: Floats, knots: int) -> Floats:
-    return np.asarray(values[: len(values) // knots * knots].reshape(knots, -1).mean(axis=1))
 
 
 def _level(offset_px: Floats, found: Flags, now: Smoothed) -> Floats:

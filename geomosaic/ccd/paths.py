@@ -19,12 +19,14 @@ _WINDOW_BLOCKS = 8
 # What a step of one bin costs: of the motion, of a pair's own part, of a pair taken alone.
 _MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
 _JUMP = 250.0
+# Where ground and clouds lie in the leading row's view, dcol and dline; and what speaks against dark clouds.
+_GROUND_SD_PX = np.array([4.0, 4.0])
+_CLOUDS_PX, _CLOUDS_SD_PX = np.array([0.0, -15.0]), np.array([6.0, 12.0])
+_DARK_CLOUDS_COST = 3.0
 # A second layer must explain this share more than one layer does.
 _LAYER_GAIN = 0.003
-# And be seen beside the first, on such a share of the lines, in such a share of the pairs, and come and go.
+# And be seen beside the first, on such a share of the lines and in such a share of the pairs, by patches.
 _LAYER_SHARE, _LAYER_PAIRS, _LAYER_CHANGES = 0.05, 0.4, 1.5
-# How far the ground may well lie from the nominal geometry.
-_NOMINAL_PX = 6.0
 # What bright blocks count: enough to find bright ground, not to lead the path off to clouds.
 _BRIGHT_WEIGHT = 0.05
 
@@ -34,12 +36,14 @@ class Coarse:
     """Offsets to about a bin.
 
     offsets_px: (pairs, blocks, 2) dcol, dline at the blocks' centres. layers: clouds found. cloudy:
-    (pairs, blocks) where they hide the ground.
+    (pairs, blocks) where they hide the ground. aside: (pairs, blocks) what was asked last, for it may be
+    cloud by its brightness.
     """
 
     offsets_px: Floats
     layers: list[Layer]
     cloudy: Flags
+    aside: Flags
 
 
 def best_path(volumes: Floats, cost: float, jump: float = np.inf) -> Ints:
@@ -101,25 +105,54 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
     bright = bright_part(brightness)
-    volumes = volumes * np.where(bright, _BRIGHT_WEIGHT, 1.0)[..., None, None]
+    if bright.any():
+        best, aside = _darker_or_brighter(volumes, bright, rounds)
+        return Coarse(_px(volumes, best), [], np.zeros_like(bright), aside)
     best, evidence = _solve(volumes, rounds)
     layers: list[Layer] = []
-    threshold = _LAYER_GAIN * evidence.sum()
-    for candidate in [] if bright.any() else layer_candidates(volumes):
-        tried, found = _solve(either_layer(volumes, [candidate]), rounds)
-        opposite = Layer(-candidate.lines, -candidate.cols)
-        moved, other = _solve(either_layer(volumes, [opposite]), rounds)
-        for path, value, layer in ((tried, found, candidate), (moved, other, opposite)):
-            if _by_patches(second_layer(volumes, layer, path)) and value.sum() > evidence.sum() + threshold:
-                best, evidence, layers = path, value, [layer]
-                threshold = 0.0
-    if layers:
-        best, layers = _ground_first(volumes, brightness, best, layers, rounds)
+    threshold = evidence.sum() * (1.0 + _LAYER_GAIN)
+    lowest = np.inf
+    for candidate in layer_candidates(volumes):
+        for layer in (candidate, Layer(-candidate.lines, -candidate.cols)):
+            path, value = _solve(either_layer(volumes, [layer]), rounds)
+            ground = np.median(_px(volumes, path).reshape(-1, 2), axis=0)
+            cost = _cost(ground, ground + _BIN_PX * np.array([layer.cols, layer.lines], dtype=np.float64))
+            if value.sum() > threshold and cost < lowest and _by_patches(second_layer(volumes, layer, path)):
+                best, layers, lowest = path, [layer], cost
     cloudy = np.zeros(volumes.shape[:2], dtype=bool)
     for layer in layers:
         cloudy |= second_layer(volumes, layer, best)
+    return Coarse(_px(volumes, best), layers, cloudy, bright)
+
+
+def _px(volumes: Floats, path: Ints) -> Floats:
+    """dcol, dline of a path's indices."""
     middle = np.array(volumes.shape[2:]) // 2
-    return Coarse(_BIN_PX * (best - middle)[:, :, ::-1].astype(np.float64), layers, cloudy)
+    return np.asarray(_BIN_PX * (path - middle)[:, :, ::-1], dtype=np.float64)
+
+
+def _darker_or_brighter(volumes: Floats, bright: Flags, rounds: int) -> tuple[Ints, Flags]:
+    """The path by the darker or by the brighter part, whichever is rather the ground's; and the other part.
+
+    Clouds are the brighter part but where the ground is snow or sand.
+    """
+    parts = bright, ~bright
+    paths = [_solve(volumes * np.where(p, _BRIGHT_WEIGHT, 1.0)[..., None, None], rounds)[0] for p in parts]
+    middles = [np.median(_px(volumes, path).reshape(-1, 2), axis=0) for path in paths]
+    costs = _cost(middles[0], middles[1]), _cost(middles[1], middles[0]) + _DARK_CLOUDS_COST
+    far = np.abs(middles[1] - middles[0]).max() > _BIN_PX
+    which = 1 if far and costs[1] < costs[0] else 0
+    return paths[which], parts[which]
+
+
+def _cost(ground_px: Floats, clouds_px: Floats) -> float:
+    """What speaks against ground and clouds lying there (dcol, dline).
+
+    Ground lies near the nominal geometry. Clouds lie off the ground: across by the wind, along by wind and
+    height, and height moves them one way.
+    """
+    moved = (clouds_px - ground_px - _CLOUDS_PX) / _CLOUDS_SD_PX
+    return 0.5 * float(((ground_px / _GROUND_SD_PX) ** 2 + moved**2).sum())
 
 
 def _by_patches(hidden: Flags) -> bool:
@@ -131,37 +164,14 @@ def _by_patches(hidden: Flags) -> bool:
     return bool(both.mean() > _LAYER_PAIRS and changes[both].mean() > _LAYER_CHANGES)
 
 
-def _ground_first(
-    volumes: Floats, brightness: Floats, path: Ints, layers: list[Layer], rounds: int
-) -> tuple[Ints, list[Layer]]:
-    """The same two layers, the ground the first: near the nominal geometry, and not the brighter one."""
-    layer = layers[0]
-    step = np.array([layer.lines, layer.cols])
-    middle = np.array(volumes.shape[2:]) // 2
-    second = second_layer(volumes, layer, path)
-    first_off = np.median((path - middle).reshape(-1, 2), axis=0)
-    nearer = (np.sum((first_off + step) ** 2) - np.sum(first_off**2)) * (_BIN_PX / _NOMINAL_PX) ** 2 / 2
-    brighter = 0.0
-    if second.any() and not second.all():
-        spread = max(float(np.std(brightness)), 1e-9)
-        brighter = 3.0 * float(np.median(brightness[second]) - np.median(brightness[~second])) / spread
-    if nearer + brighter >= 0.0:
-        return path, layers
-    swapped = Layer(-layer.lines, -layer.cols)
-    either = either_layer(volumes, [swapped])
-    tried = [_solve(either, rounds, start) for start in (None, path + step)]
-    return max(tried, key=lambda solved: solved[1].sum())[0], [swapped]
-
-
-def _solve(volumes: Floats, rounds: int, start: Ints | None = None) -> tuple[Ints, Floats]:
-    """Paths (pairs, blocks, 2) as indices, and each pair's evidence along them less the cost of its steps."""
+def _solve(volumes: Floats, rounds: int) -> tuple[Ints, Floats]:
+    """Paths (pairs, blocks, 2) as indices; each pair's evidence along them less the cost of its steps."""
     k, n, h, c = volumes.shape
     middle = np.array([h // 2, c // 2])
     prior = -0.5 * (((np.arange(h) - h // 2) / (0.5 * h)) ** 2)[:, None] - 0.5 * (
         ((np.arange(c) - c // 2) / (0.5 * c)) ** 2
     )
-    if start is None:
-        start = best_path(volumes + 0.1 * prior, _ALONE_STEP)
+    start = best_path(volumes + 0.1 * prior, _ALONE_STEP)
     first = start - middle
     own = np.repeat(np.rint(np.median(first, axis=1)).astype(np.intp)[:, None], n, axis=1)
     own -= np.rint(np.median(own, axis=0)).astype(np.intp)
