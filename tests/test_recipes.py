@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from geomosaic.adjustment.methods import METHODS
+from geomosaic.ccd.methods import METHODS as STRIP_METHODS
+from geomosaic.cli.strips import STAGES as STRIP_STAGES
 from geomosaic.errors import InputError
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.registry import installed
@@ -23,7 +25,19 @@ def params(recipe: Recipe, stage: str) -> dict[str, object]:
 
 
 def test_there_is_one_recipe_for_each_method_and_the_paper() -> None:
-    assert {p.stem for p in RECIPES.iterdir()} == {*METHODS, "paper"}
+    strips = {f"strips_{method}" for method in STRIP_METHODS}
+    assert {p.stem for p in RECIPES.iterdir()} == {*METHODS, "paper", *strips}
+
+
+@pytest.mark.parametrize("method", STRIP_METHODS)
+def test_a_strips_recipe_holds_the_method_of_its_name(method: str, tmp_path: Path) -> None:
+    geometry = tmp_path / "geometry.yaml"
+    recipe = load_recipe(
+        RECIPES / f"strips_{method}.yaml", installed(), [f"survey.strips.geometry={geometry}"]
+    )
+    assert params(recipe, "ccd.offsets")["method"] == method
+    assert [s.stage.id for s in recipe.steps] == list(STRIP_STAGES)
+    assert recipe.name == "strips, " + method.replace("_", " ")
 
 
 @pytest.mark.parametrize("name", [*METHODS, "paper"])
