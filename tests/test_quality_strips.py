@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import Strips, strips_in_memory
-from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
+from geomosaic.export.offsets_csv import read_true_offsets
+from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.recorded import StageRecorder
+from geomosaic.quality.jitter import Spectrum, jitter_spectrum, peaks_by_bin, residual_spectrum
 from geomosaic.quality.strip_figures import misplacement_rate, scene_errors, segment_rms, strip_figures
 from geomosaic.quality.strips import StripQuality, misplacement, quality_metrics
+from geomosaic.recording import Recorder, read_recording
 from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic.simulate.strips import simulate_strips
+from geomosaic.stages.quality_strips import QualityStrips
+from geomosaic.survey.strips import read_geometry
 
 SEPARATION = 2114.0
 Change = Callable[[int, np.ndarray], tuple[np.ndarray | float, np.ndarray | float]]
@@ -231,3 +239,72 @@ def test_a_sine_left_in_the_strips_is_read_off_the_residuals(
     silent = residual_spectrum(checked(strips, offsets_of(pairs)), rate)
     assert max(silent.along_px.max(), silent.across_px.max()) < 0.02
     assert residual_spectrum(checked_misplaced(), rate).frequency_hz.size == 0
+
+
+def test_the_bins_keep_the_peaks() -> None:
+    frequency = np.arange(2000) * 0.05
+    along, across = np.full(2000, 0.001), np.full(2000, 0.002)
+    along[94], across[440], along[441] = 0.3, 0.04, 0.05
+    along[0] = 9.0
+    binned = peaks_by_bin(Spectrum(frequency, across, along))
+    assert 30 < len(binned.frequency_hz) <= 60 and (np.diff(binned.frequency_hz) > 0.0).all()
+    assert binned.frequency_hz[0] == pytest.approx(0.05)
+    at = int(np.argmax(binned.along_px))
+    assert binned.frequency_hz[at] == pytest.approx(4.7) and binned.along_px[at] == 0.3
+    at = int(np.argmax(binned.across_px))
+    assert binned.frequency_hz[at] == pytest.approx(22.05)
+    assert (binned.across_px[at], binned.along_px[at]) == (0.04, 0.05)
+    # Two bins of a decade and a half each, about sqrt(0.05 * 99.95).
+    two = peaks_by_bin(Spectrum(frequency, across, along), most=2)
+    assert two.along_px.tolist() == [0.001, 0.3] and two.across_px.tolist() == [0.002, 0.04]
+    alone = peaks_by_bin(Spectrum(frequency[:2], across[:2], along[:2]))
+    assert alone.frequency_hz.tolist() == [0.05]
+    for few in (0, 1):
+        assert peaks_by_bin(Spectrum(frequency[:few], across[:few], along[:few])).along_px.size == 0
+
+
+def test_the_stage_tells_segments_spectra_and_what_is_left(tmp_path: Path) -> None:
+    """A sine of 0.4 px at 9 Hz is left in pair 0, a shift of 0.5 px in pair 2; CCD 5 is dead."""
+    plan = StripPlan(seed=4, ccds=5, width_px=256, lines=3200, row_separation_lines=700, dead="5")
+    files = simulate_strips(tmp_path / "scene", plan, scene=False)
+    geometry = read_geometry(files.geometry)
+    pairs = []
+    for k, truth in read_true_offsets(files.true_offsets, geometry).items():
+        n = len(truth)
+        error = {0: 0.4 * np.sin(2 * np.pi * 9.0 * np.arange(n) / geometry.line_rate_hz), 2: 0.5}.get(k, 0.0)
+        sd, label = np.full(n, 0.1), np.full(n, MEASURED, np.uint8)
+        pairs.append(PairOffsets(k, truth[:, 0], truth[:, 1] + error, sd, sd, label))
+    stage = QualityStrips()
+    with Recorder(tmp_path / "run.mcap", fixed_time=True) as recorder:
+        recorder.begin_run("name: strips\n", {}, {})
+        recorder.stage_started(stage.id, stage.version, {}, {})
+        context = Context(tmp_path / "run", stage_id=stage.id, recorder=StageRecorder(recorder))
+        inputs = {"strips": geometry, "offsets": StripOffsets("x", tuple(pairs))}
+        quality = stage.run(inputs, stage.Params(), context)["strip_quality"]
+    metrics = context.notes.metrics
+    told = metrics["misplacement"]["pairs"]
+    assert [p["pair"] for p in told] == [0, 1, 2] and metrics["misplacement"]["misplaced"] is False
+    assert all(len(p["segments_px"]) == 7 for p in told)
+    # The right strip of pair 0 has the ground of the left one 700 lines later, that of pair 1 700 earlier.
+    assert told[0]["segments_px"][6] is None and told[1]["segments_px"][0] is None
+    assert told[0]["segments_px"][2] == pytest.approx(0.4 / np.sqrt(2), abs=0.06)
+    assert told[2]["segments_px"][2] == pytest.approx(0.5, abs=0.02)
+    assert max(v for v in told[2]["segments_px"] if v is not None) == told[2]["worst_segment_px"]
+    left = metrics["jitter"]["left"]
+    at = int(np.argmax(left["along_px"]))
+    assert left["frequency_hz"][at] == pytest.approx(9.0, abs=0.6)
+    # Root mean square over three pairs, of which one has it.
+    assert left["along_px"][at] == pytest.approx(0.4 / np.sqrt(3), rel=0.2)
+    found = metrics["jitter"]["found"]
+    assert found.keys() == left.keys() == {"frequency_hz", "across_px", "along_px"}
+    assert 20 < len(found["frequency_hz"]) == len(found["along_px"]) == len(found["across_px"]) <= 60
+    recording = read_recording(tmp_path / "run.mcap")
+    names = [(r.pair, r.left, r.right) for r in recording.strip_residuals]
+    assert names == [(k, f"ccd{k + 1}.tif", f"ccd{k + 2}.tif") for k in range(3)]
+    assert np.nanmedian(recording.strip_residuals[2].residual_px[:, 1]) == pytest.approx(-0.5, abs=0.02)
+    np.testing.assert_allclose(
+        recording.strip_residuals[1].residual_px, quality.pairs[1].residual_px, atol=1e-6
+    )
+    assert recording.strip_residuals[0].line[:2].tolist() == [32, 96]
+    assert [j.what for j in recording.jitter] == ["found", "left"]
+    np.testing.assert_allclose(recording.jitter[1].along_px, left["along_px"], atol=1e-5)

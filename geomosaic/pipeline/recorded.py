@@ -114,6 +114,34 @@ class StageRecorder:
             label=label,
         )
 
+    def strip_residuals(
+        self,
+        pair: int,
+        left: str,
+        right: str,
+        line: NDArray[Any],
+        dcol_px: NDArray[Any],
+        dline_px: NDArray[Any],
+        sd_px: NDArray[Any],
+    ) -> None:
+        """What is left between a pair's strips at the middles of blocks of lines, (n,) each."""
+        self._call(
+            "strip_residuals",
+            pair=pair,
+            left=left,
+            right=right,
+            line=line,
+            dcol_px=dcol_px,
+            dline_px=dline_px,
+            sd_px=sd_px,
+        )
+
+    def jitter(
+        self, what: str, frequency_hz: NDArray[Any], across_px: NDArray[Any], along_px: NDArray[Any]
+    ) -> None:
+        """A spectrum, `found` or `left`, (f,) each."""
+        self._call("jitter", what=what, frequency_hz=frequency_hz, across_px=across_px, along_px=along_px)
+
     def camera(self, name: str, camera: Camera) -> None:
         """An interior orientation."""
         self._call("camera", name=name, camera=camera)

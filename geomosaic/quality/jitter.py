@@ -59,6 +59,28 @@ def residual_spectrum(quality: StripQuality, line_rate_hz: float) -> Spectrum:
     return Spectrum(raw.frequency_hz, raw.across_px / kept, raw.along_px / kept)
 
 
+def peaks_by_bin(spectrum: Spectrum, most: int = 60) -> Spectrum:
+    """The largest amplitudes in each of at most `most` logarithmic bins; frequency 0 is left out.
+
+    A bin's frequency is that of the larger of its two amplitudes. Bins that hold no frequency are left out.
+    """
+    moving = spectrum.frequency_hz > 0.0
+    frequency, across, along = (
+        v[moving] for v in (spectrum.frequency_hz, spectrum.across_px, spectrum.along_px)
+    )
+    if not frequency.size:
+        return Spectrum(frequency, across, along)
+    edges = np.geomspace(frequency[0], frequency[-1], most + 1)
+    bins = np.searchsorted(edges[1:-1], frequency, side="right")
+    starts = np.flatnonzero(np.diff(bins, prepend=-1))
+    larger = np.split(np.maximum(across, along), starts[1:])
+    return Spectrum(
+        frequency[starts + [int(np.argmax(v)) for v in larger]],
+        np.maximum.reduceat(across, starts),
+        np.maximum.reduceat(along, starts),
+    )
+
+
 def _spectrum(series: Sequence[Floats], rate_hz: float) -> Spectrum:
     """Of series (2, n), without their straight trends, through Hann's window; padded to finer steps."""
     series = [s for s in series if s.shape[1] >= _LEAST_SAMPLES]

@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.recording.model import Recording, StageRecord, StripCurve
+from geomosaic.recording.model import Recording, StageRecord, StripCurve, StripResidual
+from geomosaic.recording.summary import largest_length, rms_length
 
 
 def compare(a: Recording, b: Recording) -> dict[str, Any]:
     """What `geomosaic diff --json` prints: only what differs, values as [of a, of b].
 
     `equal` says whether the runs did the same and came to the same: the recipe, the inputs, the stages
-    with their versions, parameters and fingerprints, the moves of the frames, the strips' offsets, the
-    warnings, and how far each got. Durations, what came from the cache, the outputs of stages that tell
-    of the run itself (the report), and the environment don't count; the environment's differences are listed.
+    with their versions, parameters and fingerprints, the moves of the frames, the strips' offsets and
+    what they leave, the warnings, and how far each got. Durations, what came from the cache, the outputs
+    of stages that tell of the run itself (the report), and the environment don't count; the environment's
+    differences are listed.
     `first_stage` names the first stage that differs.
     """
     stages = _stages(a.stages, b.stages)
@@ -34,6 +36,7 @@ def compare(a: Recording, b: Recording) -> dict[str, Any]:
         "stages": stages,
         "offsets": _offsets(a, b),
         "strips": _strips(a, b),
+        "strip_residuals": _strip_residuals(a, b),
         "warnings": _warnings(a, b),
     }
     equal = not any(out.values())
@@ -128,16 +131,15 @@ def _strips(a: Recording, b: Recording) -> list[dict[str, Any]]:
             for name in ("offset_px", "sd_px", "label")
         )
         if not equal:
-            length = np.hypot(*(of_b.offset_px[at_b] - of_a.offset_px[at_a]).T)
-            length = length[np.isfinite(length)]
+            change = of_b.offset_px[at_b] - of_a.offset_px[at_a]
             relabelled = of_b.label[at_b] != of_a.label[at_a]
             out.append(
                 {
                     "stage": stage,
                     "pair": pair,
                     "lines": [len(of_a.line), len(of_b.line)],
-                    "largest_px": float(length.max()) if length.size else None,
-                    "rms_px": float(np.sqrt((length**2).mean())) if length.size else None,
+                    "largest_px": largest_length(change),
+                    "rms_px": rms_length(change),
                     "share_relabelled": float(relabelled.mean()) if relabelled.size else None,
                 }
             )
@@ -147,6 +149,39 @@ def _strips(a: Recording, b: Recording) -> list[dict[str, Any]]:
 def _curves(recording: Recording) -> dict[tuple[str, int], StripCurve]:
     ids = {stage.index: stage.stage_id for stage in recording.stages}
     return {(ids.get(c.stage_index, ""), c.pair): c for c in recording.strips}
+
+
+def _strip_residuals(a: Recording, b: Recording) -> list[dict[str, Any]]:
+    """For each pair of strips of which something else is left: blocks and RMS of both, the largest change."""
+    left_a, left_b = _residuals(a), _residuals(b)
+    out: list[dict[str, Any]] = []
+    for stage, pair in dict.fromkeys([*left_a, *left_b]):
+        of_a, of_b = left_a.get((stage, pair)), left_b.get((stage, pair))
+        if of_a is None or of_b is None:
+            out.append({"stage": stage, "pair": pair, "only_in": "b" if of_a is None else "a"})
+            continue
+        equal = all(
+            np.array_equal(getattr(of_a, name), getattr(of_b, name), equal_nan=True)
+            for name in ("line", "residual_px", "sd_px")
+        )
+        if not equal:
+            _, at_a, at_b = np.intersect1d(of_a.line, of_b.line, return_indices=True)
+            both = of_a.residual_px, of_b.residual_px
+            out.append(
+                {
+                    "stage": stage,
+                    "pair": pair,
+                    "blocks_measured": [int(np.isfinite(r).all(axis=1).sum()) for r in both],
+                    "rms_px": [rms_length(r) for r in both],
+                    "largest_px": largest_length(both[1][at_b] - both[0][at_a]),
+                }
+            )
+    return out
+
+
+def _residuals(recording: Recording) -> dict[tuple[str, int], StripResidual]:
+    ids = {stage.index: stage.stage_id for stage in recording.stages}
+    return {(ids.get(r.stage_index, ""), r.pair): r for r in recording.strip_residuals}
 
 
 def _warnings(a: Recording, b: Recording) -> list[dict[str, str]]:

@@ -88,6 +88,26 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "double share_unreliable",
         "uint32 stage_index",
     ),
+    # What is left between the strips of a pair where the offsets lay them, block of lines by block: offset +
+    # residual would be right. `line` is the left strip's in the middle of a block; NaN where nothing could be
+    # measured. `sd` is one standard deviation, of either axis.
+    "StripResiduals": (
+        "uint32 pair",
+        "string left",
+        "string right",
+        "repeated uint32 line",
+        "repeated float dcol_px",
+        "repeated float dline_px",
+        "repeated float sd_px",
+        "uint32 stage_index",
+    ),
+    # Amplitudes of what moves line by line, dcol across and dline along; of `what` the topic tells.
+    "JitterSpectrum": (
+        "repeated float frequency_hz",
+        "repeated float across_px",
+        "repeated float along_px",
+        "uint32 stage_index",
+    ),
     # One part of an encoded artefact; the parts' data joined in order has `total_bytes` bytes.
     "Artefact": (
         "string stage_id",
@@ -140,4 +160,6 @@ StageEvent = _classes["StageEvent"]
 PairOffsets = _classes["PairOffsets"]
 TiePoints = _classes["TiePoints"]
 StripOffsets = _classes["StripOffsets"]
+StripResiduals = _classes["StripResiduals"]
+JitterSpectrum = _classes["JitterSpectrum"]
 Artefact = _classes["Artefact"]

@@ -79,6 +79,33 @@ class StripCurve:
     label: NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class StripResidual:
+    """What is left between a pair's strips, at the middles of n blocks; see `Recorder.strip_residuals`.
+
+    line: (n,) of the left strip. residual_px: (n, 2) dcol and dline, NaN where unknown. sd_px: (n,).
+    """
+
+    stage_index: int
+    pair: int
+    left: str
+    right: str
+    line: NDArray[np.int64]
+    residual_px: Floats
+    sd_px: Floats
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """A spectrum (f,), see `Recorder.jitter`; `what` is found or left."""
+
+    stage_index: int
+    what: str
+    frequency_hz: Floats
+    across_px: Floats
+    along_px: Floats
+
+
 @dataclass
 class ArtefactEntry:
     """An artefact in the recording, not loaded.
@@ -126,6 +153,8 @@ class Recording:
     log: list[LogLine] = field(default_factory=list)
     rounds: list[RoundOffsets] = field(default_factory=list)
     strips: list[StripCurve] = field(default_factory=list)
+    strip_residuals: list[StripResidual] = field(default_factory=list)
+    jitter: list[Jitter] = field(default_factory=list)
     artefacts: list[ArtefactEntry] = field(default_factory=list)
     topics: dict[str, Topic] = field(default_factory=dict)
 

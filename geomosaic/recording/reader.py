@@ -13,21 +13,37 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
 
 from geomosaic.errors import FileError
 from geomosaic.recording.mcapfile import BROKEN, MEND, Item, items, opened, stream, unpacked
-from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, StripOffsets
+from geomosaic.recording.messages import (
+    Artefact,
+    JitterSpectrum,
+    PairOffsets,
+    StageEvent,
+    StripOffsets,
+    StripResiduals,
+)
 from geomosaic.recording.model import (
     ArtefactEntry,
+    Jitter,
     LogLine,
     Recording,
     RoundOffsets,
     StageRecord,
     StripCurve,
+    StripResidual,
     Topic,
 )
 from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, RECIPE
 
 MAX_KEPT_BYTES = 512 * 2**20
 MAX_ARTEFACT_BYTES = 4 * 2**30
-_KEPT_WHOLE = ("geomosaic.StageEvent", "geomosaic.PairOffsets", "geomosaic.StripOffsets", "foxglove.Log")
+_KEPT_WHOLE = (
+    "geomosaic.StageEvent",
+    "geomosaic.PairOffsets",
+    "geomosaic.StripOffsets",
+    "geomosaic.StripResiduals",
+    "geomosaic.JitterSpectrum",
+    "foxglove.Log",
+)
 _KEPT = (*_KEPT_WHOLE, "geomosaic.Artefact")
 
 
@@ -148,6 +164,11 @@ def _take(recording: Recording, item: Item) -> None:
             recording.rounds.append(_round(PairOffsets.FromString(record.data)))
         case "geomosaic.StripOffsets":
             recording.strips.append(_curve(StripOffsets.FromString(record.data)))
+        case "geomosaic.StripResiduals":
+            recording.strip_residuals.append(_residual(StripResiduals.FromString(record.data)))
+        case "geomosaic.JitterSpectrum":
+            what = item.topic.rpartition("/")[2]
+            recording.jitter.append(_jitter(what, JitterSpectrum.FromString(record.data)))
         case "geomosaic.Artefact":
             _take_part(recording.artefacts, Artefact.FromString(record.data), item.offset, record.log_time)
         case "foxglove.Log":
@@ -208,6 +229,22 @@ def _curve(message: Any) -> StripCurve:
     if not len(line) == len(label) == len(offset) == len(sd):
         raise ValueError("offsets of unequal lengths")
     return StripCurve(message.stage_index, message.pair, message.left, message.right, line, offset, sd, label)
+
+
+def _residual(message: Any) -> StripResidual:
+    line, sd = np.array(message.line, dtype=np.int64), np.array(message.sd_px, dtype=np.float64)
+    residual = np.array([message.dcol_px, message.dline_px], dtype=np.float64).T
+    if not len(line) == len(residual) == len(sd):
+        raise ValueError("residuals of unequal lengths")
+    return StripResidual(message.stage_index, message.pair, message.left, message.right, line, residual, sd)
+
+
+def _jitter(what: str, message: Any) -> Jitter:
+    values = (message.frequency_hz, message.across_px, message.along_px)
+    frequency, across, along = np.array(values, dtype=np.float64)  # ValueError if of unequal lengths
+    if not np.isfinite([frequency, across, along]).all():
+        raise ValueError("a spectrum that isn't finite")
+    return Jitter(message.stage_index, what, frequency, across, along)
 
 
 def _take_part(artefacts: list[ArtefactEntry], message: Any, offset: int, log_time: int) -> None:

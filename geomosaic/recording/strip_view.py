@@ -1,4 +1,4 @@
-"""The strips' offsets in Rerun: a plot for each pair over the left strip's lines."""
+"""The strips' offsets in Rerun, and what they leave: two plots for each pair over the left strip's lines."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from geomosaic.recording.model import Recording, StripCurve
+from geomosaic.quality.strip_figures import LIMIT_PX
+from geomosaic.recording.model import Recording, StripCurve, StripResidual
+from geomosaic.recording.summary import largest_length
 
 LINE: Final = "line"
 _INTERVAL_90 = 1.6449
 _COLOURS = {"dcol": (90, 170, 250), "dline": (130, 200, 90), "not measured": (235, 110, 60)}
+_LEFT: Final = "/strips_left"
 _MEANING = "px; blue dcol, green dline, orange not measured"
 _FAINT = [(60, 90, 125), (75, 105, 60)]
 
@@ -37,28 +40,49 @@ def log_strips(recording: Recording, stream: Any) -> None:
             lines = rerun.SeriesLines(names=titles, colors=colours, widths=[width] * len(titles))
             stream.log(f"{at}/{name}", lines, static=True)
             stream.send_columns(f"{at}/{name}", [index], rerun.Scalars.columns(scalars=values))
+    for left in _last_left(recording):
+        at = f"{_LEFT}/{left.pair}"
+        points = rerun.SeriesPoints(
+            names=["dcol left, px", "dline left, px"],
+            colors=[_COLOURS["dcol"], _COLOURS["dline"]],
+            marker_sizes=[2.0, 2.0],
+        )
+        stream.log(at, points, static=True)
+        index = rerun.TimeColumn(LINE, sequence=left.line)
+        stream.send_columns(at, [index], rerun.Scalars.columns(scalars=left.residual_px))
 
 
 def strip_views(recording: Recording) -> list[Any]:
-    """A plot for each pair, over all its lines."""
+    """A plot for each pair, over all its lines; under it what is left, drawn to 1 px at least."""
     import rerun
     import rerun.blueprint as rrb
 
-    views = []
+    reach_px = {r.pair: max(LIMIT_PX, largest_length(r.residual_px) or 0.0) for r in _last_left(recording)}
+    views: list[Any] = []
     for c in _last(recording):
         ends = (rerun.TimeRangeBoundary.absolute(seq=int(v)) for v in (c.line[0], c.line[-1]))
-        views.append(
-            rrb.TimeSeriesView(
-                origin=f"/strips/{c.pair}",
-                name=f"{c.left} - {c.right}: {_MEANING}",
-                axis_x=rrb.TimeAxis(view_range=rerun.TimeRange(*ends)),
-                plot_legend=rrb.PlotLegend(visible=False),
-            )
-        )
+        shared: dict[str, Any] = {
+            "axis_x": rrb.TimeAxis(view_range=rerun.TimeRange(*ends)),
+            "plot_legend": rrb.PlotLegend(visible=False),
+        }
+        pair = f"{c.left} - {c.right}"
+        view: Any = rrb.TimeSeriesView(origin=f"/strips/{c.pair}", name=f"{pair}: {_MEANING}", **shared)
+        if c.pair in reach_px:
+            axis = rrb.ScalarAxis(range=(-reach_px[c.pair], reach_px[c.pair]))
+            name = f"{pair}: what is left, px"
+            under = rrb.TimeSeriesView(origin=f"{_LEFT}/{c.pair}", name=name, axis_y=axis, **shared)
+            view = rrb.Vertical(view, under, row_shares=[3, 2])
+        views.append(view)
     return views
 
 
 def _last(recording: Recording) -> list[StripCurve]:
     """The latest curve of each pair that has any lines."""
     latest = {c.pair: c for c in recording.strips if len(c.line)}
+    return [latest[pair] for pair in sorted(latest)]
+
+
+def _last_left(recording: Recording) -> list[StripResidual]:
+    """The latest of each pair of which anything was measured."""
+    latest = {r.pair: r for r in recording.strip_residuals if np.isfinite(r.residual_px).any()}
     return [latest[pair] for pair in sorted(latest)]

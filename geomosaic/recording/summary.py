@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.recording.model import Recording, RoundOffsets, StripCurve
+from geomosaic.recording.model import Jitter, Recording, RoundOffsets, StripCurve, StripResidual
+
+_PEAKS = 3
 
 
 def summary(recording: Recording) -> dict[str, Any]:
     """What `geomosaic inspect --json` prints.
 
-    Keys: path, whole, problem, recipe, environment, manifest, stages, rounds, strips, warnings, artefacts,
-    topics.
+    Keys: path, whole, problem, recipe, environment, manifest, stages, rounds, strips, strip_residuals,
+    jitter, warnings, artefacts, topics.
     """
     ids = {stage.index: stage.stage_id for stage in recording.stages}
     return {
@@ -43,14 +45,18 @@ def summary(recording: Recording) -> dict[str, Any]:
                 "stage": offsets.stage,
                 "round": offsets.round_index,
                 "pairs": len(offsets.pairs),
-                "largest_misalignment_m": largest_m(offsets.misalignments_m),
-                "rms_misalignment_m": rms_m(offsets.misalignments_m),
-                "largest_move_m": largest_m(offsets.moves_m),
+                "largest_misalignment_m": largest_length(offsets.misalignments_m),
+                "rms_misalignment_m": rms_length(offsets.misalignments_m),
+                "largest_move_m": largest_length(offsets.moves_m),
                 "worst_pair": worst_pair(offsets),
             }
             for offsets in recording.rounds
         ],
         "strips": [{"stage": ids.get(c.stage_index, ""), **_curve(c)} for c in recording.strips],
+        "strip_residuals": [
+            {"stage": ids.get(r.stage_index, ""), **_residual(r)} for r in recording.strip_residuals
+        ],
+        "jitter": [{"stage": ids.get(j.stage_index, ""), **_jitter(j)} for j in recording.jitter],
         "warnings": [
             {"level": w.level, "stage": w.stage, "frame": w.frame, "text": w.text} for w in recording.warnings
         ],
@@ -89,15 +95,43 @@ def _curve(curve: StripCurve) -> dict[str, Any]:
     }
 
 
-def largest_m(vectors_m: NDArray[np.float64]) -> float | None:
+def _residual(left: StripResidual) -> dict[str, Any]:
+    """The RMS counts every block that was measured alike, however many of its lines were."""
+    return {
+        "pair": left.pair,
+        "left": left.left,
+        "right": left.right,
+        "blocks": len(left.line),
+        "blocks_measured": int(np.isfinite(left.residual_px).all(axis=1).sum()),
+        "rms_px": rms_length(left.residual_px),
+        "largest_px": largest_length(left.residual_px),
+    }
+
+
+def _jitter(jitter: Jitter) -> dict[str, Any]:
+    """The three strongest peaks, by the larger of both amplitudes, strongest first."""
+    strength = np.maximum(jitter.across_px, jitter.along_px)
+    edged = np.concatenate([[-np.inf], strength, [-np.inf]])
+    tops = np.flatnonzero((strength > edged[:-2]) & (strength >= edged[2:]))
+    strongest = tops[np.argsort(-strength[tops], kind="stable")][:_PEAKS]
+    return {
+        "what": jitter.what,
+        "peaks": [
+            {name: float(getattr(jitter, name)[k]) for name in ("frequency_hz", "across_px", "along_px")}
+            for k in strongest
+        ],
+    }
+
+
+def largest_length(vectors: NDArray[np.float64]) -> float | None:
     """The greatest length of (n, 2) vectors; None if none is known."""
-    known = _known_lengths_m(vectors_m)
+    known = _known_lengths(vectors)
     return float(known.max()) if known.size else None
 
 
-def rms_m(vectors_m: NDArray[np.float64]) -> float | None:
+def rms_length(vectors: NDArray[np.float64]) -> float | None:
     """The root mean square length of (n, 2) vectors; None if none is known."""
-    known = _known_lengths_m(vectors_m)
+    known = _known_lengths(vectors)
     return float(np.sqrt(np.mean(known**2))) if known.size else None
 
 
@@ -107,6 +141,6 @@ def worst_pair(offsets: RoundOffsets) -> list[str] | None:
     return list(offsets.pairs[int(np.nanargmax(lengths))]) if np.isfinite(lengths).any() else None
 
 
-def _known_lengths_m(vectors_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    lengths = np.hypot(*vectors_m.T)
+def _known_lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    lengths = np.hypot(*vectors.T)
     return np.asarray(lengths[np.isfinite(lengths)])

@@ -52,7 +52,7 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
                 r["round"],
                 r["pairs"],
                 *(
-                    _metres(r[key])
+                    _number(r[key])
                     for key in ("largest_misalignment_m", "rms_misalignment_m", "largest_move_m")
                 ),
                 worst,
@@ -64,7 +64,20 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
         for c in short["strips"]:
             shares = (_share(c[f"share_{label}"]) for label in ("measured", "bridged", "unreliable"))
             ranges = (_range(c["dcol_px"]), _range(c["dline_px"]))
-            _row(table, c["pair"], c["left"], c["right"], *ranges, _metres(c["largest_sd_px"]), *shares)
+            _row(table, c["pair"], c["left"], c["right"], *ranges, _number(c["largest_sd_px"]), *shares)
+        console.print(table)
+    if short["strip_residuals"]:
+        columns = ("pair", "left", "right", "blocks", "measured", "RMS, px", "largest, px")
+        table = _table("what is left between the strips", *columns)
+        for r in short["strip_residuals"]:
+            lengths = (_number(r["rms_px"]), _number(r["largest_px"]))
+            _row(table, r["pair"], r["left"], r["right"], r["blocks"], r["blocks_measured"], *lengths)
+        console.print(table)
+    if short["jitter"]:
+        table = _table("jitter, strongest peaks", "spectrum", "Hz", "across, px", "along, px")
+        for j in short["jitter"]:
+            for peak in j["peaks"]:
+                _row(table, j["what"], *(_number(peak[k]) for k in ("frequency_hz", "across_px", "along_px")))
         console.print(table)
     for warning in short["warnings"]:
         about = f"{warning['frame']}: " if warning["frame"] else ""
@@ -125,9 +138,19 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
             there = ("there", "") if curve["only_in"] == "a" else ("", "there")
             _row(table, curve["stage"], what, *there)
         else:
-            told = f"up to {_metres(curve['largest_px'])} px from a's, {_metres(curve['rms_px'])} px RMS"
+            told = f"up to {_number(curve['largest_px'])} px from a's, {_number(curve['rms_px'])} px RMS"
             labels = f", {_share(curve['share_relabelled'])} of the lines labelled otherwise"
             _row(table, curve["stage"], what, "", told + labels)
+    for left in difference["strip_residuals"]:
+        what = f"left in pair {left['pair']}"
+        if "only_in" in left:
+            there = ("there", "") if left["only_in"] == "a" else ("", "there")
+            _row(table, left["stage"], what, *there)
+        else:
+            both = zip(left["rms_px"], left["blocks_measured"], strict=True)
+            of_a, of_b = (f"{_number(rms)} px RMS of {blocks} blocks" for rms, blocks in both)
+            change = f", up to {_number(left['largest_px'])} px from a's"
+            _row(table, left["stage"], what, of_a, of_b + change)
     for warning in difference["warnings"]:
         text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
         _row(
@@ -176,7 +199,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:40]}...{text[-17:]}"
 
 
-def _metres(value: float | None) -> str:
+def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3f}"
 
 

@@ -26,7 +26,15 @@ from geomosaic import __version__
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.recording.messagefile import MessageFile
-from geomosaic.recording.messages import Artefact, PairOffsets, StageEvent, StripOffsets, TiePoints
+from geomosaic.recording.messages import (
+    Artefact,
+    JitterSpectrum,
+    PairOffsets,
+    StageEvent,
+    StripOffsets,
+    StripResiduals,
+    TiePoints,
+)
 
 PROFILE = "geomosaic"
 FORMAT = "1"
@@ -44,10 +52,12 @@ _CLASSES: dict[str, Any] = {
         CameraCalibration,
         CompressedImage,
         GeoJSON,
+        JitterSpectrum,
         LocationFix,
         Log,
         PairOffsets,
         StripOffsets,
+        StripResiduals,
         TiePoints,
     )
 }
@@ -287,6 +297,42 @@ class Recorder:
             stage_index=max(self._stage_index, 0),
         )
         self._file.write(f"/strip_offsets/{pair}", message)
+
+    def strip_residuals(
+        self,
+        pair: int,
+        left: str,
+        right: str,
+        line: ArrayLike,
+        dcol_px: ArrayLike,
+        dline_px: ArrayLike,
+        sd_px: ArrayLike,
+    ) -> None:
+        """What is left between a pair's strips at the middles of blocks of lines; NaN where unknown.
+
+        Recorded in single precision. Each pair has its own topic.
+        """
+        message = StripResiduals(
+            pair=pair,
+            left=_text(left),
+            right=_text(right),
+            line=np.floor(line).astype(np.uint32),
+            dcol_px=np.asarray(dcol_px, dtype=np.float32),
+            dline_px=np.asarray(dline_px, dtype=np.float32),
+            sd_px=np.asarray(sd_px, dtype=np.float32),
+            stage_index=max(self._stage_index, 0),
+        )
+        self._file.write(f"/strip_residuals/{pair}", message)
+
+    def jitter(self, what: str, frequency_hz: ArrayLike, across_px: ArrayLike, along_px: ArrayLike) -> None:
+        """Amplitudes of what moves line by line; `what` is `found` or `left` and names the topic."""
+        message = JitterSpectrum(
+            frequency_hz=np.asarray(frequency_hz, dtype=np.float32),
+            across_px=np.asarray(across_px, dtype=np.float32),
+            along_px=np.asarray(along_px, dtype=np.float32),
+            stage_index=max(self._stage_index, 0),
+        )
+        self._file.write(f"/jitter/{_topic_part(what)}", message)
 
     def camera(self, name: str, camera: Camera) -> None:
         """A camera's interior orientation as OpenCV's model: pixel centres on whole numbers."""

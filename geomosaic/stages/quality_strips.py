@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from geomosaic.ccd.model import StripOffsets
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.quality.jitter import jitter_spectrum, peaks_by_bin, residual_spectrum
 from geomosaic.quality.strip_figures import scene_errors
 from geomosaic.quality.strips import StripQuality, misplacement, quality_metrics
 from geomosaic.stages.strip_input import opened_strips
@@ -22,7 +23,7 @@ class QualityStrips(Stage):
     id = "quality.strips"
     display_name = "Misplacement of the strips"
     group = "Quality"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry, "offsets": StripOffsets}
     outputs: ClassVar[dict[str, type]] = {"strip_quality": StripQuality}
 
@@ -33,16 +34,46 @@ class QualityStrips(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Independent of how the offsets were found."""
-        with opened_strips(inputs["strips"]) as strips:
+        geometry, offsets = inputs["strips"], inputs["offsets"]
+        with opened_strips(geometry) as strips:
             quality = misplacement(
-                strips, inputs["offsets"], lambda done, total: context.progress(done, total, "misplacement")
+                strips, offsets, lambda done, total: context.progress(done, total, "misplacement")
             )
-        context.metric("misplacement", quality_metrics(quality))
+        metrics: dict[str, Any] = quality_metrics(quality)
+        for told, pair in zip(metrics["pairs"], quality.pairs, strict=True):
+            told["segments_px"] = pair.segments_px.round(6)
+        context.metric("misplacement", metrics)
+        self._tell(context, geometry, offsets, quality)
         if params.truth is not None:
-            true = read_true_offsets(params.truth, inputs["strips"])
-            context.metric("errors", asdict(scene_errors(inputs["offsets"], true, inputs["strips"])))
+            true = read_true_offsets(params.truth, geometry)
+            context.metric("errors", asdict(scene_errors(offsets, true, geometry)))
         if quality.misplaced:
             worst = quality.figures.worst_segment_px
             text = f"a segment of 512 lines is off by {worst:.1f} px; the limit is 1 px"
             context.warn("scene-misplaced", "", text)
         return {"strip_quality": quality}
+
+    @staticmethod
+    def _tell(
+        context: Context, geometry: StripGeometry, offsets: StripOffsets, quality: StripQuality
+    ) -> None:
+        """What is left, and the spectra of what was found and of what is left."""
+        names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
+        for pair in quality.pairs:
+            context.recorder.strip_residuals(
+                pair=pair.pair,
+                left=names[pair.pair],
+                right=names[pair.pair + 1],
+                line=pair.centre_lines,
+                dcol_px=pair.residual_px[:, 0],
+                dline_px=pair.residual_px[:, 1],
+                sd_px=pair.sd_px,
+            )
+        spectra = {
+            "found": jitter_spectrum(offsets, geometry.line_rate_hz),
+            "left": residual_spectrum(quality, geometry.line_rate_hz),
+        }
+        for what, spectrum in spectra.items():
+            peaks = asdict(peaks_by_bin(spectrum))
+            context.metric(f"jitter.{what}", {name: values.round(6) for name, values in peaks.items()})
+            context.recorder.jitter(what, **peaks)
