@@ -170,7 +170,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20, help="scenes of each case")
     parser.add_argument("--first-seed", type=int, default=1)
-    parser.add_argument("--methods", default="joint", help="names with commas, or all")
+    parser.add_argument(
+        "--methods", help="names with commas, or all [joint; of mixed scenes the paper's two too]"
+    )
     parser.add_argument("--cases", default=",".join(CASES), help="names with commas")
     parser.add_argument(
         "--mixed", type=int, default=0, help="so many mixed scenes by whole_scene, piecewise_linear, joint"
@@ -178,13 +180,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("out/bench-strips"))
     told = parser.parse_args()
-    methods = (*RIVALS, "joint") if told.methods == "all" else tuple(told.methods.split(","))
-    seeds = range(told.first_seed, told.first_seed + told.seeds)
-    jobs = [(case, seed, methods) for case in told.cases.split(",") if case for seed in seeds]
-    if told.mixed:
-        jobs = [
-            ("mixed", seed, ("whole_scene", "piecewise_linear", "joint")) for seed in range(1, told.mixed + 1)
-        ]
+    usual = "whole_scene,piecewise_linear,joint" if told.mixed else "joint"
+    methods = (*RIVALS, "joint") if told.methods == "all" else tuple((told.methods or usual).split(","))
+    seeds = range(told.first_seed, told.first_seed + (told.mixed or told.seeds))
+    cases = ["mixed"] if told.mixed else told.cases.split(",")
+    jobs = [(case, seed, methods) for case in cases for seed in seeds]
     lines = table(run(jobs, told.out, told.workers))
     print("\n".join(lines))
     name = "mixed.md" if told.mixed else "cases.md"
