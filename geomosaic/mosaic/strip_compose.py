@@ -274,6 +274,8 @@ def _write(raster: Any, block: _Block) -> None:
     window = Window(0, block.top, block.pixels.shape[1], block.bottom - block.top)
     raster.write(block.pixels, 1, window=window)
     raster.write_mask(block.valid, window=window)
+    with rasterio.Env(GDAL_CACHEMAX=0):
+        pass  # GDAL lets go of its blocks, the oldest first: tiles lie in the file as they were written
 
 
 def _gaps(covered: Sequence[tuple[int, int]], width: int) -> tuple[tuple[int, int], ...]:
