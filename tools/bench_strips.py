@@ -5,7 +5,7 @@
     python tools/bench_strips.py --mixed 60                 # the paper's two chains and joint
 
 Scenes are simulated anew (7 pairs of strips 4096 px wide, of which the overlaps alone are made; 16,384
-lines).
+lines, mixed scenes 8,192).
 What was measured is kept in OUT/strips.jsonl; a killed bench goes on where it was.
 """
 
@@ -34,7 +34,7 @@ from geomosaic.quality.strip_figures import scene_errors
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
 
-LINES, WIDTH_PX = 16384, 4096
+LINES, MIXED_LINES, WIDTH_PX = 16384, 8192, 4096
 RIVALS = ("whole_scene", "piecewise_linear", "image_registration")
 CASES = ("clean", "low contrast 40 %", "clouds 20 %", "clouds 50 %", "all together")
 AIMS = {"clean": (0.05, 0.10), "low contrast 40 %": (0.3, None), "clouds 20 %": (0.3, None),
@@ -57,7 +57,8 @@ def plan_of(case: str, seed: int) -> StripPlan:
         "all together": {"cloud_cover": 0.3, "low_contrast_share": 0.4, "relief_m": 600.0, **deck},
         "mixed": _mixed(rng, deck),
     }[case]
-    return StripPlan(seed=seed, width_px=WIDTH_PX, lines=LINES, **more)
+    lines = MIXED_LINES if case == "mixed" else LINES
+    return StripPlan(seed=seed, width_px=WIDTH_PX, lines=lines, **more)
 
 
 def _mixed(rng: np.random.Generator, deck: dict[str, float]) -> dict[str, Any]:
