@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -23,6 +23,7 @@ from geomosaic.ccd.model import (
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
+from geomosaic.survey.strips import StripGeometry
 
 Ints = NDArray[np.intp]
 _WINDOW_LINES, _MARGIN_LINES = 20000, 2000
@@ -35,6 +36,8 @@ _RESAMPLING_SD_PX = (0.006, 0.005)
 _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 _UNKNOWN_SD_PX = 10.0
+# What all pairs see so far from the nominal geometry may be clouds: the ground lies within some 4 px of it.
+_FAR_PX = 10.0
 
 
 def joint(
@@ -107,7 +110,22 @@ def _solved(strips: Strips, settings: Settings, window: _Window, known_px: list[
         if not known(steps(pairs, found.offset_px, step)):
             break
         found = solved_window(pairs, first_offsets(pairs, settings), settings)
-    return found
+    level = np.hypot(*np.median(found.offset_px, axis=(0, 1)))
+    return found if level <= _FAR_PX else found.doubted(float(level))
+
+
+def far_from_nominal(geometry: StripGeometry, offsets: Sequence[PairOffsets]) -> tuple[float, float] | None:
+    """What all pairs have in common, (dcol, dline) trailing minus leading, if it is more than the ground's.
+
+    Then either clouds are all that is seen, or the row separation is stated wrongly; no line is measured.
+    """
+    levels = [
+        geometry.side(pair.pair) * np.median(np.stack([pair.dcol_px, pair.dline_px]), axis=1)
+        for pair in offsets
+        if len(pair.label)
+    ]
+    shared = np.median(levels, axis=0) if levels else np.zeros(2)
+    return (float(shared[0]), float(shared[1])) if np.hypot(*shared) > _FAR_PX else None
 
 
 def _of_pair(

@@ -45,6 +45,10 @@ class KnotOffsets:
     def nothing(cls, pairs: int, knots: int) -> Self:
         return cls(np.zeros((pairs, knots, 2)), np.zeros((pairs, knots, 2)), np.zeros((pairs, knots)))
 
+    def doubted(self, by_px: float) -> KnotOffsets:
+        """The same, none of it measured, and perhaps off by so much."""
+        return KnotOffsets(self.offset_px, np.hypot(self.sd_px, by_px), np.zeros_like(self.own))
+
     def add(self, part: KnotOffsets, first: int, weight: Floats) -> None:
         """Adds a part that begins at knot `first`, each knot by its weight (in place)."""
         at = slice(first, first + len(weight))

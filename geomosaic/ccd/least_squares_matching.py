@@ -22,6 +22,8 @@ from geomosaic.ccd.volumes import halved
 _STEP = 1.0 / 32.0
 # What resampling, aliasing and relief within a cell leave, as a shift of the picture by so many pixels.
 _MISFIT_PX = 0.06
+# The same within neighbouring pixels is alike: as an error of each pixel by itself it would be so much.
+_ALIKE_MISFIT_PX = 0.33
 _MOST_RATIO = 1.8
 _HOPELESS_RATIO = 5.0
 _COL_GROUPS = 4
@@ -100,7 +102,9 @@ def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int
     facts = _sums(weight, shape)
     sums = _centred([*_gradients(0.5 * (lead + moved)), difference], weight, shape, facts)
     apart = _centred(_gradients(0.5 * difference), weight, shape, facts)
-    return _weighed(sums, apart, facts, _lands(whole) - known, lines, s)
+    bent = curve_px[:, : n * s].reshape(2, knots, knot_lines)
+    middle = bent[..., (knot_lines - 1) // 2 : knot_lines // 2 + 1].mean(axis=2) - bent.mean(axis=2)
+    return _weighed(sums, apart, facts, _lands(whole) - known + np.repeat(middle / s, lines, axis=1), lines, s)
 
 
 def _gradients(image: Images) -> list[Images]:
@@ -138,7 +142,8 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     weight = np.where(ratio < _MOST_RATIO, 1.0, (_MOST_RATIO / np.maximum(ratio, 1e-9)) ** 2)
     weight *= (ratio < _HOPELESS_RATIO) & enough & (np.abs(shift).max(-1) < 1.0)
     weight *= np.clip((alike - _UNLIKE) / (_ALIKE - _UNLIKE), 0.0, 1.0)
-    weight /= np.maximum(expected, 1e-12)
+    good = (weight > 0.5).mean(axis=1)
+    weight /= np.maximum(expected + _ALIKE_MISFIT_PX**2 * gradient, 1e-12)
     total = _definite(np.einsum("kg,kgij->kij", weight, shared))
     pull = np.einsum("kg,kgij,kgj->ki", weight, shared, shift)
     known = np.trace(total, axis1=1, axis2=2) > 0.0
@@ -146,7 +151,7 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
     mean[known] = np.linalg.solve(safe, pull[known][..., None])[..., 0]
     centre = at.reshape(2, knots, lines).mean(axis=2).T
-    return Cells(scale * (centre + mean), total / scale**2, (weight * expected > 0.5).mean(axis=1))
+    return Cells(scale * (centre + mean), total / scale**2, good)
 
 
 def _alike(sums: Floats, apart: Floats) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter, uniform_filter1d
 
 from geomosaic.ccd.brightness import bright_part
 from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
@@ -19,6 +19,11 @@ _WINDOW_BLOCKS = 8
 # What a step of one bin costs: of the motion, of a pair's own part, of a pair taken alone.
 _MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
 _JUMP = 250.0
+# What a block's evidence varies by where nothing matches; a peak of so many deviations is a layer; more of them don't make it the ground. What
+# speaks against a layer far from nominal, at most: where nothing else is seen it may still be the ground.
+_CHANCE_SD, _PEAK_FROM, _PEAK_FULL, _THERE, _FAR_COST = 0.6, 4.0, 8.0, 8.0, 6.0
+# Pairs' own levels about the middle of all pairs; how a block holds to its pair's level.
+_LEVELS_SD_BINS, _HOLD = 1.0, 0.4
 # Where ground and clouds lie in the leading row's view, dcol and dline; and what speaks against dark clouds.
 _GROUND_SD_PX = np.array([4.0, 4.0])
 _CLOUDS_PX, _CLOUDS_SD_PX = np.array([0.0, -15.0]), np.array([6.0, 12.0])
@@ -179,7 +184,7 @@ def _solve(volumes: Floats, rounds: int) -> tuple[Ints, Floats]:
     for _ in range(rounds):
         summed = sum(shifted(volumes[p], own[p]) for p in range(k)) + prior
         motion = best_path(summed[None], _MOTION_STEP)[0] - middle
-        own = _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]) + 0.1 * prior) - middle
+        own = _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]), motion) - middle
     path = np.clip(motion[None] + own + middle, 0, (h - 1, c - 1))
     evidence = volumes[np.arange(k)[:, None], np.arange(n), path[..., 0], path[..., 1]].sum(axis=1)
     steps = _MOTION_STEP / k * float((np.diff(motion, axis=0) ** 2).sum())
@@ -187,14 +192,46 @@ def _solve(volumes: Floats, rounds: int) -> tuple[Ints, Floats]:
     return path, np.asarray(evidence - steps - own_steps)
 
 
-def _slow_parts(volumes: Floats) -> Ints:
+def _slow_parts(volumes: Floats, motion: Ints) -> Ints:
     """The best slow paths (pairs, blocks, 2), from evidence already straightened by the shared motion."""
     k, n, h, c = volumes.shape
+    levels = _levels(volumes, motion)
+    i, j = np.arange(h)[:, None] - levels[:, 0, None, None], np.arange(c) - levels[:, 1, None, None]
     windows = -(-n // _WINDOW_BLOCKS)
     padded = np.zeros((k, windows * _WINDOW_BLOCKS, h, c))
     padded[:, :n] = volumes
-    path = best_path(padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2), _OWN_STEP, _JUMP)
+    summed = padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2)
+    path = best_path(summed - _WINDOW_BLOCKS * _HOLD * (i**2 + j**2)[:, None], _OWN_STEP, _JUMP)
     return np.asarray(np.repeat(path, _WINDOW_BLOCKS, axis=1)[:, :n], dtype=np.intp)
+
+
+def _levels(volumes: Floats, motion: Ints) -> Ints:
+    """Where each pair's ground lies (pairs, 2): of the layers that are there, by where ground may lie.
+
+    How often a layer is seen says nothing: clouds may hide most of the ground. Ground lies near the nominal
+    geometry, and about as far from the motion in one pair as in the others.
+    """
+    k, n, h, c = volumes.shape
+    total = volumes.sum(axis=1)
+    above = total - np.median(total, axis=(1, 2), keepdims=True)
+    chance = 1.4826 * np.median(np.abs(above), axis=(1, 2), keepdims=True)
+    above /= np.maximum(chance, _CHANCE_SD * np.sqrt(n))
+    peak = total >= maximum_filter(total, size=(1, 3, 3))
+    there = np.where(peak, np.clip((above - _PEAK_FROM) / (_PEAK_FULL - _PEAK_FROM), 0.0, 1.0), 0.0)
+    at = np.stack(np.meshgrid(np.arange(h), np.arange(c), indexing="ij"), axis=-1)
+    nominal = _BIN_PX * (at - (h // 2, c // 2) + motion.mean(axis=0)) / _GROUND_SD_PX[::-1]
+    score = _THERE * there - np.minimum(0.5 * (nominal**2).sum(axis=-1), _FAR_COST)
+    found = _highest(score)
+    if k < 3:
+        return found
+    middle = np.median(found, axis=0)
+    spread = np.maximum(1.4826 * np.median(np.abs(found - middle), axis=0), _LEVELS_SD_BINS)
+    return _highest(score - 0.5 * (((at - middle) / spread) ** 2).sum(axis=-1))
+
+
+def _highest(score: Floats) -> Ints:
+    flat = score.reshape(len(score), -1).argmax(axis=1)
+    return np.stack(np.unravel_index(flat, score.shape[1:]), axis=1)
 
 
 def block_centres(blocks: int) -> Floats:
