@@ -11,7 +11,7 @@ from osgeo import gdal
 
 from geomosaic import __version__
 from geomosaic.errors import InputError
-from geomosaic.export.gdal_failures import GdalProgress, Progress, gdal_failures
+from geomosaic.mosaic.gdal_failures import GdalProgress, Progress, gdal_failures
 
 COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
     "deflate": ("PREDICTOR=YES", "LEVEL=3"),

@@ -20,8 +20,8 @@ import shapely
 from numpy.typing import NDArray
 from osgeo import gdal, ogr, osr
 
-from geomosaic.export.gdal_failures import gdal_failures
 from geomosaic.export.rtree import fill_rtree
+from geomosaic.mosaic.gdal_failures import gdal_failures, gdal_options
 
 _TYPES = {"i": ogr.OFTInteger64, "u": ogr.OFTInteger64, "f": ogr.OFTReal, "U": ogr.OFTString}
 _GEOMETRIES = {
@@ -168,11 +168,5 @@ def writing_geopackage(path: Path, crs: str, time_s: float | None) -> Iterator[G
     settings = {"OGR_CURRENT_DATE": stamp, "OGR_SQLITE_SYNCHRONOUS": "OFF"}
     package = GeoPackage()
     yield package
-    with gdal_failures(path):
-        for key, value in settings.items():
-            gdal.SetThreadLocalConfigOption(key, value)
-        try:
-            package.write(path, crs)
-        finally:
-            for key in settings:
-                gdal.SetThreadLocalConfigOption(key, None)
+    with gdal_failures(path), gdal_options(settings):
+        package.write(path, crs)

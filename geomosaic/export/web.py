@@ -16,7 +16,7 @@ import rasterio
 from osgeo import gdal
 from rasterio.warp import transform_bounds
 
-from geomosaic.export.gdal_failures import gdal_failures
+from geomosaic.mosaic.gdal_failures import gdal_failures
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,26 +14,24 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
-from rasterio.windows import Window
 
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.errors import FileError, UnknownNameError
-from geomosaic.mosaic.raster import TILE_PX, disk_errors, tiled_raster
 from geomosaic.mosaic.strip_blends import BLENDS, REACH_ROWS, Blend
 from geomosaic.mosaic.strip_lines import StripLines
+from geomosaic.mosaic.strip_raster import BLOCK_ROWS, writing_scene
 from geomosaic.mosaic.strip_window import Part, part_of_strip
 from geomosaic.mosaic.window import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.strips import StripGeometry, open_strip
 
-BLOCK_ROWS = TILE_PX
 _CACHE_MB = 64
 Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class StripMosaic:
-    """The composed scene, as an uncompressed raster with an internal mask.
+    """The composed scene, as an uncompressed raster with an internal mask and overviews.
 
     raster: the raster's name inside the run folder. first_line: scene line of its upper edge. lines_read: of
     each CCD's strip. gaps_px: raster cols (first, one beyond the last) that no living CCD covers.
@@ -58,6 +56,7 @@ def compose_strips(
     *,
     blend: str = "smooth",
     resampling: str = "lanczos",
+    rpc: Mapping[str, str] | None = None,
     threads: int = 2,
     progress: Callable[[int, int], None] | None = None,
     check_cancelled: Callable[[], None] | None = None,
@@ -65,8 +64,8 @@ def compose_strips(
     """Every strip's own pixels resampled once into one raster of the strips' type; in overlaps a blend.
 
     Where one strip alone has a valid pixel that one is used. Greys are cut to the strips' bits; saturated
-    pixels stay saturated. The same bytes come out whatever the number of threads. `progress` is told rows,
-    `check_cancelled` raises to stop.
+    pixels stay saturated. The same bytes come out whatever the number of threads. `rpc` is GDAL's metadata
+    of that name. `progress` is told rows, `check_cancelled` raises to stop.
 
     Raises: `UnknownNameError` for a blend or resampling, `FileError` if a strip can't be read, `OSError` if
     the raster can't be written.
@@ -85,9 +84,7 @@ def compose_strips(
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         sources = _sources(geometry, layout, radiometry, resampling, files)
         dtype = sources[0].dtype
-        shape = {"width": width, "height": height}
-        with disk_errors(raster_path), tiled_raster(raster_path, 1, dtype, **shape) as raster:
-            raster.update_tags(1, NBITS=geometry.bit_depth)
+        with writing_scene(raster_path, width, height, dtype, geometry.bit_depth, rpc) as raster:
             seams = _seams(geometry, layout, sources, BLENDS[blend])
             blocks = [(top, min(top + BLOCK_ROWS, height)) for top in range(0, height, BLOCK_ROWS)]
             waiting: tuple[_Block, list[_Edges]] | None = None
@@ -101,7 +98,7 @@ def compose_strips(
                         running = [pool.submit(source.fill, block, height) for source in sources]
                     if waiting is not None:
                         _finish(*waiting, seams)
-                        _write(raster, waiting[0])
+                        raster.write(waiting[0].top, waiting[0].pixels, waiting[0].valid)
                         if progress is not None:
                             progress(waiting[0].bottom, height)
                     # Strips are read in order, so a block begins when the one before is through.
@@ -265,17 +262,6 @@ def _finish(block: _Block, edges: Sequence[_Edges], joints: Sequence[_Joint]) ->
             mixed = joint.blend(left.pixels, right.pixels, both, joint.distance_px, joint.half_px)
             pixels = np.where(both, mixed, pixels)
         block.put(Part(left.top, left.left, pixels, left.valid | right.valid))
-
-
-def _write(raster: Any, block: _Block) -> None:
-    """A block without any valid pixel takes no room in the file."""
-    if not block.valid.any():
-        return
-    window = Window(0, block.top, block.pixels.shape[1], block.bottom - block.top)
-    raster.write(block.pixels, 1, window=window)
-    raster.write_mask(block.valid, window=window)
-    with rasterio.Env(GDAL_CACHEMAX=0):
-        pass  # GDAL lets go of its blocks, the oldest first: tiles lie in the file as they were written
 
 
 def _gaps(covered: Sequence[tuple[int, int]], width: int) -> tuple[tuple[int, int], ...]:

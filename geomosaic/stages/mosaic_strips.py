@@ -20,7 +20,7 @@ from geomosaic.mosaic.strip_blends import BLENDS
 from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.mosaic.window import RESAMPLING
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
-from geomosaic.survey.strips import StripGeometry, open_strip
+from geomosaic.survey.strips import StripGeometry
 
 RASTER = "work/mosaic.strips/raster.tif"
 RPC = "mosaic_RPC.TXT"
@@ -81,13 +81,11 @@ class MosaicStrips(Stage):
                 path,
                 blend=params.blend,
                 resampling=params.resampling,
+                rpc=None if rpc is None else rpc.rpc.metadata(),
                 threads=params.threads,
                 progress=lambda done, total: context.progress(done, total, "lines"),
                 check_cancelled=context.check_cancelled,
             )
-            if rpc is not None:
-                with open_strip(path, "r+") as raster:
-                    raster.update_tags(ns="RPC", **rpc.rpc.metadata())
         if rpc is not None:
             with context.writing(RPC) as path:
                 path.write_text(rpc.rpc.text(), encoding="ascii")

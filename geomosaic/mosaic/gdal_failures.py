@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -73,3 +73,15 @@ class GdalProgress:
             raise
         if self._raised is not None:
             raise self._raised
+
+
+@contextmanager
+def gdal_options(options: Mapping[str, str]) -> Iterator[None]:
+    """GDAL's configuration options, in this thread and as long as the block lasts."""
+    for key, value in options.items():
+        gdal.SetThreadLocalConfigOption(key, value)
+    try:
+        yield
+    finally:
+        for key in options:
+            gdal.SetThreadLocalConfigOption(key, None)

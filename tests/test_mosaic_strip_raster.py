@@ -1,0 +1,50 @@
+"""The scene's raster: overviews made block by block."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from osgeo import gdal
+
+from geomosaic.export.cog import write_cog
+from geomosaic.mosaic.strip_raster import BLOCK_ROWS, halved, writing_scene
+
+
+@settings(deadline=None, max_examples=40)
+@given(rows=st.integers(1, 9), cols=st.integers(1, 9), seed=st.integers(0, 99), share=st.floats(0, 1))
+def test_halved_is_the_mean_of_the_valid_ones(rows: int, cols: int, seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    pixels, valid = rng.integers(0, 65536, (rows, cols)).astype(np.uint16), rng.random((rows, cols)) <= share
+    means, some = halved(pixels, valid)
+    assert means.shape == some.shape == (-(-rows // 2), -(-cols // 2)) and means.dtype == np.uint16
+    for i, j in np.ndindex(means.shape):
+        at = slice(2 * i, 2 * i + 2), slice(2 * j, 2 * j + 2)
+        four = pixels[at][valid[at]].astype(float)
+        assert some[i, j] == bool(four.size)
+        assert abs(float(means[i, j]) - (four.mean() if four.size else 0.0)) <= 0.5
+
+
+def test_overviews_are_whole_and_the_cog_takes_them(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    height, width = 2 * BLOCK_ROWS + 301, 1501
+    pixels = rng.integers(100, 1000, (height, width)).astype(np.uint16)
+    valid = np.ones((height, width), dtype=bool)
+    valid[:700, :300] = False
+    with writing_scene(tmp_path / "a.tif", width, height, "uint16", 10, {"LINE_OFF": "7"}) as raster:
+        for top in range(0, height, BLOCK_ROWS):
+            rows = slice(top, min(top + BLOCK_ROWS, height))
+            raster.write(top, np.where(valid, pixels, 0)[rows], valid[rows])
+    write_cog(tmp_path / "a.tif", tmp_path / "cog.tif")
+    for path in (tmp_path / "a.tif", tmp_path / "cog.tif"):
+        dataset = gdal.Open(str(path))
+        band = dataset.GetRasterBand(1)
+        assert band.GetOverviewCount() == 2
+        wanted, seen = np.where(valid, pixels, 0).astype(np.uint16), valid
+        for level in range(3):
+            at = band if level == 0 else band.GetOverview(level - 1)
+            np.testing.assert_array_equal(at.ReadAsArray(), wanted)
+            np.testing.assert_array_equal(at.GetMaskBand().ReadAsArray() > 0, seen)
+            wanted, seen = halved(wanted, seen)
