@@ -49,6 +49,9 @@ class SurveyStrips(Stage):
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Says what is missing, and records what the strips look like."""
         geometry = read_geometry(params.geometry)
+        if geometry.dem is not None and geometry.model is None:
+            text = "is not used: only a rigorous model says where on it the strips look; give 'model'"
+            context.warn("dem-unused", geometry.dem.name, text)
         longest = max(geometry.lines)
         for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True), 1):
             if ccd.path is None:
