@@ -32,7 +32,7 @@ _MOST_ROUNDS = 2
 # So near to lost lines a line may belong to either side.
 _BESIDE_LINES = 3.0
 # What resampling leaves, and what the overlap's columns differ by: columns, lines.
-_RESAMPLING_SD_PX = (0.006, 0.005)
+_RESAMPLING_SD_PX = (0.004, 0.003)
 _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 _UNKNOWN_SD_PX = 10.0

@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import distance_transform_edt, uniform_filter1d
 
 from geomosaic.ccd.brightness import moves
 from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
@@ -30,6 +31,10 @@ _FAR_PX = 3.5
 _SURE_SD_PX = 0.25
 _LEAST_FIT = 0.25
 _LEAST_KNOTS = 8
+# Where less is measured, how curves go is learned from stretches too short to tell: bridges run astray.
+_ENOUGH_SHARE, _ADRIFT_PX_PER_LINE = 0.35, np.array([0.001, 0.002])
+# Of a knot's variance such a share lasts (what is left of the columns' pattern): more knots don't help.
+_LASTING_SHARE, _NEARBY_KNOTS = 0.05, 31
 
 
 @dataclass(frozen=True)
@@ -81,8 +86,19 @@ def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) ->
             now, cells, used, habits = _refined(pairs, ready, now, coarse, start.aside, centres, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
-    own = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
+    information = np.stack([np.diagonal(c.information, axis1=1, axis2=2) for c in cells])
+    nearby = uniform_filter1d(information, _NEARBY_KNOTS, axis=1)
+    variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
+    own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
+    little = np.clip((_ENOUGH_SHARE - own.mean()) / (0.5 * _ENOUGH_SHARE), 0.0, 1.0)
+    away = np.stack([_away(mine) for mine in own]) * settings.knot_lines
+    variance += (little * away[..., None] * _ADRIFT_PX_PER_LINE) ** 2
     return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
+
+
+def _away(own: Flags) -> Floats:
+    """Knots to the nearest one that was measured."""
+    return np.asarray(distance_transform_edt(~own) if own.any() else np.full(own.shape, float(len(own))))
 
 
 def _centres(pairs: Sequence[RowPair], settings: Settings) -> Floats:
@@ -142,15 +158,18 @@ def _refined(
         solution = smooth(offset, without + anchor, level, habits)
         if moves((offset - solution.offsets_px)[aside], measured[aside]):
             measured = without
-    information, factor = measured, 1.0
+    has = np.trace(measured, axis1=2, axis2=3) > 0
+    close = np.where(has[..., None, None], np.stack([cell.close for cell in cells]), 0.0)
+    information, near_by = measured, close
     for _ in range(2):
-        solution = smooth(offset, information + anchor, level, habits)
+        solution = smooth(offset, near_by + anchor, level, habits)
         weight, factor = _plausible(offset - solution.offsets_px, measured)
-        information = measured * (weight / factor)[..., None, None]
+        share = (weight / factor[:, None])[..., None, None]
+        information, near_by = measured * share, close * share
     known = np.trace(information, axis1=2, axis2=3) > 2 * _SURE_SD_PX**-2
     habits = learned(solution, known, habits)
     final = smooth(offset, information + anchor, level, habits, covariance=last)
-    return final, cells, np.trace(measured, axis1=2, axis2=3) > 0, habits
+    return final, cells, has, habits
 
 
 def curve_of(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
@@ -170,12 +189,15 @@ def _level(offset_px: Floats, found: Flags, now: Smoothed) -> Floats:
     )
 
 
-def _plausible(residual: Floats, information: Floats) -> tuple[Floats, float]:
-    """Weights (pairs, knots) of residuals, Cauchy's at three deviations; and the variance factor, at least 1.
+def _plausible(residual: Floats, information: Floats) -> tuple[Floats, Floats]:
+    """Weights (pairs, knots) of residuals, Cauchy's at three deviations; variance factors (pairs,).
 
-    The factor is by the middle one of the squares: 2 ln 2 for two numbers of unit deviation.
+    A factor, at least 1, is by the middle one of the squares: 2 ln 2 for two numbers of unit deviation.
     """
     square = np.einsum("kni,knij,knj->kn", residual, information, residual)
-    used = square[np.trace(information, axis1=2, axis2=3) > 0]
-    factor = max(float(np.median(used)) / (2 * np.log(2.0)), 1.0) if used.size else 1.0
-    return 1.0 / (1.0 + square / (18.0 * factor)), factor
+    used = np.trace(information, axis1=2, axis2=3) > 0
+    middle = [
+        float(np.median(mine[good])) if good.any() else 0.0 for mine, good in zip(square, used, strict=True)
+    ]
+    factor = np.maximum(np.array(middle) / (2 * np.log(2.0)), 1.0)
+    return 1.0 / (1.0 + square / (18.0 * factor[:, None])), factor

@@ -24,6 +24,8 @@ _STEP = 1.0 / 32.0
 _MISFIT_PX = 0.06
 # The same within neighbouring pixels is alike: as an error of each pixel by itself it would be so much.
 _ALIKE_MISFIT_PX = 0.33
+# By so much of it a curve is drawn from which to learn how curves go: rather too close than too smooth.
+_CLOSE_MISFIT_PX = 0.117
 _MOST_RATIO = 1.8
 _HOPELESS_RATIO = 5.0
 _COL_GROUPS = 4
@@ -48,11 +50,13 @@ class Cells:
     """Measured against the curve that was given, per knot.
 
     offset_px: (knots, 2) dcol, dline of the whole, weighted mean of the knot's cells. information:
-    (knots, 2, 2) px^-2, zero where nothing was measured. fit: (knots,) share of the cells that fit.
+    (knots, 2, 2) px^-2, zero where nothing was measured. close: (knots, 2, 2) the same, overstated where
+    contrast is high, for curves to learn from. fit: (knots,) share of the cells that fit.
     """
 
     offset_px: Floats
     information: Floats
+    close: Floats
     fit: Floats
 
 
@@ -89,7 +93,8 @@ def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int
     last = min(w, int(np.floor(w - 2.0 - float(np.median(whole[0])))))
     cols = (last - first) // _COL_GROUPS * _COL_GROUPS
     if cols <= 0 or knots == 0:
-        return Cells(np.zeros((knots, 2)), np.zeros((knots, 2, 2)), np.zeros(knots))
+        none = np.zeros((knots, 2, 2))
+        return Cells(np.zeros((knots, 2)), none, none, np.zeros(knots))
     map_col = (np.arange(first, first + cols)[None, :] + whole[0][:, None]).astype(np.float32)
     map_line = np.repeat((np.arange(n) + whole[1])[:, None], cols, axis=1).astype(np.float32)
     moved = _remap(given.trail, map_col, map_line, cv2.INTER_CUBIC)
@@ -104,7 +109,9 @@ def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int
     apart = _centred(_gradients(0.5 * difference), weight, shape, facts)
     bent = curve_px[:, : n * s].reshape(2, knots, knot_lines)
     middle = bent[..., (knot_lines - 1) // 2 : knot_lines // 2 + 1].mean(axis=2) - bent.mean(axis=2)
-    return _weighed(sums, apart, facts, _lands(whole) - known + np.repeat(middle / s, lines, axis=1), lines, s)
+    return _weighed(
+        sums, apart, facts, _lands(whole) - known + np.repeat(middle / s, lines, axis=1), lines, s
+    )
 
 
 def _gradients(image: Images) -> list[Images]:
@@ -143,6 +150,9 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     weight *= (ratio < _HOPELESS_RATIO) & enough & (np.abs(shift).max(-1) < 1.0)
     weight *= np.clip((alike - _UNLIKE) / (_ALIKE - _UNLIKE), 0.0, 1.0)
     good = (weight > 0.5).mean(axis=1)
+    close = np.einsum(
+        "kg,kgij->kij", weight / np.maximum(expected + _CLOSE_MISFIT_PX**2 * gradient, 1e-12), shared
+    )
     weight /= np.maximum(expected + _ALIKE_MISFIT_PX**2 * gradient, 1e-12)
     total = _definite(np.einsum("kg,kgij->kij", weight, shared))
     pull = np.einsum("kg,kgij,kgj->ki", weight, shared, shift)
@@ -151,7 +161,7 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
     mean[known] = np.linalg.solve(safe, pull[known][..., None])[..., 0]
     centre = at.reshape(2, knots, lines).mean(axis=2).T
-    return Cells(scale * (centre + mean), total / scale**2, good)
+    return Cells(scale * (centre + mean), total / scale**2, _definite(close) / scale**2, good)
 
 
 def _alike(sums: Floats, apart: Floats) -> Floats:

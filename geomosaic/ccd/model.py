@@ -76,7 +76,7 @@ class Settings:
     SIFT's nearest may be as far as the second.
     """
 
-    search_cols_px: int = 10
+    search_cols_px: int = 16
     search_lines_px: int = 24
     knot_lines: int = 16
     segment_lines: int = 512

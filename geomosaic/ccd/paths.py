@@ -19,8 +19,9 @@ _WINDOW_BLOCKS = 8
 # What a step of one bin costs: of the motion, of a pair's own part, of a pair taken alone.
 _MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
 _JUMP = 250.0
-# What a block's evidence varies by where nothing matches; a peak of so many deviations is a layer; more of them don't make it the ground. What
-# speaks against a layer far from nominal, at most: where nothing else is seen it may still be the ground.
+# What a block's evidence varies by where nothing matches. A peak of so many deviations is a layer, and more
+# of them don't make it the ground. What speaks against a layer far from nominal, at most: where nothing else
+# is seen it may still be the ground.
 _CHANCE_SD, _PEAK_FROM, _PEAK_FULL, _THERE, _FAR_COST = 0.6, 4.0, 8.0, 8.0, 6.0
 # Pairs' own levels about the middle of all pairs; how a block holds to its pair's level.
 _LEVELS_SD_BINS, _HOLD = 1.0, 0.4
