@@ -72,11 +72,12 @@ def points(strips: Strips, pair: int) -> np.ndarray:
 def drawn_points(piece: Any, strips: Strips, settings: Settings, enhance: bool) -> np.ndarray:
     """Both sides of an overlap, and lines between the points found."""
     found = matched_points(piece, strips.geometry, settings, enhance)
-    sides = [piece.left.astype(float), piece.right.astype(float)]
-    low, high = np.percentile(sides[0], [0.5, 99.5]) if enhance else (0, 2**strips.geometry.bit_depth)
+    sides = []
+    for side in (piece.left.astype(float), piece.right.astype(float)):
+        low, high = np.percentile(side, [0.5, 99.5]) if enhance else (0, 2**strips.geometry.bit_depth)
+        sides.append(np.clip((side - low) / (high - low) * 255, 0, 255).astype(np.uint8))
     gap = 40
-    picture = np.hstack([sides[0], np.full((len(sides[0]), gap), high), sides[1]])
-    picture = np.clip((picture - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    picture = np.hstack([sides[0], np.full((len(sides[0]), gap), 255, np.uint8), sides[1]])
     colour = cv2.cvtColor(
         cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST), cv2.COLOR_GRAY2BGR
     )
@@ -87,8 +88,10 @@ def drawn_points(piece: Any, strips: Strips, settings: Settings, enhance: bool) 
         a = 2 * col, 2 * line
         b = 2 * (col + dcol + shift + width + gap), 2 * (line + dline)
         cv2.line(colour, *(tuple(round(v) for v in p) for p in (a, b)), (40, 160, 255), 1, cv2.LINE_AA)
-    cv2.putText(colour, f"{len(found)} points", (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 3)
-    cv2.putText(colour, f"{len(found)} points", (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 1)
+    cv2.rectangle(colour, (0, 0), (170, 34), (255, 255, 255), -1)
+    cv2.putText(
+        colour, f"{len(found)} points", (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 1, cv2.LINE_AA
+    )
     return np.pad(colour, ((0, 0), (0, 20), (0, 0)), constant_values=255)
 
 
