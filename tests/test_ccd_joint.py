@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from geomosaic.ccd.joint import joint
+from geomosaic.ccd.joint import far_from_nominal, joint
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Settings
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
@@ -124,6 +124,61 @@ def test_stated_deviations_hold_where_lines_are_bridged():
     bridged = label == BRIDGED
     assert honest(off[bridged], sd[bridged]) > 0.75
     assert sd[bridged].mean() > 1.5 * sd[label == MEASURED].mean()
+
+
+def test_stated_deviations_hold_where_one_pair_stands_alone():
+    off, sd, label = pooled(replace(PLAN, ccds=2))
+    assert rms(off) < 0.02
+    assert 0.85 < honest(off, sd) < 0.99
+    assert (label == MEASURED).mean() > 0.98
+
+
+def test_clouds_alone_are_no_ground():
+    plan = replace(
+        PLAN, cloud_cover=0.99, cloud_height_m=4000.0, wind_m_per_s=20.0, wind_deg=100.0, lines=8192, seed=77
+    )
+    found = solved(plan)
+    off, sd, label = pooled(plan, found)
+    far = far_from_nominal(plan.geometry(), found)
+    assert far is not None and far[1] < -10.0
+    assert (label == UNRELIABLE).all()
+    assert honest(off, sd) > 0.85
+    assert far_from_nominal(PLAN.geometry(), solved(PLAN)) is None
+
+
+@pytest.mark.parametrize(
+    ("seed", "height_m", "wind_m_per_s", "wind_deg"),
+    [(304, 7000.0, 40.0, 20.0), (308, 6000.0, 12.0, 90.0)],
+)
+def test_clouds_no_brighter_than_the_ground(seed, height_m, wind_m_per_s, wind_deg):
+    plan = StripPlan(
+        seed=seed,
+        lines=8192,
+        width_px=512,
+        brightness=0.75,
+        cloud_cover=0.3,
+        cloud_height_m=height_m,
+        wind_m_per_s=wind_m_per_s,
+        wind_deg=wind_deg,
+    )
+    off, _, label = pooled(plan)
+    assert rms(off) < 0.1
+    assert np.hypot(*off[label == MEASURED].T).max() < 1.0
+
+
+def test_most_of_the_ground_hidden():
+    plan = replace(PLAN, lines=8192, cloud_cover=0.8, cloud_height_m=2500.0, wind_m_per_s=10.0, seed=78)
+    off, sd, label = pooled(plan)
+    assert honest(off, sd) > 0.8
+    away = np.hypot(*off.T)
+    assert away[label == MEASURED].max(initial=0.0) < 1.0
+
+
+def test_far_mounted_ccds_are_within_the_search():
+    plan = replace(PLAN, ccds=8, mounting_px=4.0, seed=77)
+    assert max(np.abs(truth.dcol_px).max() for truth in scene(plan)[2]) > 11.0
+    off, _, _ = pooled(plan)
+    assert rms(off) < 0.03
 
 
 def test_missing_ccd_and_shorter_strip():
