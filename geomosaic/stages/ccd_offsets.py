@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from geomosaic.ccd.joint import far_from_nominal
 from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import MEASURED, UNRELIABLE, PairOffsets, Settings, StripOffsets
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -68,6 +69,13 @@ class CcdOffsets(Stage):
             )
         for offsets in pairs:
             self._tell(context, geometry, offsets)
+        far = far_from_nominal(geometry, pairs)
+        if far is not None:
+            text = (
+                f"all that is seen lies {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal geometry: "
+                "clouds alone, or a wrong row_separation_lines"
+            )
+            context.warn("far-from-nominal", "", text)
         context.metric("offsets.method", params.method)
         return {"offsets": StripOffsets(params.method, pairs)}
 
