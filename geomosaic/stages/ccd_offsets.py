@@ -72,8 +72,8 @@ class CcdOffsets(Stage):
         far = far_from_nominal(geometry, pairs)
         if far is not None:
             text = (
-                f"all that is seen lies {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal geometry: "
-                "clouds alone, or a wrong row_separation_lines"
+                f"all that is seen lies {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal "
+                "geometry: clouds alone, or a wrong row_separation_lines"
             )
             context.warn("far-from-nominal", "", text)
         context.metric("offsets.method", params.method)
