@@ -146,20 +146,16 @@ def test_clouds_alone_are_no_ground():
     assert far_from_nominal(PLAN.geometry(), solved(PLAN)) is None
 
 
-@pytest.mark.parametrize(
-    ("seed", "height_m", "wind_m_per_s", "wind_deg"),
-    [(304, 7000.0, 40.0, 20.0), (308, 6000.0, 12.0, 90.0)],
-)
-def test_clouds_no_brighter_than_the_ground(seed, height_m, wind_m_per_s, wind_deg):
+def test_clouds_no_brighter_than_the_ground():
     plan = StripPlan(
-        seed=seed,
+        seed=308,
         lines=8192,
         width_px=512,
         brightness=0.75,
         cloud_cover=0.3,
-        cloud_height_m=height_m,
-        wind_m_per_s=wind_m_per_s,
-        wind_deg=wind_deg,
+        cloud_height_m=6000.0,
+        wind_m_per_s=12.0,
+        wind_deg=90.0,
     )
     off, _, label = pooled(plan)
     assert rms(off) < 0.1
@@ -175,8 +171,8 @@ def test_most_of_the_ground_hidden():
 
 
 def test_far_mounted_ccds_are_within_the_search():
-    plan = replace(PLAN, ccds=8, mounting_px=4.0, seed=77)
-    assert max(np.abs(truth.dcol_px).max() for truth in scene(plan)[2]) > 11.0
+    plan = StripPlan(seed=77, width_px=1024, lines=8192, mounting_px=4.0)
+    assert max(np.abs(truth.dcol_px).max() for truth in scene(plan)[2]) > 13.0
     off, _, _ = pooled(plan)
     assert rms(off) < 0.03
 
