@@ -256,3 +256,22 @@ def test_a_strip_cut_short_on_disk_is_named(
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert "ccd3.tif" in told
     assert not (tmp_path / "run" / "mosaic.tif").exists()
+
+
+def test_no_input_is_overwritten(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "strips"
+    shutil.copytree(scene.geometry.parent, folder, ignore=shutil.ignore_patterns("truth"))
+    (folder / "ccd1.tif").rename(folder / "mosaic.tif")
+    text = (folder / "geometry.yaml").read_text().replace("ccd1.tif", "mosaic.tif")
+    (folder / "geometry.yaml").write_text(text)
+    before = (folder / "mosaic.tif").read_bytes()
+    assert strips(folder / "geometry.yaml", folder) == 2
+    assert "would be overwritten by the run's own file of that name" in capsys.readouterr().err
+    assert (folder / "mosaic.tif").read_bytes() == before and not (folder / "work").exists()
+
+
+def test_tiles_want_a_map(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert geomosaic("export", "tiles", run) == 2
+    assert "has no map projection; put it on a map first" in capsys.readouterr().err

@@ -16,7 +16,9 @@ import rasterio
 from osgeo import gdal
 from rasterio.warp import transform_bounds
 
+from geomosaic.errors import InputError
 from geomosaic.mosaic.gdal_failures import gdal_failures
+from geomosaic.survey.strips import open_strip
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256
@@ -51,7 +53,10 @@ def write_tiles(
     bands the first three are shown. Raises `OSError` if a tile can't be written.
     """
     folder.mkdir(parents=True)
-    with rasterio.open(mosaic_file) as tiff:
+    with open_strip(mosaic_file) as tiff:
+        if tiff.crs is None:
+            mend = "put it on a map first, such as with gdalwarp -rpc"
+            raise InputError("has no map projection", file=mosaic_file, mend=mend)
         west, south, east, north = transform_bounds(tiff.crs, "OGC:CRS84", *tiff.bounds)
         gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]
     lat_deg = (south + north) / 2.0

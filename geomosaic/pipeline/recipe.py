@@ -70,6 +70,9 @@ class Recipe:
                     _check_apart(path.resolve(), run_folder.resolve(), path)
         for step in steps:
             step.stage.check(step.params)
+            if run_folder is not None:
+                for path in step.stage.files(step.params).values():
+                    _check_apart(path.resolve(), run_folder.resolve(), path)
 
 
 def _check_apart(path: Path, run_folder: Path, given: Path) -> None:
@@ -82,6 +85,14 @@ def _check_apart(path: Path, run_folder: Path, given: Path) -> None:
         raise InputError(
             f"lies in the run's cache {run_folder / 'work'}, which is tidied", file=given, mend=mend
         )
+    if path.parent == run_folder and path.name in _RESULTS:
+        raise InputError("would be overwritten by the run's own file of that name", file=given, mend=mend)
+
+
+_RESULTS = frozenset(
+    ("mosaic.tif", "mosaic_RPC.TXT", "sources.tif", "offsets.csv", "positions.csv", "layers.gpkg")
+    + ("report.html", "run.json", "run.mcap")
+)
 
 
 class _Loader(yaml.SafeLoader):

@@ -9,8 +9,9 @@ import numpy as np
 
 from geomosaic.ccd.joint import far_from_nominal
 from geomosaic.ccd.methods import METHODS
-from geomosaic.ccd.model import MEASURED, UNRELIABLE, PairOffsets, Settings, StripOffsets
+from geomosaic.ccd.model import UNRELIABLE, PairOffsets, Settings, StripOffsets
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.quality.strip_figures import common_lines
 from geomosaic.stages.strip_input import opened_strips
 from geomosaic.survey.strips import StripGeometry
 
@@ -67,6 +68,9 @@ class CcdOffsets(Stage):
             pairs = METHODS[params.method](
                 strips, settings, lambda done, total: context.progress(done, total, "offsets")
             )
+        if params.method == "virtual_line" and geometry.dem is None:
+            text = "has no DEM: heights are unknown, and so are offsets by the model alone"
+            context.warn("dem-missing", "geometry", text)
         for offsets in pairs:
             self._tell(context, geometry, offsets)
         far = far_from_nominal(geometry, pairs)
@@ -84,12 +88,14 @@ class CcdOffsets(Stage):
         left, right = (geometry.ccds[k].path for k in (offsets.pair, offsets.pair + 1))
         assert left is not None
         assert right is not None
-        known = offsets.label != UNRELIABLE
-        if not (offsets.label == MEASURED).any():
-            text = f"nothing of its overlap with {right.name} could be measured: joined by the geometry alone"
+        unreliable = (offsets.label == UNRELIABLE)[common_lines(geometry, offsets.pair, offsets.dline_px)]
+        if not unreliable.size or unreliable.all():
+            text = f"its offsets to {right.name} are unknown: joined by a guess and the geometry"
             context.warn("overlap-unmeasured", left.name, text)
-        elif known.mean() < 0.5:
-            text = f"offsets to {right.name} are unreliable on {100 * (1 - known.mean()):.0f} % of the lines"
+        elif unreliable.mean() > 0.1:
+            text = (
+                f"its offsets to {right.name} are unreliable on {100 * unreliable.mean():.0f} % of the lines"
+            )
             context.warn("offsets-unreliable", left.name, text)
         line = np.arange(0, len(offsets.label), _RECORDED_LINES)
         context.recorder.strip_offsets(
