@@ -89,10 +89,10 @@ def _check_apart(path: Path, run_folder: Path, given: Path) -> None:
         raise InputError("would be overwritten by the run's own file of that name", file=given, mend=mend)
 
 
-_RESULTS = frozenset(
-    ("mosaic.tif", "mosaic_RPC.TXT", "sources.tif", "offsets.csv", "positions.csv", "layers.gpkg")
-    + ("report.html", "run.json", "run.mcap")
-)
+_RESULTS = (
+    "mosaic.tif", "mosaic_RPC.TXT", "sources.tif", "offsets.csv", "positions.csv", "layers.gpkg", "report.html",
+    "run.json", "run.mcap",
+)  # fmt: skip
 
 
 class _Loader(yaml.SafeLoader):
