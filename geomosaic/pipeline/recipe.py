@@ -90,8 +90,8 @@ def _check_apart(path: Path, run_folder: Path, given: Path) -> None:
 
 
 _RESULTS = (
-    "mosaic.tif", "mosaic_RPC.TXT", "sources.tif", "offsets.csv", "positions.csv", "layers.gpkg", "report.html",
-    "run.json", "run.mcap",
+    "mosaic.tif", "mosaic_RPC.TXT", "sources.tif", "offsets.csv", "positions.csv", "layers.gpkg",
+    "report.html", "run.json", "run.mcap",
 )  # fmt: skip
 
 
