@@ -146,7 +146,24 @@ def test_what_cannot_be_measured_is_said_to_be_so(clean: tuple[Strips, tuple[Sim
     flat = [tuple(np.full(e.shape, 1023, np.uint16) for e in (p.left, p.right)) for p in pairs]
     quality = checked(strips_in_memory(geometry, flat), offsets_of(pairs))  # type: ignore[arg-type]
     assert quality.figures.lines == 0 and np.isnan(quality.figures.rms_px)
-    assert quality_metrics(quality)["rms_px"] is None
+    assert quality.misplaced is None, "nothing is known, neither that it is in place"
+    metrics = quality_metrics(quality)
+    assert metrics["rms_px"] is None and metrics["misplaced"] is None
+
+
+def test_shares_of_labels_are_of_the_pairs_that_have_common_lines() -> None:
+    """CCD 2 is so short that neither of its neighbours has any of its ground; pair 2 has lines 0 to 3086."""
+    strips, pairs = scene(ccds=4, short="2:2000")
+    *apart, offsets = offsets_of(pairs).pairs
+    label = offsets.label.copy()
+    label[:1543] = BRIDGED
+    quality = checked(strips, StripOffsets("x", (*apart, replace(offsets, label=label))))
+    assert quality.misplaced is False
+    assert [bool(np.isnan(p.share_of_labels).all()) for p in quality.pairs] == [True, True, False]
+    metrics = quality_metrics(quality)
+    assert metrics["share_measured"] == pytest.approx(0.5, abs=0.01) and metrics["share_unreliable"] == 0.0
+    none = quality_metrics(StripQuality(quality.pairs[:2], strip_figures([]), 0, 0, 0))
+    assert none["share_measured"] is None and none["misplaced"] is None
 
 
 def test_a_dead_ccd_and_a_short_strip_leave_the_rest() -> None:
@@ -169,6 +186,9 @@ def test_figures_of_errors() -> None:
     assert figures.worst_segment_px == pytest.approx(np.sqrt(128 * 25 / 388)) and figures.misplaced
     assert figures.share_above == pytest.approx(128 / 900)
     assert figures.p95_px == 5.0
+    few = strip_figures([np.where(np.arange(1024)[:, None] % 512 < 31, 3.0, np.full((1024, 2), np.nan))])
+    assert few.lines == 62 and few.misplaced is None, "31 lines do not make a segment's root mean square"
+    assert strip_figures([]).misplaced is None
 
 
 def test_errors_against_the_truth() -> None:
@@ -194,6 +214,13 @@ def test_errors_against_the_truth() -> None:
     assert not found.misplaced, "five lines do not make a segment's root mean square"
     rate = misplacement_rate([found, found, found, checked_misplaced()])
     assert (rate.scenes, rate.misplaced, rate.rate) == (4, 1, 0.25) and rate.low < 0.05 < 0.69 < rate.high
+    assert rate.unknown == 0
+    silent = StripQuality((), strip_figures([]), 512, 512, 0)
+    assert misplacement_rate([found, silent, found, found, checked_misplaced(), silent]) == replace(
+        rate, unknown=2
+    )
+    none = misplacement_rate([silent])
+    assert np.isnan(none.rate) and (none.scenes, none.unknown) == (0, 1)
     assert np.isnan(misplacement_rate([]).rate)
 
 

@@ -146,6 +146,19 @@ def test_the_misplacement_rate_counts_runs_by_method(
     lines = capsys.readouterr().out.splitlines()
     assert "in place" in lines[0] and lines[1].endswith("worst segment 1.25 px (joint)")
     assert lines[2] == "joint: 1 of 2 misplaced, 50.0 % (95 % interval 9.5 to 90.5 %)"
+    (tmp_path / "dark").mkdir()
+    told["metrics"]["misplacement"] |= dict.fromkeys(("misplaced", "rms_px", "worst_segment_px"))
+    (tmp_path / "dark" / "run.json").write_text(json.dumps(told))
+    dark = tmp_path / "dark"
+    assert geomosaic("misplacement", run, dark, tmp_path / "worse", dark, dark) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == f"{dark}: unknown, unknown RMS, worst segment unknown (joint)"
+    assert lines[5] == "joint: 1 of 2 misplaced, 50.0 % (95 % interval 9.5 to 90.5 %), 3 unknown"
+    assert geomosaic("misplacement", dark, "--json") == 0
+    rate = json.loads(capsys.readouterr().out)["rates"]["joint"]
+    assert rate == {"scenes": 0, "misplaced": 0, "rate": None, "low": None, "high": None, "unknown": 1}
+    assert geomosaic("misplacement", dark) == 0
+    assert capsys.readouterr().out.splitlines()[1] == "joint: 1 unknown"
     (tmp_path / "worse" / "run.json").write_text('{"metrics": {}}')
     assert geomosaic("misplacement", tmp_path / "worse") == 2
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +16,11 @@ from geomosaic.errors import InputError
 
 @dataclass(frozen=True)
 class _Scene:
-    """A run's figures; `misplaced` as run.json tells it."""
+    """A run's figures; `misplaced` as run.json tells it, None where nothing is known."""
 
     run: str
     method: str
-    misplaced: bool
+    misplaced: bool | None
     rms_px: float | None
     worst_segment_px: float | None
 
@@ -37,18 +38,22 @@ def misplacement(
     methods = sorted({s.method for s in scenes})
     rates = {m: asdict(misplacement_rate([s for s in scenes if s.method == m])) for m in methods}
     if as_json:
-        print(json.dumps({"scenes": [asdict(s) for s in scenes], "rates": rates}, indent=2))
+        told = {m: {k: v if isfinite(v) else None for k, v in rate.items()} for m, rate in rates.items()}
+        print(json.dumps({"scenes": [asdict(s) for s in scenes], "rates": told}, indent=2))
         return
     for s in scenes:
-        verdict = "misplaced" if s.misplaced else "in place"
+        verdict = {True: "misplaced", False: "in place", None: "unknown"}[s.misplaced]
         print(
             f"{s.run}: {verdict}, {_px(s.rms_px)} RMS, worst segment {_px(s.worst_segment_px)} ({s.method})"
         )
     for method, rate in rates.items():
-        print(
-            f"{method}: {rate['misplaced']} of {rate['scenes']} misplaced, {100 * rate['rate']:.1f} % "
+        known = (
+            f"{rate['misplaced']} of {rate['scenes']} misplaced, {100 * rate['rate']:.1f} % "
             f"(95 % interval {100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
         )
+        unknown = f"{rate['unknown']} unknown"
+        parts = [known] * bool(rate["scenes"]) + [unknown] * bool(rate["unknown"])
+        print(f"{method}: {', '.join(parts)}")
 
 
 def _scene(run: Path) -> _Scene:
@@ -56,7 +61,7 @@ def _scene(run: Path) -> _Scene:
 
     metrics: dict[str, Any] = read_summary(run)["metrics"]
     told = metrics.get("misplacement")
-    if not isinstance(told, dict) or not isinstance(told.get("misplaced"), bool):
+    if not isinstance(told, dict) or not isinstance(told.get("misplaced", ""), bool | None):
         raise InputError(
             "tells no misplacement", file=run / "run.json", mend="give runs of `geomosaic strips`"
         )

@@ -25,8 +25,9 @@ _LEAST_LINES = 32
 class StripFigures:
     """What errors (dcol, dline) say, by their lengths; NaN where no line is known.
 
-    lines: those that count. rms_px, p95_px, worst_line_px: over them. worst_segment_px: the largest root mean
-    square of a segment. share_above: lines above the limit. misplaced: a segment is above the limit.
+    lines: those that count. rms_px, p95_px, worst_line_px: over them. worst_segment_px: the largest root
+    mean square of a segment. share_above: lines above the limit. misplaced: a segment is above it; None where
+    no segment is known.
     """
 
     lines: int
@@ -35,7 +36,7 @@ class StripFigures:
     worst_line_px: float
     worst_segment_px: float
     share_above: float
-    misplaced: bool
+    misplaced: bool | None
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ class SceneErrors:
     share_of_labels: tuple[float, float, float]
 
     @property
-    def misplaced(self) -> bool:
-        """Whether any segment is above the limit."""
+    def misplaced(self) -> bool | None:
+        """Whether any segment is above the limit; None where no segment is known."""
         return self.figures.misplaced
 
 
@@ -63,19 +64,23 @@ class Judged(Protocol):
     """A scene that was judged: `SceneErrors` or `StripQuality`."""
 
     @property
-    def misplaced(self) -> bool:
-        """Whether any segment is above the limit."""
+    def misplaced(self) -> bool | None:
+        """Whether any segment is above the limit; None where no segment is known."""
 
 
 @dataclass(frozen=True)
 class MisplacementRate:
-    """Of a set of scenes: how many are misplaced; low, high: Wilson's 95 % interval of the rate."""
+    """Of a set of scenes: how many are misplaced; low, high: Wilson's 95 % interval of the rate.
+
+    scenes: of which it is known. unknown: the others, which the rate leaves out; NaN where none is known.
+    """
 
     scenes: int
     misplaced: int
     rate: float
     low: float
     high: float
+    unknown: int
 
 
 def strip_figures(errors_px: Sequence[Floats]) -> StripFigures:
@@ -84,7 +89,7 @@ def strip_figures(errors_px: Sequence[Floats]) -> StripFigures:
     length = length[np.isfinite(length)]
     worst = max((float(s) for e in errors_px for s in segment_rms(e) if np.isfinite(s)), default=np.nan)
     if not length.size:
-        return StripFigures(0, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+        return StripFigures(0, np.nan, np.nan, np.nan, np.nan, np.nan, None)
     return StripFigures(
         int(length.size),
         float(np.sqrt((length**2).mean())),
@@ -92,7 +97,7 @@ def strip_figures(errors_px: Sequence[Floats]) -> StripFigures:
         float(length.max()),
         worst,
         float((length > LIMIT_PX).mean()),
-        worst > LIMIT_PX,
+        worst > LIMIT_PX if np.isfinite(worst) else None,
     )
 
 
@@ -146,11 +151,12 @@ def label_shares(label: np.ndarray) -> tuple[float, float, float]:
 
 
 def misplacement_rate(scenes: Sequence[Judged]) -> MisplacementRate:
-    """The share of misplaced scenes, as in the paper's table 1."""
-    n, k = len(scenes), sum(s.misplaced for s in scenes)
+    """The share of misplaced scenes among those of which it is known, as in the paper's table 1."""
+    known = [s.misplaced for s in scenes if s.misplaced is not None]
+    n, k, unknown = len(known), sum(known), len(scenes) - len(known)
     if n == 0:
-        return MisplacementRate(0, 0, np.nan, np.nan, np.nan)
+        return MisplacementRate(0, 0, np.nan, np.nan, np.nan, unknown)
     z = 1.96
     middle = (k + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * float(np.sqrt(k * (n - k) / n + z * z / 4))
-    return MisplacementRate(n, k, k / n, max(middle - half, 0.0), min(middle + half, 1.0))
+    return MisplacementRate(n, k, k / n, max(middle - half, 0.0), min(middle + half, 1.0), unknown)

@@ -93,8 +93,8 @@ class StripQuality:
     others: StripFigures = strip_figures([])  # noqa: RUF009
 
     @property
-    def misplaced(self) -> bool:
-        """Whether any segment is above the limit of 1 px."""
+    def misplaced(self) -> bool | None:
+        """Whether any segment is above the limit of 1 px; None where no segment is known."""
         return self.figures.misplaced
 
 
@@ -160,8 +160,9 @@ def quality_metrics(quality: StripQuality) -> dict[str, object]:
         "worst_segment_px": f.worst_segment_px, "share_above_1px": f.share_above,
     }  # fmt: skip
     shares = np.array([p.share_of_labels for p in quality.pairs]).reshape(-1, len(LABELS))
-    weight = np.array([p.lines for p in quality.pairs], dtype=np.float64)
-    told = np.average(shares, axis=0, weights=weight) if len(shares) else np.full(len(LABELS), np.nan)
+    common = np.isfinite(shares).all(axis=1)
+    weight = np.array([p.lines for p in quality.pairs], dtype=np.float64)[common]
+    told = np.average(shares[common], axis=0, weights=weight) if len(weight) else np.full(len(LABELS), np.nan)
     return {
         "misplaced": quality.misplaced,
         "lines": quality.lines,
