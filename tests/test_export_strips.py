@@ -15,12 +15,12 @@ from strip_scenes import ComposedScene, composed
 
 from geomosaic.ccd.model import PairOffsets
 from geomosaic.errors import GeomosaicError
-from geomosaic.export.report_strips import render_strips_report
+from geomosaic.export.report_strips import render_strips_report, strips_verdict
 from geomosaic.export.strip_pictures import Place, seam_col, seam_crops, seam_places
 from geomosaic.export.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
 from geomosaic.quality.jitter import Spectrum
 from geomosaic.quality.strip_figures import strip_figures
-from geomosaic.quality.strips import StripQuality
+from geomosaic.quality.strips import PairQuality, StripQuality
 from geomosaic.simulate.strip_plan import StripPlan
 
 SUMMARY = {
@@ -156,6 +156,53 @@ def test_a_scene_that_could_not_be_checked_says_so(scene: ComposedScene) -> None
     page = page_of(scene, quality=StripQuality(hidden, strip_figures([]), 5000, 4000, 1000))
     assert "Nothing could be checked" in page and "Nothing could be measured." in page
     assert "nan" not in re.sub(r"base64,[^\"]*", "", page)
+
+
+def test_seams_that_could_not_be_checked_lead_the_verdict(scene: ComposedScene) -> None:
+    """One black strip hides two seams: the third one's figures do not speak for them."""
+    first, second = scene.quality.pairs
+    gone = {
+        "residual_px": np.full_like(first.residual_px, np.nan),
+        "segments_px": np.full_like(first.segments_px, np.nan),
+        "share_of_labels": (np.nan,) * 3,
+    }
+    figures = strip_figures([np.full((600, 2), 0.03)])
+    page = page_of(scene, quality=StripQuality((replace(first, **gone), second), figures, 600, 0, 0))
+    assert (
+        '<p class="lead">Nothing could be checked between CCDs 1–2; elsewhere neighbouring strips agree to '
+        "0.042\u00a0px RMS"
+    ) in page
+    assert "In place" not in page and "nan" not in re.sub(r"base64,[^\"]*", "", page)
+    worse = strip_figures([np.full((600, 2), 3.0)])
+    page = page_of(scene, quality=StripQuality((replace(first, **gone), second), worse, 600, 0, 0))
+    lead = re.search(r'<p class="lead">(.*?)\.[ <]', page)
+    assert lead and lead[1].startswith("Misplaced: 1 of")
+    assert lead[1].endswith("; between CCDs 1–2 nothing could be checked")
+    few = strip_figures([np.full((20, 2), 0.03)])
+    page = page_of(scene, quality=StripQuality((replace(first, **gone),), few, 600, 580, 0))
+    assert '<p class="lead">Too little could be checked' in page
+
+
+@pytest.mark.parametrize(
+    ("hidden", "words"), [((0, 1), "CCDs 1–2 and 2–3;"), ((0, 1, 4), "CCDs 1–2, 2–3 and 5–6;")]
+)
+def test_all_hidden_seams_are_named(hidden: tuple[int, ...], words: str) -> None:
+    pairs = [
+        PairQuality(
+            k,
+            600,
+            np.zeros((10, 2)),
+            np.full(10, 0.01),
+            np.full(10, 64.0),
+            np.zeros((10, 2)),
+            np.full(2, np.nan if k in hidden else 0.04),
+            (1.0, 0.0, 0.0),
+        )
+        for k in range(5)
+    ]
+    figures = strip_figures([np.full((600, 2), 0.03)])
+    told = strips_verdict(StripQuality(tuple(pairs), figures, 600, 0, 0))
+    assert told.startswith(f"Nothing could be checked between {words} elsewhere")
 
 
 def test_crops_are_of_the_seam_at_full_size(scene: ComposedScene) -> None:

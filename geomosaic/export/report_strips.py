@@ -35,7 +35,7 @@ from geomosaic.survey.strips import StripGeometry
 
 @dataclass(frozen=True)
 class PairRow:
-    """One pair of the table; shares in percent."""
+    """One pair of the table; shares in percent, NaN without common lines."""
 
     name: str
     strips: str
@@ -77,7 +77,7 @@ def render_strips_report(
     return template("report_strips.html").render(
         css=part("report.css"),
         title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
-        verdict=_verdict(quality),
+        verdict=strips_verdict(quality),
         misplaced=quality.misplaced,
         facts=_facts(geometry, offsets, quality, mosaic, summary),
         warnings=grouped_warnings(summary),
@@ -111,11 +111,14 @@ def _crop_words(place: Place) -> str:
     return f"{place.why}: line {place.line}{left}"
 
 
-def _verdict(quality: StripQuality) -> str:
-    """One sentence on how well the strips lie on one another."""
+def strips_verdict(quality: StripQuality) -> str:
+    """What is known of how well the strips lie on one another; its first sentence tells what isn't."""
     f = quality.figures
-    if not f.lines:
-        return "Nothing could be checked: the strips lie where the offsets and the geometry put them."
+    if quality.misplaced is None:
+        little = "Too little" if f.lines else "Nothing"
+        return f"{little} could be checked: the strips lie where the offsets and the geometry put them."
+    hidden = [_pair_name(p.pair) for p in quality.pairs if not np.isfinite(p.segments_px).any()]
+    seams = "CCDs " + " and ".join([", ".join(hidden[:-1])] * (len(hidden) > 1) + hidden[-1:])
     rest = 1.0 - f.lines / max(quality.lines, 1)
     unknown = (
         f" {_percent(rest)} of the lines could not be checked: bridged, unreliable or without texture."
@@ -134,10 +137,12 @@ def _verdict(quality: StripQuality) -> str:
         return (
             f"Misplaced: {odd} of {plural(many, 'segment')} {'is' if odd == 1 else 'are'} off by more than "
             f"{LIMIT_PX:g} px; the worst, between CCDs {pair.pair + 1} and {pair.pair + 2} at lines "
-            f"{_segment_words(pair, segment)}, by {short(f.worst_segment_px, 'px', 2)}.{unknown}"
+            f"{_segment_words(pair, segment)}, by {short(f.worst_segment_px, 'px', 2)}"
+            f"{f'; between {seams} nothing could be checked' if hidden else ''}.{unknown}"
         )
+    lead = f"Nothing could be checked between {seams}; elsewhere" if hidden else "In place:"
     return (
-        f"In place: neighbouring strips agree to {short(f.rms_px, 'px', 2)} RMS where they were checked; "
+        f"{lead} neighbouring strips agree to {short(f.rms_px, 'px', 2)} RMS where they were checked; "
         f"the worst segment is off by {short(f.worst_segment_px, 'px', 2)}, the limit is {LIMIT_PX:g} px."
         f"{unknown}"
     )
