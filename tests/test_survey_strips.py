@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ import yaml
 from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.errors import FileError, InputError
+from geomosaic.survey.strip_companions import read_rpc
+from geomosaic.survey.strip_model import read_model
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
 
 PLAIN: dict[str, Any] = {
@@ -143,5 +147,51 @@ def test_what_is_no_geometry_is_named(tmp_path: Path, text: str) -> None:
 def test_no_file_and_a_folder(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="there is no such file"):
         read_geometry(tmp_path / "none.yaml")
-    with pytest.raises(FileError, match="can't be read"):
+    with pytest.raises(FileError, match="is no regular file"):
         read_geometry(tmp_path)
+
+
+@pytest.mark.parametrize("key", ["path", "dem", "rpc", "model"])
+@pytest.mark.parametrize("kind", ["pipe", "folder", "device"])
+def test_what_is_no_regular_file_is_named_and_never_read(folder: Path, key: str, kind: str) -> None:
+    odd = folder / "odd"
+    if kind == "pipe":
+        os.mkfifo(odd)
+    elif kind == "folder":
+        odd.mkdir()
+    else:
+        odd.symlink_to("/dev/zero")
+    ccds = PLAIN["ccds"]
+    change = {"ccds": [{"path": "odd", "row": 2}, *ccds[1:]]} if key == "path" else {key: "odd"}
+    with pytest.raises(FileError, match=rf"odd: is no regular file, named as {key} in geometry\.yaml"):
+        read_geometry(written(folder, **change))
+
+
+def test_devices_and_pipes_are_no_geometry_model_or_rpc(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (Path("/dev/zero"), tmp_path / "pipe"):
+        for read in (read_geometry, read_model, read_rpc):
+            with pytest.raises(FileError, match="is no regular file"):
+                read(path)
+
+
+@pytest.mark.parametrize("read", [read_geometry, read_model])
+def test_a_file_over_64_kb_is_refused_before_it_is_parsed(
+    folder: Path, read: Callable[[Path], object]
+) -> None:
+    path = folder / "long.yaml"
+    path.write_text(yaml.safe_dump(PLAIN) + "dem: [" + "1," * 32768 + "]")
+    with pytest.raises(FileError, match=r"is too large for a \w+( file)?: more than 64 kB"):
+        read(path)
+
+
+@pytest.mark.parametrize("key", ["path", "dem"])
+def test_a_path_of_thousands_of_letters_is_one_short_line(folder: Path, key: str) -> None:
+    long = "x" * 5000
+    change = {"ccds": [{"path": long, "row": 2}, *PLAIN["ccds"][1:]]} if key == "path" else {key: long}
+    with pytest.raises(FileError, match=f"File name too long.*named as {key} in geometry.yaml") as caught:
+        read_geometry(written(folder, **change))
+    assert len(str(caught.value)) < 500
+    with pytest.raises(FileError, match="File name too long") as caught:
+        read_geometry(folder / long)
+    assert len(str(caught.value)) < 500

@@ -16,7 +16,7 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.elevation import check_dem
-from geomosaic.survey.strip_model import read_model
+from geomosaic.survey.strip_model import check_regular, read_model
 
 _MAX_BYTES: Final = 1 << 20
 _MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
@@ -27,11 +27,12 @@ def read_rpc(path: Path) -> Rpc:
 
     Raises: `FileError` or `InputError` naming the file.
     """
+    check_regular(path, _MEND)
     try:
-        if path.stat().st_size <= _MAX_BYTES:
-            content = path.read_bytes()
-            if b"LINE_OFF" in content and b"\0" not in content:
-                return parse_rpc(content.decode("utf-8-sig"))
+        with path.open("rb") as file:
+            content = file.read(_MAX_BYTES + 1)
+        if len(content) <= _MAX_BYTES and b"LINE_OFF" in content and b"\0" not in content:
+            return parse_rpc(content.decode("utf-8-sig"))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(path) as raster:

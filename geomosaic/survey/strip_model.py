@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import reprlib
+import stat
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,8 +21,11 @@ ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
 ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
 _LOOK_KEYS: Final = ("forward_tan", "right_tan")
-_MAX_BYTES: Final = 256 << 20
+_MOST_BYTES: Final = {"model": 64 << 10, "table": 256 << 20}
+_LONGEST_PATH: Final = 255  # shown whole
 _MEND: Final = "see docs/simulation.md for the model's form"
+_SHORT: Final = reprlib.Repr()
+_SHORT.maxstring = 60
 
 
 def read_model(path: Path) -> Pushbroom:
@@ -69,7 +74,7 @@ def model_tables(path: Path) -> dict[str, Path]:
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    content = _bytes(path)
+    content = read_bytes(path, _MOST_BYTES["model"], "a model", _MEND)
     try:
         entry = yaml.safe_load(content.decode("utf-8-sig"))
     except (ValueError, yaml.YAMLError, RecursionError) as error:
@@ -78,31 +83,60 @@ def _entry(path: Path) -> dict[str, Any]:
         raise InputError("is no model of CCD strips", file=path, mend=_MEND)
     for key in entry:
         if key not in _KEYS:
-            raise UnknownNameError("model key", str(key), _KEYS, file=path)
+            raise UnknownNameError("model key", shown(key).strip("'"), _KEYS, file=path)
     for key in _KEYS:
         if key not in entry:
             raise InputError(f"has no {key}", file=path, mend=_MEND)
     return entry
 
 
-def _bytes(path: Path) -> bytes:
+def check_regular(path: Path, mend: str, named: str = "") -> None:
+    """`FileError` for what is missing, or no regular file: a folder, a device or a pipe, which may never end.
+
+    Args: named says in the message where the path stands.
+    """
+    text = str(path)
+    file = text if len(text) <= _LONGEST_PATH else f"{text[:_LONGEST_PATH]}..."
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FileError("is too large for a model's file", file=path, mend="is it the right file?")
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise FileError("there is no such file", file=path, mend=_MEND) from error
-    except FileError:
-        raise
+        regular = stat.S_ISREG(path.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise FileError(f"there is no such file{named}", file=file, mend=mend) from error
+    except OSError as error:
+        raise FileError(f"can't be read ({error.strerror}){named}", file=file, mend=mend) from error
+    if not regular:
+        raise FileError(f"is no regular file{named}", file=file, mend=mend)
+
+
+def read_bytes(path: Path, most_bytes: int, kind: str, mend: str) -> bytes:
+    """A regular file's content; `FileError` where it is larger than most_bytes, or can't be read."""
+    check_regular(path, mend)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most_bytes + 1)
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path) from error
+    if len(content) > most_bytes:
+        problem = f"is too large for {kind}: more than {most_bytes >> 10} kB"
+        raise FileError(problem, file=path, mend="is it the right file?")
+    return content
+
+
+def shown(value: object) -> str:
+    """A value out of a file as a message shows it: short, whatever it is."""
+    try:
+        return _SHORT.repr(value)[:80]
+    except ValueError:  # an integer of more digits than Python prints
+        return "too large a number"
 
 
 def _numbers(value: Any, count: int, what: str, path: Path) -> Floats:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
         raise InputError(f"{what} isn't {count} number{'s' if count > 1 else ''}", file=path, mend=_MEND)
-    numbers = np.array(value, dtype=np.float64)
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except OverflowError as error:
+        raise InputError(f"{what} is too large", file=path, mend=_MEND) from error
     if not np.isfinite(numbers).all():
         raise InputError(f"{what} isn't finite", file=path, mend=_MEND)
     return numbers
@@ -110,13 +144,13 @@ def _numbers(value: Any, count: int, what: str, path: Path) -> Floats:
 
 def _table_path(model: Path, name: Any) -> Path:
     if not isinstance(name, str) or not name or "\0" in name:
-        raise InputError(f"names {name!r} as a table", file=model, mend="give a CSV file's path")
+        raise InputError(f"names {shown(name)} as a table", file=model, mend="give a CSV file's path")
     return model.absolute().parent / name
 
 
 def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
     path = _table_path(model, name)
-    content = _bytes(path)
+    content = read_bytes(path, _MOST_BYTES["table"], "a model's table", _MEND)
     try:
         rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))
     except (ValueError, csv.Error) as error:

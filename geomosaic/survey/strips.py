@@ -16,8 +16,9 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_rpc, checked_model
+from geomosaic.survey.strip_model import check_regular, read_bytes, shown
 
-_MAX_BYTES: Final = 1 << 20
+_MAX_BYTES: Final = 64 << 10  # a list of 1 MB takes YAML half a minute
 _MOST_CCDS: Final = 64
 _BITS: Final = {"uint8": 8, "uint16": 16, "int16": 15}
 _KEYS: Final = (
@@ -90,7 +91,7 @@ def read_geometry(path: Path) -> StripGeometry:
     entry = _load(path)
     for key in entry:
         if key not in _KEYS:
-            raise UnknownNameError("geometry key", str(key), _KEYS, file=path)
+            raise UnknownNameError("geometry key", shown(key).strip("'"), _KEYS, file=path)
     ccds = _ccds(entry, path)
     number = _numbers(entry, path)
     width_px, lines, kind, nodata = _strips(ccds)
@@ -124,16 +125,9 @@ def read_geometry(path: Path) -> StripGeometry:
 
 
 def _load(path: Path) -> Mapping[str, Any]:
+    content = read_bytes(path, _MAX_BYTES, "a geometry file", "check the geometry's path")
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FileError("is too large for a geometry file", file=path, mend="is it the right file?")
-        entry = yaml.safe_load(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError as error:
-        raise FileError("there is no such file", file=path, mend="check the geometry's path") from error
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path) from error
+        entry = yaml.safe_load(content.decode("utf-8-sig"))
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         raise FileError("is no valid YAML", file=path, mend=_MEND) from error
     if not isinstance(entry, dict) or "ccds" not in entry:
@@ -151,7 +145,9 @@ def _ccds(entry: Mapping[str, Any], path: Path) -> tuple[Ccd, ...]:
             raise InputError(f"CCD {i} isn't a pair of 'path' and 'row'", file=path, mend=_MEND)
         row = one.get("row")
         if isinstance(row, bool) or row not in (1, 2):
-            raise InputError(f"CCD {i} has row {row!r}", file=path, mend="1 is the leading row, 2 the other")
+            raise InputError(
+                f"CCD {i} has row {shown(row)}", file=path, mend="1 is the leading row, 2 the other"
+            )
         if ccds and ccds[-1].row == row:
             raise InputError(
                 f"CCDs {i - 1} and {i} are both in row {row}", file=path, mend="neighbours are in other rows"
@@ -170,11 +166,10 @@ def _file(entry: Mapping[str, Any], key: str, path: Path) -> Path | None:
     if value is None:
         return None
     if not isinstance(value, str) or not value or "\0" in value:
-        raise InputError(f"{key} is {value!r}", file=path, mend="give a file's path")
+        raise InputError(f"{key} is {shown(value)}", file=path, mend="give a file's path")
     found = path.absolute().parent / value
-    if not found.is_file():
-        mend = "correct it, or take 'path' out where the CCD is dead" if key == "path" else f"correct '{key}'"
-        raise FileError(f"there is no such file, named as {key} in {path.name}", file=found, mend=mend)
+    mend = "correct it, or take 'path' out where the CCD is dead" if key == "path" else f"correct '{key}'"
+    check_regular(found, mend, f", named as {key} in {path.name}")
     return found
 
 
