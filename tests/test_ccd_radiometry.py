@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geomosaic.ccd.model import BRIDGED, MEASURED, PairOffsets, StripOffsets
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import Strips, strips_in_memory
 from geomosaic.ccd.radiometry import Blocks, Radiometry, column_gains, radiometry, straight_line
 from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
@@ -157,6 +157,60 @@ def test_labels_leave_lines_out_unless_too_few_are_left():
     assert np.abs(steps(PLAN, radiometry(spoilt, told, silent))).max() < 0.003
     none = tuple(replace(p, label=np.full_like(p.label, BRIDGED)) for p in offsets.pairs)
     assert np.abs(steps(PLAN, radiometry(strips, replace(offsets, pairs=none), silent))).max() < 0.003
+
+
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+@pytest.mark.parametrize("grey", [500, 90])
+def test_a_ccd_stuck_at_one_grey_leaves_the_others_alone(grey, noise):
+    """CCD 3 of 5 gives one grey, though labelled measured: it ends the runs as a dead one does."""
+    plan = replace(PLAN, ccds=5)
+    strips, offsets, pairs = simulated(plan)
+    rng = np.random.default_rng(5)
+    edges = [[p.left, p.right] for p in pairs]
+    for pair, side in ((1, 1), (2, 0)):
+        stuck = grey + noise * rng.standard_normal(edges[pair][side].shape)
+        edges[pair][side] = np.rint(stuck).astype(np.uint16)
+    found = radiometry(strips_in_memory(strips.geometry, [tuple(e) for e in edges]), offsets, silent)
+    assert found.gain[2] == 1.0 and found.offset[2] == 0.0
+    assert np.abs(steps(plan, found)[[0, 3]]).max() < 0.003
+    for run in (slice(0, 2), slice(3, 5)):
+        assert found.gain[run].mean() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_two_neighbours_stuck_have_no_ratio():
+    strips, offsets, pairs = simulated(PLAN)
+    edges = [(np.full_like(p.left, 500), np.full_like(p.right, 700)) for p in pairs]
+    found = radiometry(strips_in_memory(strips.geometry, edges), offsets, silent)
+    assert (found.gain == 1.0).all() and (found.offset == 0.0).all()
+
+
+def test_where_no_offset_can_be_relied_on_no_gain_is_fitted():
+    strips, offsets, _ = simulated(PLAN)
+    lost = replace(offsets.pairs[1], label=np.full_like(offsets.pairs[1].label, UNRELIABLE))
+    found = radiometry(strips, replace(offsets, pairs=(offsets.pairs[0], lost, offsets.pairs[2])), silent)
+    assert np.abs(steps(PLAN, found)[[0, 2]]).max() < 0.003
+    for run in (slice(0, 2), slice(2, 4)):
+        assert found.gain[run].mean() == pytest.approx(1.0, abs=1e-12)
+    # A few lines that are bridged are enough.
+    label = lost.label.copy()
+    label[3000:3400] = BRIDGED
+    some = replace(offsets, pairs=(offsets.pairs[0], replace(lost, label=label), offsets.pairs[2]))
+    assert np.abs(steps(PLAN, radiometry(strips, some, silent))).max() < 0.01
+
+
+@pytest.mark.parametrize("overlap_px", [4, 7, 8, 20])
+@pytest.mark.parametrize("known", [True, False])
+def test_an_overlap_of_a_few_columns_is_no_crash(overlap_px, known):
+    strips, offsets, pairs = simulated(PLAN)
+    geometry = replace(strips.geometry, overlap_px=overlap_px)
+    margin = geometry.read_px - strips.geometry.overlap_px
+    width = overlap_px + margin
+    geometry = replace(geometry, read_px=width)
+    edges = [(p.left[:, :width].copy(), p.right[:, :width].copy()) for p in pairs]
+    found = radiometry(strips_in_memory(geometry, edges), offsets if known else None, silent)
+    assert np.isfinite(found.gain).all()
+    if overlap_px < 8 or not known:
+        assert (found.gain == 1.0).all() and (found.offset == 0.0).all(), "no block fits"
 
 
 def test_column_gains_are_read_off_over_the_ground():

@@ -10,7 +10,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.ccd.model import MEASURED, Flags, Floats, Images, Overlap, PairOffsets, Progress, StripOffsets
+from geomosaic.ccd.model import (
+    MEASURED,
+    UNRELIABLE,
+    Flags,
+    Floats,
+    Images,
+    Overlap,
+    PairOffsets,
+    Progress,
+    StripOffsets,
+)
 from geomosaic.ccd.overlaps import Strips
 
 _PIECE_LINES = 512
@@ -21,6 +31,9 @@ _ROUGH_BLOCK_PX = (64, 24)
 _LEAST_BLOCKS = 24
 _OFFSET_SD = 0.01
 _ODD_COLUMN = 0.1
+_LEAST_CORRELATION = 0.3
+_LIKE_VARIANCE = 4.0
+_LEAST_VARIANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -36,8 +49,8 @@ class Blocks:
     """Means (b, c) of blocks of the left strip and of the same ground in the right one.
 
     Rows are stretches of lines, columns stretches of columns: a column's own response stays in its column.
-    use: (b, c) where all pixels are valid and none is at an end of the scale. sure: (b,) where the offsets of
-    all lines are measured.
+    use: (b, c) where all pixels are valid, none is at an end of the scale, and no line's offsets are
+    unreliable. sure: (b,) where the offsets of all lines are measured.
     """
 
     left: Floats
@@ -63,8 +76,9 @@ def column_gains(image: Images, valid: Flags) -> Images:
 def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress) -> Radiometry:
     """Gains and offsets of all CCDs; in each unbroken run the gains' mean is 1 and the offsets' mean is 0.
 
-    A run ends where a CCD is dead or a pair has too little to compare. Of long strips 64 pieces of 512 lines,
-    evenly spread, are seen. offsets: None compares larger blocks at the nominal geometry.
+    A run ends where a CCD is dead or a pair has too little to compare (`straight_line`), as beside a CCD that
+    is stuck at one grey. Of long strips 64 pieces of 512 lines, evenly spread, are seen. offsets: None
+    compares larger blocks at the nominal geometry.
     """
     g = strips.geometry
     lag = round(g.row_separation_lines)
@@ -109,26 +123,29 @@ def blocks(overlap: Overlap, strips: Strips, offsets: PairOffsets | None) -> Blo
     rows = _SPARE_LINES + np.arange(count * high)
     margin = g.read_px - g.overlap_px
     cols = np.arange(margin, g.read_px - g.overlap_px % wide)
+    shape = count, high, len(cols) // wide, wide
+    if not (len(rows) and len(cols)):
+        none = np.empty(shape[::2])
+        return Blocks(none, none, np.zeros(none.shape, dtype=bool), np.zeros(count, dtype=bool))
     at = np.clip(rows + overlap.first_line, 0, strips.lines(overlap.pair) - 1)
     dcol, dline, sure = np.zeros(len(rows)), np.zeros(len(rows)), np.ones(len(rows), dtype=bool)
+    known = sure
     if offsets is not None:
         apart = overlap.side * g.row_separation_lines
         dcol, dline = offsets.dcol_px[at], offsets.dline_px[at] + apart - round(apart)
-        sure = offsets.label[at] == MEASURED
+        sure, known = offsets.label[at] == MEASURED, offsets.label[at] != UNRELIABLE
     map_x = (cols[None, :] - margin + dcol[:, None]).astype(np.float32)
     map_y = np.broadcast_to((rows + dline)[:, None], map_x.shape).astype(np.float32)
     left, use_left = (a[rows[:, None], cols] for a in _counts(overlap.left, overlap.valid, g.bit_depth))
     right, use_right = (
         cv2.remap(a, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
-        if count
-        else a[rows[:, None], cols]
         for a in _counts(overlap.right, overlap.valid, g.bit_depth)
     )
-    shape = count, high, len(cols) // wide, wide
+    use = (use_left > 0.999) & (use_right > 0.999) & known[:, None]
     return Blocks(
         left.reshape(shape).mean(axis=(1, 3), dtype=np.float64),
         right.reshape(shape).mean(axis=(1, 3), dtype=np.float64),
-        np.asarray(((use_left > 0.999) & (use_right > 0.999)).reshape(shape).all(axis=(1, 3))),
+        np.asarray(use.reshape(shape).all(axis=(1, 3))),
         np.asarray(sure.reshape(count, high).all(axis=1)),
     )
 
@@ -141,7 +158,8 @@ def _counts(side: NDArray[Any], valid: Flags, bit_depth: int) -> tuple[Images, I
 
 
 def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] | None:
-    """(g, o) with right = g * left + o; None where there is too little to compare.
+    """(g, o) with right = g * left + o; None where there is too little to compare, or where one side varies
+    and the other has no part in it: a side of one grey to the last digit, or of noise alone.
 
     The slope is of total least squares, both sides being equally noisy, over the blocks' differences from
     their own column's mean: column patterns don't enter. Robust: Cauchy weights at three times a deviation
@@ -169,6 +187,8 @@ def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] |
         mean_x, mean_y = (weight * x).sum(axis=0) / total, (weight * y).sum(axis=0) / total
         dx, dy = x - mean_x, y - mean_y
         xx, yy, xy = (float((weight * a * b).sum()) for a, b in ((dx, dx), (dy, dy), (dx, dy)))
+        if _stuck(*(v / float(total.sum()) for v in (xx, yy, xy))):
+            return None
         told = (yy - xx + np.hypot(yy - xx, 2.0 * xy)) / (2.0 * xy) if xy > 0.0 else 1.0
         level_x, level_y = max(float(mean_x.mean()), 1.0), float(mean_y.mean())
         sure_of_told = max(xy, 0.0) / scale**2
@@ -176,3 +196,14 @@ def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] |
         g = float((told * sure_of_told + level_y / level_x * sure_of_ratio) / (sure_of_told + sure_of_ratio))
         rest = dy - g * dx
     return g, float((mean_y - g * mean_x).mean())
+
+
+def _stuck(xx: float, yy: float, xy: float) -> bool:
+    """Whether one side doesn't vary at all, or far less than the other one and not with it.
+
+    Args: xx, yy the sides' variances, xy their covariance, counts².
+    """
+    low, high = sorted((xx, yy))
+    return low < _LEAST_VARIANCE or (
+        high > _LIKE_VARIANCE * low and xy < _LEAST_CORRELATION * float(np.sqrt(low * high))
+    )
