@@ -205,7 +205,7 @@ def test_a_dead_ccd_and_a_short_strip_are_named_and_the_rest_is_stitched(tmp_pat
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 1"),
+    "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 8"),
     "another width": ({"width_px": 400}, "says strips of 400 columns, but they have 384"),
     "rows too far apart": ({"row_separation_lines": 4000}, "rows are 4000 lines apart"),
     "a key of its own": ({"gain": 2}, "gain"),

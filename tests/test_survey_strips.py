@@ -82,7 +82,15 @@ def test_a_dead_ccd_has_no_path_and_no_lines(folder: Path) -> None:
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 1"),
+    "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 8"),
+    "overlap of a few px": ({"overlap_px": 4, "read_px": 6}, "overlap_px is 4; give a whole number of at least 8"),
+    "separation of 400 digits": ({"row_separation_lines": 10**400}, "; give a number from 0 to 1e+09"),
+    "row of 400 digits": ({"ccds": [{"path": "a.tif", "row": 10**400}, PLAIN["ccds"][1]]}, "CCD 1 has row 1000"),
+    "nodata above the type's": ({"nodata": 70000}, "nodata is 70000; give a whole number from 0 to 65535"),
+    "nodata below the type's": ({"nodata": -1}, "nodata is -1; give a whole number from 0 to 65535"),
+    "nodata not whole": ({"nodata": 0.5}, "nodata is 0.5; give a whole number from 0 to 65535"),
+    "nodata no number": ({"nodata": float("nan")}, "nodata is nan; give a whole number from 0 to 65535"),
+    "width not whole": ({"width_px": 48.7}, "width_px is 48.7; give a whole number of at least 1"),
     "overlap too wide": ({"overlap_px": 24, "read_px": 30}, "less than half a strip"),
     "read less than the overlap": ({"read_px": 11}, "read_px is 11; give from 12"),
     "rows farther apart than the strips are long": ({"row_separation_lines": 100}, "longest strip has 100"),
@@ -112,7 +120,12 @@ def test_bad_geometry_is_one_clear_line(folder: Path, case: str) -> None:
     assert text in str(caught.value)
     assert str(folder) in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < len(str(folder)) + 250
     assert caught.value.exit_code == 2
+
+
+def test_a_nodata_at_the_end_of_the_range_is_taken(folder: Path) -> None:
+    assert read_geometry(written(folder, nodata=65535, width_px=48.0)).nodata == 65535.0
 
 
 def test_a_strip_of_text_is_named(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,7 +19,10 @@ from geomosaic.survey.strip_model import check_regular, read_bytes, shown
 
 _MAX_BYTES: Final = 64 << 10  # a list of 1 MB takes YAML half a minute
 _MOST_CCDS: Final = 64
+_MOST: Final = 1e9  # of any number
+_LEAST_OVERLAP_PX: Final = 8  # narrower ones can't be matched
 _BITS: Final = {"uint8": 8, "uint16": 16, "int16": 15}
+_RANGES: Final = {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)}
 _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
     "bit_depth", "nodata", "dem", "rpc", "model",
@@ -95,9 +97,9 @@ def read_geometry(path: Path) -> StripGeometry:
     ccds = _ccds(entry, path)
     number = _numbers(entry, path)
     width_px, lines, kind, nodata = _strips(ccds)
-    if "width_px" in entry and int(number("width_px", 0, 1)) != width_px:
+    if "width_px" in entry and number("width_px", None, 1, whole=True) != width_px:
         raise InputError(
-            f"says strips of {int(number('width_px', 0, 1))} columns, but they have {width_px}",
+            f"says strips of {entry['width_px']:g} columns, but they have {width_px}",
             file=path,
             mend="correct width_px or give the strips that belong to it",
         )
@@ -110,13 +112,13 @@ def read_geometry(path: Path) -> StripGeometry:
         ccds=ccds,
         width_px=width_px,
         lines=lines,
-        overlap_px=int(number("overlap_px", 96, 1, whole=True)),
+        overlap_px=int(number("overlap_px", 96, _LEAST_OVERLAP_PX, whole=True)),
         read_px=int(number("read_px", 110, 1, whole=True)),
         row_separation_lines=number("row_separation_lines", 2114.0, 0.0),
         ground_pixel_m=number("ground_pixel_m", 2.0, 1e-3),
         line_rate_hz=number("line_rate_hz", None, 1e-3),
         bit_depth=bit_depth,
-        nodata=nodata if entry.get("nodata") is None else number("nodata", None),
+        nodata=nodata if entry.get("nodata") is None else number("nodata", None, *_RANGES[kind], whole=True),
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
@@ -174,14 +176,20 @@ def _file(entry: Mapping[str, Any], key: str, path: Path) -> Path | None:
 
 
 def _numbers(entry: Mapping[str, Any], path: Path) -> Callable[..., float]:
-    def number(key: str, default: float | None, least: float = -math.inf, whole: bool = False) -> float:
+    def number(
+        key: str, default: float | None, least: float, most: float = _MOST, whole: bool = False
+    ) -> float:
         value = entry.get(key, default)
-        bad = isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)
-        if bad or value < least or (whole and value != int(value)):
-            problem = f"has no {key}" if value is None else f"{key} is {value!r}"
+        known = isinstance(value, int | float) and not isinstance(value, bool)
+        if not known or not least <= value <= most or (whole and value != int(value)):
+            problem = f"has no {key}" if value is None else f"{key} is {shown(value)}"
             wanted = "a whole number" if whole else "a number"
-            more = f" of at least {least:g}" if least > -math.inf else ""
-            raise InputError(problem, file=path, mend=f"give {wanted}{more}")
+            range_ = (
+                f"from {least:g} to {most:g}"
+                if most < _MOST or (known and value > most)
+                else f"of at least {least:g}"
+            )
+            raise InputError(problem, file=path, mend=f"give {wanted} {range_}")
         return float(value)
 
     return number
