@@ -151,7 +151,7 @@ def cells(case: str, method: str, rows: list[dict[str, Any]]) -> list[str]:
         f"{mean([f['p95_px'] for f in figures]):.3f}{aims[1]}",
         f"{max(f['worst_line_px'] for f in figures):.2f}",
         f"{100 * mean([f['share_above'] for f in figures]):.2f} %",
-        f"{100 * np.mean([f['misplaced'] for f in figures]):.0f} %",
+        f"{100 * np.mean([f['misplaced'] is True for f in figures]):.0f} %",
         f"{100 * np.mean([f['rms_px'] > 1.0 for f in figures]):.0f} %",
         str(sum(r["measured_above"] for r in rows)),
         f"{100 * mean([float(np.mean(r['coverage'])) for r in rows]):.1f} %",

@@ -20,7 +20,7 @@ class CcdRadiometry(Stage):
     id = "ccd.radiometry"
     display_name = "Greys of the strips"
     group = "CCD strips"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry, "offsets": StripOffsets}
     outputs: ClassVar[dict[str, type]] = {"radiometry": Radiometry}
 
