@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
+from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.errors import FileError, InputError
+from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
+from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strip_model import read_model
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
@@ -208,3 +212,103 @@ def test_a_path_of_thousands_of_letters_is_one_short_line(folder: Path, key: str
     with pytest.raises(FileError, match="File name too long") as caught:
         read_geometry(folder / long)
     assert len(str(caught.value)) < 500
+
+
+def test_a_dem_without_a_crs_is_one_line_without_a_warning(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.tif: the DEM has no coordinate reference system"):
+        read_geometry(written(folder, dem="a.tif"))
+
+
+def test_a_pipe_is_no_dem(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="pipe: is no regular file"):
+        check_dem(tmp_path / "pipe")
+    with pytest.raises(FileError, match="there is no such DEM") as caught:
+        check_dem(tmp_path / ("x" * 5000))
+    assert len(str(caught.value)) < 400
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SimulatedStrips:
+    plan = StripPlan(
+        ccds=3,
+        width_px=128,
+        lines=600,
+        overlap_px=48,
+        read_px=60,
+        row_separation_lines=150.0,
+        dem_pixel_m=60.0,
+    )
+    return simulate_strips(tmp_path_factory.mktemp("scene"), plan, scene=False)
+
+
+def changed(scene: SimulatedStrips, path: Path, **changes: Any) -> Path:
+    """The scene's geometry at path, with its files' whole paths; ... takes an entry out."""
+    entry, folder = yaml.safe_load(scene.geometry.read_text()), scene.geometry.parent
+    entry["ccds"] = [{**ccd, "path": str(folder / ccd["path"])} for ccd in entry["ccds"]]
+    entry |= {key: str(folder / entry[key]) for key in ("dem", "rpc", "model")} | changes
+    path.write_text(yaml.safe_dump({k: v for k, v in entry.items() if v is not ...}))
+    return path
+
+
+def dem_at(path: Path, west: float, north: float) -> str:
+    """A DEM of 0.2 degrees a side."""
+    transform = rasterio.Affine(0.02, 0.0, west, 0.0, -0.02, north)
+    profile = {
+        "driver": "GTiff",
+        "width": 10,
+        "height": 10,
+        "count": 1,
+        "dtype": "float32",
+        "crs": "EPSG:4326",
+    }
+    with rasterio.open(path, "w", transform=transform, **profile) as out:
+        out.write(np.full((1, 10, 10), 900.0, "float32"))
+    return str(path)
+
+
+@pytest.mark.parametrize(("pixel_m", "fits"), [(0.9, False), (1.1, True), (3.8, True), (4.2, False)])
+def test_a_ground_pixel_is_held_against_the_model_s(
+    scene: SimulatedStrips, tmp_path: Path, pixel_m: float, fits: bool
+) -> None:
+    path = changed(scene, tmp_path / "g.yaml", ground_pixel_m=pixel_m)
+    if fits:
+        assert read_geometry(path).ground_pixel_m == pixel_m
+        return
+    text = rf"g\.yaml: ground_pixel_m is {pixel_m}, but pixels of model\.yaml measure (1\.9\d|2(\.0\d)?) m"
+    with pytest.raises(InputError, match=text):
+        read_geometry(path)
+
+
+@pytest.mark.parametrize("rpc", [True, False])
+def test_a_dem_of_another_place_is_blamed_by_the_model(
+    scene: SimulatedStrips, tmp_path: Path, rpc: bool
+) -> None:
+    dem = dem_at(tmp_path / "far.tif", 104.0, 38.3)
+    path = changed(scene, tmp_path / "g.yaml", dem=dem, **({} if rpc else {"rpc": ...}))
+    text = (
+        r"far\.tif: the DEM does not cover the strips: the model looks at 100\.\d+, 38\.\d+ deg; give a DEM"
+    )
+    with pytest.raises(InputError, match=text):
+        read_geometry(path)
+
+
+def test_without_a_model_rpc_and_dem_of_two_places_are_both_named(
+    scene: SimulatedStrips, tmp_path: Path
+) -> None:
+    dem = dem_at(tmp_path / "far.tif", 104.0, 38.3)
+    path = changed(scene, tmp_path / "g.yaml", dem=dem, model=...)
+    text = r"RPC\.TXT: it or far\.tif is of another scene: .* is not on far\.tif; correct 'rpc' or 'dem'"
+    with pytest.raises(InputError, match=text):
+        read_geometry(path)
+
+
+def test_a_dem_that_covers_a_part_is_taken(scene: SimulatedStrips, tmp_path: Path) -> None:
+    west, north = (float(v) for v in looked_at(scene))
+    dem = dem_at(tmp_path / "part.tif", west, north + 0.1)  # its western edge is the middle CCD's middle
+    assert read_geometry(changed(scene, tmp_path / "g.yaml", dem=dem)).dem == tmp_path / "part.tif"
+
+
+def looked_at(scene: SimulatedStrips) -> NDArray[np.float64]:
+    """Longitude and latitude of the scene's middle."""
+    return read_model(scene.model).ground_from_image(1, 64.0, 300.0, 900.0)[:2]

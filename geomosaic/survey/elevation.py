@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import stat
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +13,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
-from rasterio.errors import RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -72,10 +74,17 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
 
 
 def _open(path: Path) -> Any:
-    if not path.is_file() and not path.is_dir():
-        raise FileError("there is no such DEM", file=path, mend="check --dem")
     try:
-        return rasterio.open(path)
+        kind = path.stat().st_mode
+    except OSError as error:
+        file = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
+        raise FileError("there is no such DEM", file=file, mend="check --dem") from error
+    if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
+        raise FileError("is no regular file", file=path, mend="give a DEM such as a GeoTIFF")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            return rasterio.open(path)
     except (RasterioError, OSError) as error:
         raise FileError(
             "is no raster that GDAL reads", file=path, mend="give a DEM such as a GeoTIFF"

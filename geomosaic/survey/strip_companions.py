@@ -20,6 +20,9 @@ from geomosaic.survey.strip_model import check_regular, read_model
 
 _MAX_BYTES: Final = 1 << 20
 _MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
+_DEM_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
+_PAST: Final = "looks past the Earth"
+_PAST_MEND: Final = "check the attitude's and the looks' signs"
 
 
 def read_rpc(path: Path) -> Rpc:
@@ -61,13 +64,46 @@ def checked_model(path: Path, ccds: int, line_rate_hz: float) -> Pushbroom:
     return model
 
 
+def check_pixel(model: Pushbroom, size_px: tuple[int, int], pixel_m: float, file: Path, path: Path) -> None:
+    """`InputError`, naming the geometry's file, where pixels of the model at path differ by over 2 times.
+
+    size_px: a strip's columns and lines; the pixel's width is that between its two middle columns.
+    """
+    col, line = size_px[0] / 2.0, size_px[1] / 2.0
+    left, right = model.ground_from_image(len(model.right_tan) // 2, [col - 0.5, col + 0.5], line, 0.0)
+    own_m = float(np.hypot(*mid_latitude_offset_m(left[0], left[1], right[0], right[1])))
+    if not np.isfinite(own_m):
+        raise InputError(_PAST, file=path, mend=_PAST_MEND)
+    if not 0.5 <= own_m / pixel_m <= 2.0:
+        problem = f"ground_pixel_m is {pixel_m:g}, but pixels of {path.name} measure {own_m:.3g} m"
+        raise InputError(problem, file=file, mend="correct ground_pixel_m, or give the model of these strips")
+
+
+def check_cover(dem: Path, model: Pushbroom, size_px: tuple[int, int], height_m: float) -> None:
+    """`InputError` for a DEM that covers nothing of where the model looks at a height (m).
+
+    size_px: a strip's columns and lines.
+    """
+    crs, bounds = check_dem(dem)
+    cols, lines = np.linspace(0.0, size_px[0], 3), np.linspace(0.0, size_px[1], 9)[:, None]
+    looked = [model.ground_from_image(k, cols, lines, height_m) for k in range(len(model.right_tan))]
+    lon, lat = np.concatenate(looked)[..., :2].reshape(-1, 2).T
+    x, y = MapProjection(crs.to_wkt()).map_from_geodetic(lon, lat).T
+    inside = (bounds.left <= x) & (x <= bounds.right) & (bounds.bottom <= y) & (y <= bounds.top)
+    if not inside.any():
+        at = f"{np.median(lon):.3f}, {np.median(lat):.3f} deg"
+        raise InputError(
+            f"the DEM does not cover the strips: the model looks at {at}", file=dem, mend=_DEM_MEND
+        )
+
+
 def check_rpc(
     path: Path, size_px: tuple[int, int], pixel_m: float, model: Pushbroom | None, dem: Path | None
-) -> None:
-    """`InputError` for an RPC of another scene than that of size_px (columns, lines).
+) -> Rpc:
+    """The RPC of a scene of size_px (columns, lines); `InputError` if it is another scene's.
 
     Its own picture must have about that size, and its middle must lie within a scene's size of where the
-    model looks, and on the DEM: another scene of the same size is known only by these.
+    model looks, or, without a model, on the DEM: another scene of the same size is known only by these.
     """
     rpc = read_rpc(path)
     wanted = np.array(size_px[::-1], dtype=np.float64)
@@ -83,9 +119,11 @@ def check_rpc(
         if not away_m < float(np.hypot(*wanted)) * pixel_m:
             told = f"its middle is {away_m / 1000.0:,.0f} km from where the model looks"
             raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
-    if dem is not None:
+    elif dem is not None:
         crs, bounds = check_dem(dem)
         x, y = MapProjection(crs.to_wkt()).map_from_geodetic(lon, lat)
         if not (bounds.left <= x <= bounds.right and bounds.bottom <= y <= bounds.top):
             told = f"its middle ({lon:.3f}, {lat:.3f} deg) is not on {dem.name}"
-            raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
+            mend = "correct 'rpc' or 'dem'"
+            raise InputError(f"it or {dem.name} is of another scene: {told}", file=path, mend=mend)
+    return rpc

@@ -14,7 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.elevation import check_dem
-from geomosaic.survey.strip_companions import check_rpc, checked_model
+from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
 from geomosaic.survey.strip_model import check_regular, read_bytes, shown
 
 _MAX_BYTES: Final = 64 << 10  # a list of 1 MB takes YAML half a minute
@@ -122,7 +122,7 @@ def read_geometry(path: Path) -> StripGeometry:
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
-    _check_companions(geometry)
+    _check_companions(geometry, path)
     return geometry
 
 
@@ -262,12 +262,16 @@ def _check(geometry: StripGeometry, path: Path) -> None:
         )
 
 
-def _check_companions(geometry: StripGeometry) -> None:
+def _check_companions(geometry: StripGeometry, path: Path) -> None:
     """`FileError` or `InputError` where the DEM, the RPC or the model aren't of these strips' scene."""
-    g, model = geometry, None
+    g, model, rpc = geometry, None, None
+    strip_px = g.width_px, max(g.lines)
     if g.dem is not None:
         check_dem(g.dem)
     if g.model is not None:
         model = checked_model(g.model, len(g.ccds), g.line_rate_hz)
+        check_pixel(model, strip_px, g.ground_pixel_m, path, g.model)
     if g.rpc is not None:
-        check_rpc(g.rpc, (g.scene_width_px, max(g.lines)), g.ground_pixel_m, model, g.dem)
+        rpc = check_rpc(g.rpc, (g.scene_width_px, max(g.lines)), g.ground_pixel_m, model, g.dem)
+    if g.dem is not None and model is not None:
+        check_cover(g.dem, model, strip_px, 0.0 if rpc is None else float(rpc.offset[4]))
