@@ -312,3 +312,10 @@ def test_a_dem_that_covers_a_part_is_taken(scene: SimulatedStrips, tmp_path: Pat
 def looked_at(scene: SimulatedStrips) -> NDArray[np.float64]:
     """Longitude and latitude of the scene's middle."""
     return read_model(scene.model).ground_from_image(1, 64.0, 300.0, 900.0)[:2]
+
+
+@pytest.mark.parametrize("text", ["a: &a {k: 1}\nccds: {<<: [*a, *a]}", "ccds: !!bool x", "ccds: !!int x"])
+def test_yaml_is_plain(tmp_path: Path, text: str) -> None:
+    (tmp_path / "g.yaml").write_text(text)
+    with pytest.raises(FileError, match="is no valid YAML"):
+        read_geometry(tmp_path / "g.yaml")

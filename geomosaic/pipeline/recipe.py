@@ -63,7 +63,7 @@ class Recipe:
         steps = [step for i, step in enumerate(self.steps) if i not in skip]
         for step in steps:
             for name, path in file_values(step.params).items():
-                if not path.exists():
+                if not _exists(path):
                     mend = f"give an existing one for {step.stage.id}.{name}"
                     raise FileError("no such file or folder", file=path, mend=mend)
                 if run_folder is not None:
@@ -73,6 +73,13 @@ class Recipe:
             if run_folder is not None:
                 for path in step.stage.files(step.params).values():
                     _check_apart(path.resolve(), run_folder.resolve(), path)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that no file can have
+        return False
 
 
 def _check_apart(path: Path, run_folder: Path, given: Path) -> None:

@@ -74,11 +74,7 @@ def model_tables(path: Path) -> dict[str, Path]:
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    content = read_bytes(path, _MOST_BYTES["model"], "a model", _MEND)
-    try:
-        entry = yaml.safe_load(content.decode("utf-8-sig"))
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
-        raise FileError("is no valid YAML", file=path, mend=_MEND) from error
+    entry = read_yaml(path, _MOST_BYTES["model"], "a model", _MEND)
     if not isinstance(entry, dict):
         raise InputError("is no model of CCD strips", file=path, mend=_MEND)
     for key in entry:
@@ -88,6 +84,23 @@ def _entry(path: Path) -> dict[str, Any]:
         if key not in entry:
             raise InputError(f"has no {key}", file=path, mend=_MEND)
     return entry
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """YAML without merge keys, whose nesting could make a small file endless."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        if any(key.tag == "tag:yaml.org,2002:merge" for key, _ in node.value):
+            raise yaml.constructor.ConstructorError(None, None, "merge keys aren't read", node.start_mark)
+
+
+def read_yaml(path: Path, most_bytes: int, kind: str, mend: str) -> Any:
+    """What a YAML file holds; raises as `read_bytes` does, and `FileError` for what is no plain YAML."""
+    content = read_bytes(path, most_bytes, kind, mend)
+    try:
+        return yaml.load(content.decode("utf-8-sig"), _PlainLoader)  # noqa: S506  a SafeLoader
+    except (ValueError, KeyError, TypeError, yaml.YAMLError, RecursionError) as error:
+        raise FileError("is no valid YAML", file=path, mend=mend) from error
 
 
 def check_regular(path: Path, mend: str, named: str = "") -> None:

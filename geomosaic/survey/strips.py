@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import rasterio
-import yaml
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
-from geomosaic.survey.strip_model import check_regular, read_bytes, shown
+from geomosaic.survey.strip_model import check_regular, read_yaml, shown
 
 _MAX_BYTES: Final = 64 << 10  # a list of 1 MB takes YAML half a minute
 _MOST_CCDS: Final = 64
@@ -127,11 +126,7 @@ def read_geometry(path: Path) -> StripGeometry:
 
 
 def _load(path: Path) -> Mapping[str, Any]:
-    content = read_bytes(path, _MAX_BYTES, "a geometry file", "check the geometry's path")
-    try:
-        entry = yaml.safe_load(content.decode("utf-8-sig"))
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
-        raise FileError("is no valid YAML", file=path, mend=_MEND) from error
+    entry = read_yaml(path, _MAX_BYTES, "a geometry file", _MEND)
     if not isinstance(entry, dict) or "ccds" not in entry:
         raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, mend=_MEND)
     return entry
