@@ -16,7 +16,7 @@ from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.quality.jitter import Spectrum, jitter_spectrum, peaks_by_bin, residual_spectrum
 from geomosaic.quality.strip_figures import misplacement_rate, scene_errors, segment_rms, strip_figures
-from geomosaic.quality.strips import StripQuality, misplacement, quality_metrics
+from geomosaic.quality.strips import StripQuality, confirmed, misplacement, quality_metrics
 from geomosaic.recording import Recorder, read_recording
 from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
@@ -335,3 +335,12 @@ def test_the_stage_tells_segments_spectra_and_what_is_left(tmp_path: Path) -> No
     assert recording.strip_residuals[0].line[:2].tolist() == [32, 96]
     assert [j.what for j in recording.jitter] == ["found", "left"]
     np.testing.assert_allclose(recording.jitter[1].along_px, left["along_px"], atol=1e-5)
+
+
+def test_a_block_that_stands_alone_is_no_misplacement() -> None:
+    residual = np.array(
+        [[0.1, 0.0], [0.0, 9.0], [np.nan, np.nan], [2.0, 0.0], [2.3, 0.1], [0.2, 0.0], [5.0, 0.0]]
+    )
+    kept = np.isfinite(confirmed(residual)).all(axis=1)
+    assert kept.tolist() == [True, False, False, True, True, True, False]
+    np.testing.assert_array_equal(confirmed(residual)[kept], residual[kept])

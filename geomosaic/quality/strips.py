@@ -120,6 +120,7 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
             done += min(_PIECE_LINES, lines - start)
             progress(done, total)
         residual, sd, elsewhere = (np.concatenate(v) for v in zip(*parts, strict=True))
+        residual = confirmed(residual)
         seen = common_lines(strips.geometry, pair.pair, pair.dline_px)
         own = seen & (pair.label == label)
         error = np.where(own[:, None], by_line(residual, lines), np.nan)
@@ -136,6 +137,18 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
         other += int((seen & ~own).sum())
     figures, others = strip_figures(errors), strip_figures(other_errors)
     return StripQuality(tuple(pairs), figures, seen_lines, unmeasured, other, others)
+
+
+def confirmed(residual_px: Floats) -> Floats:
+    """Residuals (blocks, 2) without those above the limit that neither neighbour shares to half a pixel.
+
+    Offsets that are wrong are so over many lines; a block that stands alone saw the edge of a cloud.
+    """
+    beyond = np.full((1, 2), np.nan)
+    steps = np.hypot(*np.diff(np.concatenate([beyond, residual_px, beyond]), axis=0).T)
+    alone = ~((steps[:-1] <= _AGREE_PX) | (steps[1:] <= _AGREE_PX))
+    far = np.hypot(*residual_px.T) > LIMIT_PX
+    return np.where((alone & far)[:, None], np.nan, residual_px)
 
 
 def by_line(residual_px: Floats, lines: int) -> Floats:

@@ -23,7 +23,7 @@ class QualityStrips(Stage):
     id = "quality.strips"
     display_name = "Misplacement of the strips"
     group = "Quality"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry, "offsets": StripOffsets}
     outputs: ClassVar[dict[str, type]] = {"strip_quality": StripQuality}
 
