@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import Strips, strips_in_memory
-from geomosaic.ccd.radiometry import Blocks, Radiometry, column_gains, radiometry, straight_line
+from geomosaic.ccd.radiometry import Blocks, Radiometry, radiometry, straight_line
 from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strip_sensor import Sensor

@@ -31,7 +31,7 @@ from geomosaic.simulate.strip_seen import Seen
 from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 from geomosaic.stages.simulate_strips import SimulateStrips
 from geomosaic.survey.strip_model import read_model
-from geomosaic.survey.strips import open_strip, read_geometry
+from geomosaic.survey.strips import open_raster, read_geometry
 
 STILL: dict[str, Any] = {
     "jitter_1hz_px": 0.0, "jitter_5hz_px": 0.0, "jitter_22hz_px": 0.0, "drift_px_per_s": 0.0,
@@ -56,7 +56,7 @@ def rows_of(path: Path | None) -> list[dict[str, str]]:
 
 
 def pixels(path: Path) -> NDArray[Any]:
-    with open_strip(path) as strip:
+    with open_raster(path) as strip:
         return np.asarray(strip.read(1))
 
 

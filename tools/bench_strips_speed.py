@@ -28,7 +28,7 @@ from geomosaic.export.cog import write_cog
 from geomosaic.simulate.strip_files import open_whole_strip
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.survey.strips import StripGeometry, open_strip, read_geometry
+from geomosaic.survey.strips import StripGeometry, open_raster, read_geometry
 
 gdal.UseExceptions()
 MOST_OF_FLOOR, MOST_GB = 2.0, 2.0
@@ -150,7 +150,7 @@ def is_made(out: Path, plan: StripPlan) -> bool:
     if not (out / "geometry.yaml").exists():
         return False
     geometry = read_geometry(out / "geometry.yaml")
-    with open_strip(out / "ccd1.tif") as strip:
+    with open_raster(out / "ccd1.tif") as strip:
         return len(geometry.ccds) == plan.ccds and strip.shape == (plan.lines, plan.width_px)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 
+from geomosaic.ccd.columns import flattened
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
@@ -23,7 +24,6 @@ from geomosaic.ccd.model import (
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.sift_chains import NOTHING_SD_PX, bridging_sd, pieces
-from geomosaic.ccd.volumes import flattened
 from geomosaic.survey.strips import StripGeometry
 
 _PATCH_LINES = 64

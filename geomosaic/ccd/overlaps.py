@@ -16,7 +16,7 @@ from rasterio.windows import Window
 from geomosaic.ccd.model import Floats, Overlap
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.errors import FileError
-from geomosaic.survey.strips import StripGeometry, open_strip
+from geomosaic.survey.strips import StripGeometry, open_raster
 
 Edge = Literal["left", "right"]
 Columns = Callable[[int, Edge, int, int], NDArray[Any]]
@@ -100,7 +100,7 @@ class StripFiles(Strips):
         assert path is not None
         try:
             if ccd not in self._files:
-                self._files[ccd] = self._open.enter_context(open_strip(path))
+                self._files[ccd] = self._open.enter_context(open_raster(path))
             strip, last = self._files[ccd], self.geometry.width_px - read
             windows: dict[Edge, Window] = {
                 "left": Window(0, start, read, stop - start),

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import (
     MEASURED,
     UNRELIABLE,
@@ -57,20 +58,6 @@ class Blocks:
     right: Floats
     use: Flags
     sure: Flags
-
-
-def column_gains(image: Images, valid: Flags) -> Images:
-    """Each column's response against the columns about it (w,): the middle of the ratios over all lines.
-
-    Args: image, valid (n, w). Lines that aren't valid throughout are left out; 1 where there are none.
-    """
-    lines = np.flatnonzero(valid.all(axis=1))
-    if not lines.size:
-        return np.ones(image.shape[1], dtype=np.float32)
-    some = image[lines[:: max(1, lines.size // 2048)]].astype(np.float32)
-    around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
-    gains = np.median((some + 1.0) / (around + 1.0), axis=0)
-    return np.asarray(np.clip(gains, 0.5, 2.0), dtype=np.float32)
 
 
 def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress) -> Radiometry:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.ccd.columns import flattened
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.ccd.volumes import flattened
 
 
 @dataclass(frozen=True)

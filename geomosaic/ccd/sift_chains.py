@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
@@ -24,7 +25,6 @@ from geomosaic.ccd.model import (
     Settings,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.ccd.radiometry import column_gains
 from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 

@@ -5,42 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from geomosaic.ccd.model import Flags, Floats, Images
+from geomosaic.ccd.model import Floats, Images
 
 BLOCK_LINES = 32
 # Of the pixels of a band-passed picture one in so many tells something of its own.
 _PIXELS_PER_FACT = 24.0
 _MOST_EVIDENCE = 30.0
-_BOX_PX = 17
-
-
-def flattened(image: Images, valid: Flags) -> Images:
-    """Fine detail without column pattern: what a blurred picture (about 8 px) leaves of it.
-
-    A column's gain is the middle of its ratios to the columns about it, over all lines; what is bright for a
-    while, a cloud, so leaves no mark on the ground before and after it.
-
-    Args: image, valid (n, w). Returns: (n, w), 0 where not valid.
-    """
-    weight = valid.astype(np.float32)
-    given = image * weight
-    rows = np.flatnonzero(valid.all(axis=1))
-    if rows.size:
-        some = given[rows[:: max(1, rows.size // 2048)]]
-        around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
-        gain = np.median((some + 1.0) / (around + 1.0), axis=0)
-        given /= np.clip(gain, 0.5, 2.0).astype(np.float32)
-    blurred = _blurred(given)
-    if not valid.all():
-        blurred /= np.maximum(_blurred(weight), 1e-3)
-    return np.asarray((given - blurred) * weight, dtype=np.float32)
-
-
-def _blurred(image: Images) -> Images:
-    """Three boxes in place of a Gaussian."""
-    for _ in range(3):
-        image = np.asarray(cv2.blur(image, (_BOX_PX, _BOX_PX)), dtype=np.float32)
-    return image
 
 
 def halved(image: Images) -> Images:

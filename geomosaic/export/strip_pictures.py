@@ -19,7 +19,7 @@ from geomosaic.export.overview import Glance, glance
 from geomosaic.export.svg import COLOURS, number, tag
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES, common_lines
 from geomosaic.quality.strips import BLOCK_LINES, PairQuality, StripQuality
-from geomosaic.survey.strips import StripGeometry, open_strip
+from geomosaic.survey.strips import StripGeometry, open_raster
 
 CROP_PX = (300, 220)
 _TICK_PX = 9
@@ -125,7 +125,7 @@ def seam_crops(
     """
     out = []
     try:
-        with open_strip(path) as scene:
+        with open_raster(path) as scene:
             for place in places:
                 row = scene_row(geometry, pair, place.line, first_line)
                 wide, high = min(CROP_PX[0], scene.width), min(CROP_PX[1], scene.height)

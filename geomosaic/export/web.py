@@ -18,7 +18,7 @@ from rasterio.warp import transform_bounds
 
 from geomosaic.errors import InputError
 from geomosaic.mosaic.gdal_failures import gdal_failures
-from geomosaic.survey.strips import open_strip
+from geomosaic.survey.strips import open_raster
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256
@@ -53,7 +53,7 @@ def write_tiles(
     bands the first three are shown. Raises `OSError` if a tile can't be written.
     """
     folder.mkdir(parents=True)
-    with open_strip(mosaic_file) as tiff:
+    with open_raster(mosaic_file) as tiff:
         if tiff.crs is None:
             mend = "put it on a map first, such as with gdalwarp -rpc"
             raise InputError("has no map projection", file=mosaic_file, mend=mend)

@@ -59,28 +59,12 @@ def writing_mosaic(
     tags name the frames.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
-    with disk_errors(path), _open_files(path, grid, bands, dtype, sources, frames) as raster:
-        yield raster
-
-
-@contextmanager
-def disk_errors(path: Path) -> Iterator[None]:
-    """What rasterio raises while it writes a file, as `OSError`: `ENOSPC` where the disk is full."""
     try:
-        yield
+        with _open_files(path, grid, bands, dtype, sources, frames) as raster:
+            yield raster
     except RasterioError as error:
         full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
         raise OSError(errno.ENOSPC if full else errno.EIO, str(error.__cause__ or error)) from error
-
-
-@contextmanager
-def tiled_raster(path: Path, bands: int, dtype: str, **shape: Any) -> Iterator[Any]:
-    """A raster open for writing: tiles of `TILE_PX`, uncompressed, its mask inside it."""
-    with (
-        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
-        rasterio.open(path, "w", count=bands, dtype=dtype, interleave="pixel", **shape, **_SHARED) as raster,
-    ):
-        yield raster
 
 
 @contextmanager
@@ -94,19 +78,21 @@ def _open_files(
         "transform": rasterio.Affine.from_gdal(*grid.geotransform),
     }
     colours = {1: [ColorInterp.gray], 3: [ColorInterp.red, ColorInterp.green, ColorInterp.blue]}
-    with tiled_raster(path, bands, dtype, **shape) as mosaic:
-        if bands in colours:
-            mosaic.colorinterp = colours[bands]
-        if sources is None:
-            yield MosaicRaster(mosaic, None)
-            return
-        index_dtype = "uint16" if len(frames) < 65535 else "uint32"
-        with rasterio.open(
-            sources, "w", count=1, dtype=index_dtype, nodata=0, compress="deflate", **shape, **_SHARED
-        ) as index:
-            index.update_tags(**{f"FRAME_{i + 1}": name for i, name in enumerate(frames)})
-            index.set_band_description(1, "index of the frame that made the pixel, from 1")
-            yield MosaicRaster(mosaic, index)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        mosaic = rasterio.open(path, "w", count=bands, dtype=dtype, interleave="pixel", **shape, **_SHARED)
+        with mosaic:
+            if bands in colours:
+                mosaic.colorinterp = colours[bands]
+            if sources is None:
+                yield MosaicRaster(mosaic, None)
+                return
+            index_dtype = "uint16" if len(frames) < 65535 else "uint32"
+            with rasterio.open(
+                sources, "w", count=1, dtype=index_dtype, nodata=0, compress="deflate", **shape, **_SHARED
+            ) as index:
+                index.update_tags(**{f"FRAME_{i + 1}": name for i, name in enumerate(frames)})
+                index.set_band_description(1, "index of the frame that made the pixel, from 1")
+                yield MosaicRaster(mosaic, index)
 
 
 def _raster_window(window: Window) -> RasterWindow:

@@ -23,7 +23,7 @@ from geomosaic.mosaic.strip_lines import StripLines
 from geomosaic.mosaic.strip_raster import BLOCK_ROWS, writing_scene
 from geomosaic.mosaic.strip_window import Part, part_of_strip
 from geomosaic.mosaic.window import KERNEL_RADIUS_PX, RESAMPLING
-from geomosaic.survey.strips import StripGeometry, open_strip
+from geomosaic.survey.strips import StripGeometry, open_raster
 
 _CACHE_MB = 64
 Flags = NDArray[np.bool_]
@@ -203,7 +203,7 @@ def _sources(
         path = geometry.ccds[k].path
         assert path is not None
         try:
-            strip = files.enter_context(open_strip(path))
+            strip = files.enter_context(open_raster(path))
         except (RasterioError, OSError) as error:
             raise FileError("is no raster that GDAL reads", file=path, mend="give a strip") from error
         lines = StripLines(

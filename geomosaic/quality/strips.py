@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
+from geomosaic.ccd.columns import flattened
 from geomosaic.ccd.model import (
     BRIDGED,
     LABELS,
@@ -21,7 +22,6 @@ from geomosaic.ccd.model import (
     StripOffsets,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.ccd.volumes import flattened
 from geomosaic.quality.displacement import Displacements, measure_displacements
 from geomosaic.quality.least_squares_matching import bspline_weights
 from geomosaic.quality.strip_figures import (

@@ -20,7 +20,7 @@ from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from geomosaic import __version__
 from geomosaic.camera.interior import Camera
@@ -286,11 +286,8 @@ class Recorder:
             left=_text(left),
             right=_text(right),
             line=np.asarray(line, dtype=np.uint32),
-            dcol_px=np.asarray(dcol_px, dtype=np.float32),
-            dline_px=np.asarray(dline_px, dtype=np.float32),
-            sd_col_px=np.asarray(sd_col_px, dtype=np.float32),
-            sd_line_px=np.asarray(sd_line_px, dtype=np.float32),
             label=labels,
+            **_single(dcol_px=dcol_px, dline_px=dline_px, sd_col_px=sd_col_px, sd_line_px=sd_line_px),
             share_measured=measured,
             share_bridged=bridged,
             share_unreliable=unreliable,
@@ -308,18 +305,13 @@ class Recorder:
         dline_px: ArrayLike,
         sd_px: ArrayLike,
     ) -> None:
-        """What is left between a pair's strips at the middles of blocks of lines; NaN where unknown.
-
-        Recorded in single precision. Each pair has its own topic.
-        """
+        """What is left between a pair's strips at the middles of blocks of lines; NaN where unknown."""
         message = StripResiduals(
             pair=pair,
             left=_text(left),
             right=_text(right),
             line=np.floor(line).astype(np.uint32),
-            dcol_px=np.asarray(dcol_px, dtype=np.float32),
-            dline_px=np.asarray(dline_px, dtype=np.float32),
-            sd_px=np.asarray(sd_px, dtype=np.float32),
+            **_single(dcol_px=dcol_px, dline_px=dline_px, sd_px=sd_px),
             stage_index=max(self._stage_index, 0),
         )
         self._file.write(f"/strip_residuals/{pair}", message)
@@ -327,9 +319,7 @@ class Recorder:
     def jitter(self, what: str, frequency_hz: ArrayLike, across_px: ArrayLike, along_px: ArrayLike) -> None:
         """Amplitudes of what moves line by line; `what` is `found` or `left` and names the topic."""
         message = JitterSpectrum(
-            frequency_hz=np.asarray(frequency_hz, dtype=np.float32),
-            across_px=np.asarray(across_px, dtype=np.float32),
-            along_px=np.asarray(along_px, dtype=np.float32),
+            **_single(frequency_hz=frequency_hz, across_px=across_px, along_px=along_px),
             stage_index=max(self._stage_index, 0),
         )
         self._file.write(f"/jitter/{_topic_part(what)}", message)
@@ -379,6 +369,11 @@ class Recorder:
     ) -> None:
         if error is None or not self._file.failed:
             self.close()
+
+
+def _single(**values: ArrayLike) -> dict[str, NDArray[np.float32]]:
+    """Arrays in single precision."""
+    return {name: np.asarray(value, dtype=np.float32) for name, value in values.items()}
 
 
 def _json(value: Any) -> str:

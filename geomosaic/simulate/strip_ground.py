@@ -20,7 +20,7 @@ from scipy.ndimage import map_coordinates
 from geomosaic.errors import FileError
 from geomosaic.simulate.noise import fractal_noise, hashed, lattice_noise, spline_noise
 from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.survey.strips import open_strip
+from geomosaic.survey.strips import open_raster
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -167,7 +167,7 @@ def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
 def _read_picture(path: Path) -> Floats32:
     """A raster's mean over bands; it is laid on the world pixel on pixel, mirrored at its edges."""
     try:
-        with open_strip(path) as source:
+        with open_raster(path) as source:
             step = max(1.0, max(source.width, source.height) / _MOST_PX)
             shape = (source.count, max(int(source.height / step), 1), max(int(source.width / step), 1))
             bands = source.read(out_shape=shape, resampling=Resampling.average)

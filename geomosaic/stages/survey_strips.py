@@ -12,7 +12,7 @@ from geomosaic.errors import FileError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
-from geomosaic.survey.strips import StripGeometry, open_strip, read_geometry
+from geomosaic.survey.strips import StripGeometry, open_raster, read_geometry
 
 _THUMBNAIL_LINES = 600
 
@@ -68,7 +68,7 @@ class SurveyStrips(Stage):
 def _glance(path: Path) -> Any:
     """A strip at a fraction of its size."""
     try:
-        with open_strip(path) as strip:
+        with open_raster(path) as strip:
             reduction = max(1, strip.height // _THUMBNAIL_LINES)
             return strip.read(1, out_shape=(-(-strip.height // reduction), -(-strip.width // reduction)))
     except (RasterioError, OSError) as error:

@@ -190,7 +190,7 @@ def _numbers(entry: Mapping[str, Any], path: Path) -> Callable[..., float]:
     return number
 
 
-def open_strip(path: Path, mode: str = "r") -> Any:
+def open_raster(path: Path, mode: str = "r") -> Any:
     """A strip opened by rasterio; that it has no georeference of its own is no cause for a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -206,7 +206,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
             lines.append(0)
             continue
         try:
-            with open_strip(ccd.path) as strip:
+            with open_raster(ccd.path) as strip:
                 width, count, kind, nodata = strip.width, strip.count, strip.dtypes[0], strip.nodata
                 lines.append(int(strip.height))
         except (RasterioError, OSError) as error:

@@ -1,0 +1,47 @@
+"""The columns' own response: what of it can be told from the picture, and pictures without it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from geomosaic.ccd.model import Flags, Images
+
+_BOX_PX = 17
+
+
+def column_gains(image: Images, valid: Flags) -> Images:
+    """Each column's response against the columns about it (w,): the middle of the ratios over all lines.
+
+    Args: image, valid (n, w). Lines that aren't valid throughout are left out; 1 where there are none.
+    """
+    lines = np.flatnonzero(valid.all(axis=1))
+    if not lines.size:
+        return np.ones(image.shape[1], dtype=np.float32)
+    some = image[lines[:: max(1, lines.size // 2048)]].astype(np.float32)
+    around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
+    gains = np.median((some + 1.0) / (around + 1.0), axis=0)
+    return np.asarray(np.clip(gains, 0.5, 2.0), dtype=np.float32)
+
+
+def flattened(image: Images, valid: Flags) -> Images:
+    """Fine detail without column pattern: what a blurred picture (about 8 px) leaves of it.
+
+    What is bright for a while, a cloud, leaves no mark on the ground before and after it.
+
+    Args: image, valid (n, w). Returns: (n, w), 0 where not valid.
+    """
+    weight = valid.astype(np.float32)
+    given = image * weight
+    given /= column_gains(given, valid)
+    blurred = _blurred(given)
+    if not valid.all():
+        blurred /= np.maximum(_blurred(weight), 1e-3)
+    return np.asarray((given - blurred) * weight, dtype=np.float32)
+
+
+def _blurred(image: Images) -> Images:
+    """Three boxes in place of a Gaussian."""
+    for _ in range(3):
+        image = np.asarray(cv2.blur(image, (_BOX_PX, _BOX_PX)), dtype=np.float32)
+    return image
