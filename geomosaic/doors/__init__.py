@@ -1,1 +1,1 @@
-"""How files of strangers come in: with a budget of size, depth and time, local, and as what they say they are."""
+"""How files of strangers come in: with budgets of size, depth and time, and nothing remote."""
