@@ -72,6 +72,10 @@ class OutputError(GeomosaicError, OSError):
         super().__init__(" ".join(f"{file}: {problem}{'; ' + mend if mend else ''}".split()))
 
 
+class LinkError(OutputError):
+    """A link stands in a folder of geomosaic's, where none is followed."""
+
+
 class NotSolvableError(GeomosaicError, ArithmeticError):
     """The observations don't determine what was asked for."""
 

@@ -17,6 +17,7 @@ import rasterio
 import yaml
 from small_surveys import geomosaic, mosaic, small_survey, summary, warned
 
+from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.simulate.survey import SimulatedSurvey
 
 FINAL = {"mosaic.tif", "sources.tif", "layers.gpkg", "positions.csv", "report.html", "run.json"}
@@ -99,7 +100,7 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Refused:
         assert any(w in text for w in ("; ", "did you mean", "must be")), "names no mend"
         if run.is_dir():
             assert not FINAL & {p.name for p in run.iterdir()}
-            assert {p.name for p in run.iterdir()} <= {"run.mcap", "work"}
+            assert {p.name for p in run.iterdir()} <= {MARKER, "run.mcap", "work"}
         return text
 
     return check

@@ -18,6 +18,7 @@ import rasterio
 from affine import Affine
 from test_pipeline_toy import distribution, recipe_file
 
+from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.recording.reader import read_recording
 
 HERE = Path(__file__).parent
@@ -236,7 +237,7 @@ def test_a_killed_run_leaves_no_orphans_and_resumes_where_it_was(desk: Desk) -> 
     assert gone(process.pid, 5.0), in_session(process.pid)
     recording = read_recording(desk.folder / "run" / "run.mcap")
     assert not recording.whole and recording.stages[0].finished
-    assert sorted(p.name for p in (desk.folder / "run").iterdir()) == ["run.mcap", "work"]
+    assert sorted(p.name for p in (desk.folder / "run").iterdir()) == [MARKER, "run.mcap", "work"]
     before = desk.done()
     assert desk.run(*arguments)[0] == 0
     after = desk.done()
@@ -327,7 +328,7 @@ def test_simulate_has_the_options_its_stage_declares(plugged: Desk) -> None:
     code, out, _ = plugged.run("simulate", "toy", "out", "--height-m", "12.5", "--turned", "--seed", "3")
     assert (code, out) == (0, "out/toy.txt\n")
     assert (plugged.folder / "out" / "toy.txt").read_text() == "12.5 block True"
-    assert [p.name for p in (plugged.folder / "out").iterdir()] == ["toy.txt"]
+    assert {p.name for p in (plugged.folder / "out").iterdir()} == {MARKER, "toy.txt"}
     code, _, err = plugged.run("simulate", "toy", "out", "--kind", "blok")
     assert code == 2
     assert err.startswith("geomosaic: stage simulate.toy: kind = 'blok': must be one of block, line (did")

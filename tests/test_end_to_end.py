@@ -19,6 +19,7 @@ from small_surveys import NOISE_M, mosaic, small_survey, summary, warned
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.export.positions import COLUMNS
+from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.recording import read_recording
 from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.header import open_picture
@@ -80,7 +81,7 @@ def run(block: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def test_the_run_folder_holds_just_what_is_promised(run: Path) -> None:
     names = {p.name for p in run.iterdir()}
     promised = {"mosaic.tif", "layers.gpkg", "positions.csv", "run.mcap", "run.json", "report.html", "work"}
-    assert names == promised | {"sources.tif"}
+    assert names == promised | {"sources.tif", MARKER}
     assert not [p for p in run.rglob("*") if ".part" in p.name or p.name.endswith("-journal")]
 
 

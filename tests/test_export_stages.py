@@ -12,6 +12,7 @@ from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single import run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.stages.export_cog import ExportCog
@@ -39,7 +40,7 @@ def run(tmp_path_factory):
         params = stage.Params(**({"gsd_m": 0.25} if stage is MosaicCompose else {}))
         inputs = {name: given[name] for name in stage.inputs}
         outputs, notes[stage.id] = run_stage(
-            stage, params, folder / "RUN", inputs, work_folder=folder / "work", workers=1
+            stage, params, RunFolder(folder / "RUN"), inputs, work_folder=folder / "work", workers=1
         )
         given.update(outputs)
     return folder / "RUN", given, notes
@@ -48,7 +49,7 @@ def run(tmp_path_factory):
 def test_the_run_folder_is_complete_and_clean(run):
     folder, _, _ = run
     files = "layers.gpkg mosaic.stac.json mosaic.tif mosaic.vrt positions.csv sources.tif tiles work"
-    assert sorted(p.name for p in folder.iterdir()) == files.split()
+    assert sorted(p.name for p in folder.iterdir()) == [MARKER, *files.split()]
     assert validate(str(folder / "mosaic.tif"), full_check=True)[:2] == ([], [])
 
 

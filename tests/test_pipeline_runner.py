@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import pickle
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -25,12 +26,13 @@ from geomosaic.errors import (
     PluginError,
     UnknownNameError,
 )
-from geomosaic.pipeline import executor
+from geomosaic.pipeline import executor, hashes
 from geomosaic.pipeline.artefacts import decode
 from geomosaic.pipeline.context import Context, Notes, RunFile
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.pipeline.given import given_stage
 from geomosaic.pipeline.recipe import Recipe, load_recipe
+from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.pipeline.runner import run
 from geomosaic.recording.compare import compare
 from geomosaic.recording.reader import read_recording
@@ -86,7 +88,7 @@ def test_a_run_leaves_what_the_design_says(toys: Toys) -> None:
     assert list(summary["inputs"]["toy.read.file"]["files"]) == ["numbers.txt"]
     assert {"geomosaic", "python", "numpy", "gdal", "rasterio"} <= summary["versions"].keys()
     assert sorted(p.name for p in toys.run_folder.iterdir()) == [
-        "run.json", "run.mcap", "told.txt", "total.txt", "work",
+        MARKER, "run.json", "run.mcap", "told.txt", "total.txt", "work",
     ]  # fmt: skip
 
 
@@ -148,7 +150,7 @@ def new_sidecar(toys: Toys) -> None:
         (("toy.read.offset_m=1",), ["read", "power", "item 2", "item 3", "item 4", "item 5", *ALL[6:]]),
         (edit_numbers, ["read", "power", "item 1", "item 2", "item 3", "item 5", *ALL[6:]]),
         (touch_numbers, ["tell"]),
-        (new_sidecar, [*ALL[:6], "tell"]),
+        (new_sidecar, ALL),
         (delete_total, ["write", "tell"]),
         (edit_total, ["write", "tell"]),
         (delete_raw, ["sum", "tell"]),
@@ -184,12 +186,14 @@ def test_the_work_folder_keeps_what_the_last_run_used_and_nothing_else(toys: Toy
     for power in (3, 4, 5):
         toys.run(f"toy.power.power={power}")
     assert [len(list((work / id).iterdir())) for id in ("toy.read", "toy.power")] == [1, 1]
-    assert not (work / "toy.gone").exists() and not (work / "link").is_symlink()
+    assert (work / "toy.gone" / "0123" / "entry.json").exists() and (work / "link").is_symlink()
+    (work / "link").unlink()
     assert (toys.folder / "precious" / "pearl").exists()
     assert (work / "toy.sum" / "raw.bin").stat().st_size == 1000
     toys.done()
     toys.run()
     assert toys.done() == ALL[1:]
+    shutil.rmtree(work / "toy.gone")
     assert {p.relative_to(work) for p in work.rglob("*") if p.is_file()} == first
 
 
@@ -205,18 +209,20 @@ def test_a_run_that_fails_prunes_nothing(toys: Toys) -> None:
 def test_what_a_killed_run_left_half_written_goes(toys: Toys) -> None:
     toys.run_folder.mkdir()
     for name in (
-        ".mosaic.4711.part.tif",
-        ".layers.4711.part.gpkg-journal",
-        ".run.json.4711.old",
+        ".mosaic.4711.geomosaic.part.tif",
+        ".layers.4711.geomosaic.part.gpkg-journal",
+        ".run.json.4711.geomosaic.old",
         ".x.part.txt",
+        ".mine.12.part.txt",
     ):
         (toys.run_folder / name).write_text("half")
-    (toys.run_folder / ".tiles.4711.part").mkdir()
+    (toys.run_folder / ".tiles.4711.geomosaic.part").mkdir()
     toys.run()
-    assert [p.name for p in toys.run_folder.glob(".*")] == [".x.part.txt"]
+    assert sorted(p.name for p in toys.run_folder.glob(".*")) == [MARKER, ".mine.12.part.txt", ".x.part.txt"]
 
 
-def test_hashes_of_files_nobody_asks_for_are_forgotten(toys: Toys) -> None:
+def test_hashes_of_files_nobody_asks_for_are_forgotten(toys: Toys, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hashes, "SETTLED_NS", 0)
     toys.run()
     toys.folder.joinpath("others.txt").write_text("5 6")
     toys.run(f"toy.read.file={toys.folder / 'others.txt'}")
@@ -432,7 +438,7 @@ def test_a_failed_write_leaves_nothing(toys: Toys) -> None:
     refuse.write_text("stages: [toy.refuse]")
     with pytest.raises(InputError, match=r"^x\.jpg: no pixels; take it away$"):
         run(load_recipe(refuse, registry()), toys.run_folder)
-    assert sorted(p.name for p in toys.run_folder.iterdir()) == ["run.mcap", "work"]
+    assert sorted(p.name for p in toys.run_folder.iterdir()) == [MARKER, "run.mcap", "work"]
 
 
 @pytest.fixture
@@ -453,7 +459,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(toys: Toys, sma
     assert str(error.value) == (
         f"{folder}/total.txt: no space left on the disk; free some or choose another output folder"
     )
-    assert sorted(p.name for p in folder.iterdir()) == ["run.mcap", "work"]
+    assert sorted(p.name for p in folder.iterdir()) == [MARKER, "run.mcap", "work"]
     toys.done()
     run(toys.recipe(), folder)
     assert toys.done() == ["write", "tell"]

@@ -138,6 +138,7 @@ class WriteTotal(Stage):
     inputs: ClassVar = {"total": Total}
     optional_inputs: ClassVar = {"numbers": Numbers, "nowhere": Numbers}
     outputs: ClassVar = {"total_file": RunFile}
+    results = ("total.txt", "old.txt")
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -165,6 +166,7 @@ class Tell(Stage):
     version = 1
     outputs: ClassVar = {}
     cached = False
+    results = ("told.txt",)
 
     def run(self, inputs: Mapping[str, Any], params: StageParams, context: Context) -> dict[str, Any]:
         told("tell")

@@ -19,6 +19,7 @@ from osgeo_utils.samples import validate_cloud_optimized_geotiff
 from rasterio.windows import Window
 from small_surveys import geomosaic
 
+from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 from geomosaic.survey.strips import open_raster
@@ -75,7 +76,7 @@ def warnings_of(run: Path) -> dict[str, str]:
 
 
 def test_a_run_is_whole_and_its_mosaic_a_cog_with_an_rpc(run: Path) -> None:
-    assert {p.name for p in run.iterdir() if p.is_file()} == FINAL
+    assert {p.name for p in run.iterdir() if p.is_file()} == {*FINAL, MARKER}
     warnings, errors, _ = validate_cloud_optimized_geotiff.validate(str(run / "mosaic.tif"), full_check=True)
     assert not errors and not warnings
     with rasterio.open(run / "mosaic.tif") as mosaic:

@@ -16,6 +16,7 @@ from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.mosaic import mosaic, name_methods, run
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
+from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.cli.strips import name_strip_methods, strips
 from geomosaic.errors import CancelledError, GeomosaicError
 from geomosaic.pipeline.executor import ALGEBRA_THREADS
@@ -71,6 +72,12 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command and returns the exit code; a failure is one line on stderr."""
+    with stoppable() as stop:
+        exit_code = _main(argv, stop)
+    return exit_code if stop.signal is None else stop.exit_code
+
+
+def _main(argv: Sequence[str] | None, stop: Stop) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     for name in ALGEBRA_THREADS:  # many small systems: threads would only wait for each other
         os.environ.setdefault(name, "1")
@@ -79,8 +86,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
         return result if isinstance(result, int) else 0
-    except GeomosaicError as error:
-        return _fail(str(error), error.exit_code, error)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("stopped", CancelledError.exit_code)
     except (BrokenPipeError, SystemExit) as error:
@@ -88,16 +93,23 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise  # click turns a closed pipe into SystemExit
         return _unheard()
     except Exception as error:
-        usage = getattr(error, "format_message", None)
-        if usage is not None and usage().startswith("Usage:"):
-            print(usage(), file=sys.stderr)
-            return 2
-        if usage is not None:
-            return _fail(usage(), 2)
-        text = (
-            f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
-        )
-        return _fail(text, 1, error)
+        return _failed(error, stop)
+
+
+def _failed(error: Exception, stop: Stop) -> int:
+    """One line for what went wrong; a library's own word for having been stopped is none of them."""
+    if stop.signal is not None:
+        return _fail("stopped", stop.exit_code, error)
+    if isinstance(error, GeomosaicError):
+        return _fail(str(error), error.exit_code, error)
+    usage = getattr(error, "format_message", None)
+    if usage is not None and usage().startswith("Usage:"):
+        print(usage(), file=sys.stderr)
+        return 2
+    if usage is not None:
+        return _fail(usage(), 2)
+    text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
+    return _fail(text, 1, error)
 
 
 def _fail(text: str, exit_code: int, error: Exception | None = None) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from geomosaic.cli.options import Dask, FixedTime, RunFolder, Seed, Sets, Workers, cores
+from geomosaic.cli.options import Dask, FixedTime, Overwrite, RunFolder, Seed, Sets, Workers, cores
 from geomosaic.errors import GeomosaicError
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ def mosaic(
     dask: Dask = None,
     fixed_time: FixedTime = False,
     seed: Seed = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
     from geomosaic.pipeline.recipe import recipe_from
@@ -118,7 +119,7 @@ def mosaic(
     ]
     plain = {"name": "mosaic", "description": f"frames of {frames.name}", "seed": seed or 0, "stages": stages}
     recipe = recipe_from(plain, installed(), set or ())
-    execute(recipe, output, workers, dask, fixed_time)
+    execute(recipe, output, workers, dask, fixed_time, overwrite)
 
 
 def run(
@@ -137,6 +138,7 @@ def run(
     dask: Dask = None,
     fixed_time: FixedTime = False,
     seed: Seed = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run a recipe."""
     from dataclasses import replace
@@ -149,7 +151,7 @@ def run(
     checked = load_recipe(recipe, installed(), overrides)
     if seed is not None:
         checked = replace(checked, seed=seed)
-    execute(checked, output, workers, dask, fixed_time)
+    execute(checked, output, workers, dask, fixed_time, overwrite)
 
 
 def execute(
@@ -158,6 +160,7 @@ def execute(
     workers: int | None,
     dask: str | None,
     fixed_time: bool,
+    overwrite: bool = False,
     given: Mapping[int, Given] | None = None,
 ) -> None:
     """Runs a checked recipe with progress on stderr, and says on stdout where the results lie."""
@@ -168,6 +171,7 @@ def execute(
         summary = run(
             recipe,
             output,
+            overwrite=overwrite,
             workers=workers or cores(),
             dask=dask,
             fixed_time=fixed_time,

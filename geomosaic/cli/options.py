@@ -14,7 +14,20 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-RunFolder = Annotated[Path, typer.Option("-o", "--output", help="the run folder to write", metavar="RUN")]
+def _folder(text: str) -> Path:
+    if not text.strip():
+        raise typer.BadParameter("give the folder to write to; '.' is the current one")
+    return Path(text)
+
+
+RunFolder = Annotated[
+    Path,
+    typer.Option("-o", "--output", help="the run folder to write", metavar="RUN", parser=_folder),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="allow a folder that holds other files; results may replace them"),
+]
 Sets = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="STAGE.PARAM=VALUE", help="set any stage's parameter; may be repeated"),

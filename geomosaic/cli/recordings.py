@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from geomosaic.cli.options import AsJson, Dask, FixedTime, RunFolder, Sets, Workers
+from geomosaic.cli.options import AsJson, Dask, FixedTime, Overwrite, RunFolder, Sets, Workers
 from geomosaic.errors import FileError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def replay(
     workers: Workers = None,
     dask: Dask = None,
     fixed_time: FixedTime = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run a recorded recipe again from any stage on, taking what comes before from the recording.
 
@@ -73,7 +74,7 @@ def replay(
     names the files to read.
     """
     from geomosaic.cli.mosaic import execute
-    from geomosaic.pipeline.given import bring_files, frame_folders, given_stage
+    from geomosaic.pipeline.given import frame_folders, given_stage
     from geomosaic.pipeline.recipe import parse_recipe
     from geomosaic.pipeline.registry import installed
     from geomosaic.recording import read_recording
@@ -87,9 +88,8 @@ def replay(
     recipe = parse_recipe(recorded.recipe_yaml, installed(), set or (), file=str(path))
     first = _first_stage(recipe, start, set or [], path)
     given = {i: given_stage(recorded, recipe, i) for i in range(first)}
-    bring_files(recipe, given, path.absolute().parent, output.absolute())
     try:
-        execute(recipe, output, workers, dask, fixed_time, given)
+        execute(recipe, output, workers, dask, fixed_time, overwrite, given)
     except FileError as error:
         for folder in frame_folders(given.values()):
             if not folder.is_dir():

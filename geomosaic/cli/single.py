@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.options import AsJson, Seed, Sets, Workers, cores
+from geomosaic.cli.options import AsJson, Overwrite, Seed, Sets, Workers, cores
 from geomosaic.errors import FileError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.context import Notes
     from geomosaic.pipeline.params import StageParams
+    from geomosaic.pipeline.run_folder import RunFolder
     from geomosaic.pipeline.stage import Stage
 
 
@@ -32,7 +33,7 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
         if stage is None:
             continue
         if group == "simulate":
-            place, more = ("out", "folder to write"), {"seed": (Seed, None)}
+            place, more = ("out", "folder to write"), {"seed": (Seed, None), "overwrite": (Overwrite, False)}
         else:
             place, more = ("run", "folder of a finished run"), {}
         command = command_of(stage, place, _runner(stage), {**more, "workers": (Workers, None)})
@@ -40,13 +41,24 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
 
 
 def _runner(stage: type[Stage]) -> Any:
-    def run(folder: Path, *, seed: int | None = None, workers: int | None = None, **options: Any) -> None:
+    def run(
+        folder: Path,
+        *,
+        seed: int | None = None,
+        workers: int | None = None,
+        overwrite: bool = False,
+        **options: Any,
+    ) -> None:
         from geomosaic.cli.declared import params_from
+        from geomosaic.pipeline.run_folder import RunFolder
 
         before = _files(folder)
         summary, inputs = _inputs(stage, folder)
-        _run(stage, params_from(stage, options), folder, inputs, summary, seed or 0, workers)
-        for path in sorted(_files(folder) - before) or [folder]:
+        params = params_from(stage, options)
+        place = RunFolder(folder) if stage.inputs else RunFolder.opened(folder, overwrite=overwrite)
+        _run(stage, params, place, inputs, summary, seed or 0, workers)
+        made = {folder / name for name in stage.results if (folder / name).exists()}
+        for path in sorted(made or _files(folder) - before) or [folder]:
             print(path)
 
     return run
@@ -73,7 +85,7 @@ def _inputs(stage: type[Stage], folder: Path) -> tuple[dict[str, Any], dict[str,
 def _run(
     stage: type[Stage],
     params: StageParams,
-    folder: Path,
+    folder: RunFolder,
     inputs: dict[str, Any],
     summary: dict[str, Any],
     seed: int = 0,
@@ -107,6 +119,7 @@ def evaluate(
     from geomosaic.pipeline.context import Context
     from geomosaic.pipeline.recipe import recipe_from
     from geomosaic.pipeline.registry import installed
+    from geomosaic.pipeline.run_folder import RunFolder
 
     stage = installed().get("quality.compare")
     plain = {"stages": [{"stage": stage.id, "params": {"reference": reference}}]}
@@ -117,7 +130,7 @@ def evaluate(
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work:
         file = Context(path.absolute().parent, work_folder=Path(work)).run_file(path.name)
     summary, inputs = _inputs(stage, target) if (target / "run.json").is_file() else ({}, {})
-    notes = _run(stage, params, path.absolute().parent, {**inputs, "mosaic_file": file}, summary)
+    notes = _run(stage, params, RunFolder(path.parent), {**inputs, "mosaic_file": file}, summary)
     if as_json:
         found = {
             "mosaic": str(path),

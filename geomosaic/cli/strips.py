@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from geomosaic.cli.mosaic import execute
-from geomosaic.cli.options import FixedTime, RunFolder, Seed, Sets, Workers
+from geomosaic.cli.options import FixedTime, Overwrite, RunFolder, Seed, Sets, Workers
 from geomosaic.errors import GeomosaicError
 
 STAGES = (
@@ -51,6 +51,7 @@ def strips(
     workers: Workers = None,
     fixed_time: FixedTime = False,
     seed: Seed = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make one scene of the strips of a satellite's staggered CCDs."""
     from geomosaic.pipeline.recipe import recipe_from
@@ -70,4 +71,4 @@ def strips(
         "seed": seed or 0,
         "stages": stages,
     }
-    execute(recipe_from(plain, installed(), set or ()), output, workers, None, fixed_time)
+    execute(recipe_from(plain, installed(), set or ()), output, workers, None, fixed_time, overwrite)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import errno
 import shutil
+import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 from osgeo import gdal, ogr, osr
 
@@ -45,7 +49,8 @@ def gdal_failures(path: Path) -> Iterator[None]:
 class GdalProgress:
     """A callback for GDAL that reports percent and may stop it by raising.
 
-    GDAL can't carry an exception through; `reraise` does so once it has returned.
+    GDAL can't carry an exception through; `reraise` does so once it has returned. A signal to stop that
+    comes while GDAL is at work is answered in the same way.
     """
 
     def __init__(self, progress: Progress | None) -> None:
@@ -55,24 +60,43 @@ class GdalProgress:
     def __call__(self, fraction: float, _text: str, _data: object) -> int:
         """GDAL's contract: 1 to go on, 0 to stop."""
         try:
-            if self._progress is not None:
+            if self._progress is not None and self._raised is None:
                 self._progress(round(100.0 * fraction), 100)
         except BaseException as error:
             self._raised = error
-            return 0
-        return 1
+        return int(self._raised is None)
 
     @contextmanager
     def reraise(self) -> Iterator[None]:
         """Puts the exception that stopped GDAL in the place of GDAL's own."""
-        try:
-            yield
-        except OSError:
-            if self._raised is not None:
-                raise self._raised from None
-            raise
+        with self._signals_kept():
+            try:
+                yield
+            except OSError:
+                if self._raised is None:
+                    raise
         if self._raised is not None:
             raise self._raised
+
+    @contextmanager
+    def _signals_kept(self) -> Iterator[None]:
+        """What a signal's handler raises is kept: raised in GDAL's callback it would be lost or printed."""
+        before: dict[int, Any] = {}
+
+        def keep(number: int, frame: FrameType | None) -> None:
+            try:
+                before[number](number, frame)
+            except BaseException as error:
+                self._raised = error
+
+        if threading.current_thread() is threading.main_thread():
+            heard = [n for n in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(n))]
+            before |= {number: signal.signal(number, keep) for number in heard}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 @contextmanager

@@ -145,6 +145,24 @@ def decode(data: bytes, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
     return typing.cast(T, value)
 
 
+def texts_in(data: bytes) -> list[str]:
+    """Every text and path that an artefact's bytes hold. Raises `FileError` if they are none."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            waiting, found = [json.loads(file.read(_TREE))], []
+    except _NOT_WHOLE as error:
+        raise FileError(f"this is no whole artefact ({error})") from error
+    while waiting:
+        match waiting.pop():
+            case str() as text:
+                found.append(text)
+            case list() as items:
+                waiting.extend(items)
+            case dict() as items:
+                waiting.extend(items.values())
+    return found
+
+
 def _value(tree: Any, file: zipfile.ZipFile, known: dict[str, type]) -> Any:
     if not isinstance(tree, dict):
         if isinstance(tree, list):

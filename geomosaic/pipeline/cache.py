@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Callable, Iterable, Mapping
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import FileError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import decode, encode, fingerprint_of_bytes, fingerprint_of_json
+from geomosaic.pipeline.artefacts import decode, encode, fingerprint_of_bytes, fingerprint_of_json, texts_in
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.given import Given
+from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.params import output_values
 from geomosaic.pipeline.recipe import Step
+from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
+
+_KEY = re.compile(r"(given-)?[0-9a-f]{40}")
+_ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))
+_ENTRY, _CALLS, _ARTEFACT, _SPOOL, _ITEMS = "entry.json", "calls", ".artefact", "calls.part", "items"
+
+Manifest = Mapping[str, Mapping[str, str]]
+Lineage = frozenset[str]
+"""Fingerprints of the contents of all files that something goes back to, one for each stage with files."""
 
 _MISSING = object()
 
@@ -26,18 +36,19 @@ _MISSING = object()
 class Held:
     """An artefact of a run: its bytes, and the value they stand for, made when it is first asked for.
 
-    fingerprint: of the bytes, of the files the stage wrote beside them, and of the files its
-    parameters name, so that whoever takes the artefact is redone if any of these changes.
+    fingerprint: of the bytes, of the files the stage wrote beside them, and of the lineage, so that
+    whoever takes the artefact is redone if any file changes that it goes back to, through all stages.
     """
 
     type: Any
     fingerprint: str
     path: Path
+    lineage: Lineage
     _value: Any = field(default=_MISSING, repr=False)
 
     def data(self) -> bytes:
         """The artefact's bytes."""
-        return self.path.read_bytes()
+        return files.read_own(self.path)
 
     def value(self) -> Any:
         """The artefact itself."""
@@ -61,15 +72,19 @@ class Finished:
 
 
 def file_manifest(
-    named: Mapping[str, Path], hashes: files.FileHashes, progress: Callable[[int, int], None] | None = None
+    named: Mapping[str, Path], hashes: FileHashes, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, dict[str, str]]:
     """For each of a stage's files and folders, the names and hashes of the files it stands for."""
     return {name: hashes.manifest(path, progress) for name, path in named.items()}
 
 
-def stage_key(
-    step: Step, inputs: Mapping[str, str], seed: int, manifest: Mapping[str, Mapping[str, str]]
-) -> str:
+def lineage_of(manifest: Manifest, inputs: Iterable[Held] = ()) -> Lineage:
+    """The lineage of what a stage makes of files and of earlier artefacts."""
+    own = {fingerprint_of_json({n: dict(hashes) for n, hashes in manifest.items()})} if manifest else set()
+    return frozenset(own).union(*(held.lineage for held in inputs))
+
+
+def stage_key(step: Step, inputs: Mapping[str, Held], seed: int, lineage: Lineage) -> str:
     """The fingerprint of a stage's work: whatever it depends on, and nothing else."""
     return fingerprint_of_json(
         {
@@ -77,46 +92,60 @@ def stage_key(
             "version": step.stage.version,
             "params": output_values(step.params),
             "seed": seed,
-            "inputs": dict(inputs),
-            "files": {name: dict(content) for name, content in manifest.items()},
+            "inputs": {name: held.fingerprint for name, held in inputs.items()},
+            "files": sorted(lineage),
         }
     )
 
 
-class StageCache:
-    """RUN/work: a folder for each finished stage, whole once its `entry.json` is there."""
+def _fingerprint(content: str, written: Mapping[str, str], lineage: Lineage) -> str:
+    return fingerprint_of_json([content, dict(written), sorted(lineage)])
 
-    def __init__(self, run_folder: Path, hashes: files.FileHashes) -> None:
-        self._run_folder = run_folder
+
+class StageCache:
+    """RUN/work: a folder for each finished stage, whole once its `entry.json` is there.
+
+    What lies there may have been cut by a power failure or put there by a stranger: it counts only if every
+    hash is right, no link stands on the way, and no artefact names a file that this run was not given.
+    """
+
+    def __init__(self, folder: RunFolder, hashes: FileHashes) -> None:
+        self._folder = folder
         self._hashes = hashes
 
-    def folder(self, stage_id: str, key: str) -> Path:
-        """Where a stage's outcome is kept."""
-        return self._run_folder / "work" / stage_id / key
-
-    def find(self, stage: type[Stage], key: str) -> Finished | None:
+    def find(self, stage: type[Stage], key: str, lineage: Lineage) -> Finished | None:
         """The outcome, if it is there, whole, and the files the stage wrote are unchanged."""
-        folder = self.folder(stage.id, key)
         try:
-            entry = json.loads((folder / "entry.json").read_text())
-            for name, mark in entry["files"].items():
-                if self._hashes.of_written(files.path_within(self._run_folder, name)) != mark:
+            folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
+            entry = json.loads(files.read_own(folder / _ENTRY))
+            written = {str(name): str(mark) for name, mark in entry["files"].items()}
+            for name, mark in written.items():
+                if self._hashes.of_written(self._folder.within(name)) != mark:
                     return None
             outputs = {}
             for name, kind in stage.outputs.items():
-                content, mark = entry["outputs"][name]
-                path = folder / f"{name}.artefact"
-                if fingerprint_of_bytes(path.read_bytes()) != content:
+                path = folder / f"{name}{_ARTEFACT}"
+                data = files.read_own(path)
+                content = fingerprint_of_bytes(data)
+                if content != entry["outputs"][name] or not self._names_only_inputs(data):
                     return None
-                outputs[name] = Held(kind, mark, path)
-            calls = folder / "calls"
-            calls.stat()
-            beside = [
-                files.path_within(self._run_folder, name) for name in (*entry["files"], *entry["items"])
-            ]
-            return Finished(outputs, Notes.from_plain(entry["notes"]), calls, (folder, *beside))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, FileError):
+                outputs[name] = Held(kind, _fingerprint(content, written, lineage), path, lineage)
+            calls = folder / _CALLS
+            if fingerprint_of_bytes(files.read_own(calls)) != entry["calls"]:
+                return None
+            beside = [self._folder.within(name) for name in (*written, *entry["items"])]
+            notes = Notes.from_plain(entry["notes"])
+            self._folder.note(written)
+            return Finished(outputs, notes, calls, (folder, *beside))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None
+
+    def _names_only_inputs(self, artefact: bytes) -> bool:
+        """Whether every file on this machine that an artefact names is one this run reads."""
+        inputs = self._hashes.inputs()
+        allowed = inputs | {path.parent for path in inputs}
+        named = (Path(os.path.normpath(text)) for text in texts_in(artefact) if text.startswith(os.sep))
+        return all(path in allowed or not _exists(path) for path in named)
 
     def keep(
         self,
@@ -124,62 +153,104 @@ class StageCache:
         key: str,
         values: Mapping[str, Any],
         context: Context,
-        manifest: Mapping[str, Mapping[str, str]],
+        lineage: Lineage,
         calls: Path,
     ) -> Finished:
         """Stores the outcome of a stage that ran in a context; `calls` moves into the cache."""
-        folder = self.folder(stage.id, key)
+        folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "entry.json").unlink(missing_ok=True)
-        written = {
-            path.relative_to(self._run_folder).as_posix(): self._hashes.of_written(path)
-            for path in context.kept
-        }
-        beside = [written, {name: dict(content) for name, content in manifest.items()}]
-        outputs, entry_outputs = {}, {}
+        (folder / _ENTRY).unlink(missing_ok=True)
+        written = {self._name(path): self._hashes.of_written(path) for path in context.kept}
+        outputs, contents = {}, {}
         for name, kind in stage.outputs.items():
             data = encode(values[name])
-            content = fingerprint_of_bytes(data)
-            mark = fingerprint_of_json([content, *beside]) if any(beside) else content
-            path = folder / f"{name}.artefact"
+            contents[name] = fingerprint_of_bytes(data)
+            path = folder / f"{name}{_ARTEFACT}"
             files.write_bytes(path, data)
-            outputs[name] = Held(kind, mark, path, values[name])
-            entry_outputs[name] = (content, mark)
-        calls = calls.replace(folder / "calls")
-        items = [path.relative_to(self._run_folder).as_posix() for path in context.lasting_items]
-        entry = {"outputs": entry_outputs, "files": written, "items": items, "notes": asdict(context.notes)}
-        files.write_json(folder / "entry.json", entry)
+            mark = _fingerprint(contents[name], written, lineage)
+            outputs[name] = Held(kind, mark, path, lineage, values[name])
+        told = fingerprint_of_bytes(files.read_own(calls))
+        calls = calls.replace(folder / _CALLS)
+        entry = {
+            "outputs": contents,
+            "files": written,
+            "items": [self._name(path) for path in context.lasting_items],
+            "calls": told,
+            "notes": asdict(context.notes),
+        }
+        self._folder.note(written)
+        files.write_json(folder / _ENTRY, entry)
         return Finished(outputs, context.notes, calls, (folder, *context.kept, *context.lasting_items))
 
-    def keep_given(self, stage: type[Stage], given: Given) -> Finished:
+    def keep_given(self, stage: type[Stage], given: Given, lineage: Lineage) -> Finished:
         """Stores the outputs of a stage as a recording has them, under their recorded fingerprints."""
         marks = {name: given.entries[name].fingerprint for name in stage.outputs}
-        folder = self.folder(stage.id, f"given-{fingerprint_of_json(marks)}")
+        folder = self._folder.within(f"{WORK}/{stage.id}/given-{fingerprint_of_json(marks)}")
         folder.mkdir(parents=True, exist_ok=True)
         outputs = {}
         for name, kind in stage.outputs.items():
-            path = folder / f"{name}.artefact"
+            path = folder / f"{name}{_ARTEFACT}"
             files.write_bytes(path, given.data(name))
-            outputs[name] = Held(kind, marks[name], path, given.outputs[name])
-        brought = [files.path_within(self._run_folder, name) for name in given.files()]
+            outputs[name] = Held(kind, marks[name], path, lineage, given.outputs[name])
+        brought = [self._folder.within(name) for name in given.files()]
         return Finished(outputs, given.notes, None, (folder, *brought))
 
+    def spool(self, stage: type[Stage]) -> Path:
+        """Where a stage's calls go while it runs."""
+        path = self._folder.within(f"{WORK}/{stage.id}/{_SPOOL}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
     def prune(self, used: Iterable[Path]) -> None:
-        """Deletes everything in RUN/work but these folders and files, the lock and the hashes."""
-        work = self._run_folder / "work"
-        kept = {*used, work / "lock", work / "hashes.json"}
-        above = {folder for path in kept for folder in path.parents}
-        _prune(work, kept, above)
+        """Deletes from RUN/work what geomosaic put there and the finished run did not use; nothing else."""
+        kept = set(used)
+        for name in self._folder.made():
+            if name.startswith(f"{WORK}/") and self._folder.within(name) not in kept:
+                self._folder.remove(name)
+        for stage in _folders(self._folder.within(WORK)):
+            for folder in _folders(stage):
+                if folder.name == _ITEMS:
+                    _prune_items(folder, kept)
+                elif _KEY.fullmatch(folder.name) and folder not in kept:
+                    _remove_entry(folder)
+            files.sweep(stage)
+            files.remove(stage / _SPOOL)
+            _remove_if_empty(stage)
+
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self._folder.path).as_posix()
 
 
-def _prune(folder: Path, kept: set[Path], above: set[Path]) -> None:
-    for path in folder.iterdir():
-        if path in kept:
-            continue
-        with suppress(OSError):
-            if path.is_symlink() or not path.is_dir():
-                path.unlink()
-            elif path in above:
-                _prune(path, kept, above)
-            else:
-                shutil.rmtree(path)
+def _exists(path: Path) -> bool:
+    try:
+        return os.path.lexists(path)
+    except ValueError:  # a name that no file can have
+        return False
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    yield from [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
+
+
+def _prune_items(items: Path, kept: set[Path]) -> None:
+    for part in _folders(items):
+        if _ITEM[0].fullmatch(part.name):
+            for item in list(part.iterdir()):
+                if _ITEM[1].fullmatch(item.name) and item not in kept:
+                    files.remove(item)
+            files.sweep(part)
+            _remove_if_empty(part)
+    _remove_if_empty(items)
+
+
+def _remove_entry(folder: Path) -> None:
+    for path in list(folder.iterdir()):
+        if path.name in (_ENTRY, _CALLS) or path.suffix == _ARTEFACT:
+            files.remove(path)
+    files.sweep(folder)
+    _remove_if_empty(folder)
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import math
+import os
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -25,7 +26,9 @@ from geomosaic.pipeline.artefacts import (
     fingerprint_of_json,
 )
 from geomosaic.pipeline.executor import Workers
+from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.recorded import StageRecorder
+from geomosaic.pipeline.run_folder import WORK, RunFolder
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -101,14 +104,14 @@ class Context:
 
     def __init__(
         self,
-        run_folder: Path,
+        run_folder: Path | RunFolder,
         *,
         stage_id: str = "stage",
         version: int = 1,
         work_folder: Path | None = None,
         recorder: StageRecorder | None = None,
         workers: Workers | None = None,
-        hashes: files.FileHashes | None = None,
+        hashes: FileHashes | None = None,
         seed: int = 0,
         key: str = "",
         fixed_time: bool = False,
@@ -117,8 +120,11 @@ class Context:
         cancelled: Callable[[], bool] | None = None,
         summary: Mapping[str, Any] | None = None,
     ) -> None:
-        self.run_folder = run_folder
-        self.work_folder = work_folder or run_folder / "work" / stage_id
+        if isinstance(run_folder, Path):
+            run_folder = RunFolder(run_folder, overwrite=True)
+        self._folder = run_folder
+        self.run_folder = self._folder.path
+        self.work_folder = work_folder or self._folder.within(f"{WORK}/{stage_id}")
         self.work_folder.mkdir(parents=True, exist_ok=True)
         self.stage_id = stage_id
         self.recorder = recorder or StageRecorder(stage=stage_id)
@@ -128,7 +134,7 @@ class Context:
         self.lasting_items: list[Path] = []
         self._version = version
         self._workers = workers or Workers()
-        self._hashes = hashes or files.FileHashes()
+        self._hashes = hashes or FileHashes()
         self.seed = seed
         self._key = key
         self._on_progress = on_progress
@@ -184,10 +190,9 @@ class Context:
         The file, or the folder made there, is one of the stage's outputs. A name such as
         `work/mosaic.compose/raster.tif` puts it into the work folder.
         """
-        path = files.path_within(self.run_folder, filename)
-        with files.writing(path) as temporary:
+        with self._folder.writing(filename) as temporary:
             yield temporary
-        self.keep(path)
+        self.keep(self._folder.within(filename))
 
     def keep(self, path: Path) -> None:
         """Says that a file the stage wrote by itself belongs to its outputs.
@@ -200,12 +205,11 @@ class Context:
 
     def run_file(self, filename: str) -> RunFile:
         """The artefact of a file in the run folder."""
-        path = files.path_within(self.run_folder, filename)
-        return RunFile(filename, self._hashes.of_written(path))
+        return RunFile(filename, self._hashes.of_written(self._folder.within(filename)))
 
     def path_of(self, file: RunFile) -> Path:
         """Where a file artefact lies. Raises `FileError` if it isn't there any more."""
-        path = files.path_within(self.run_folder, file.name)
+        path = self._folder.within(file.name)
         if not path.exists():
             raise FileError("the file is gone", file=path, mend="run the recipe again")
         return path
@@ -234,11 +238,11 @@ class Context:
         paths = self._item_paths(name, function, items, keys, reads)
         done: dict[int, Result] = {}
         for i, path in enumerate(paths):
-            if path is not None and path.is_file():
+            if path is not None and os.path.lexists(path):
                 try:
-                    done[i] = decode(path.read_bytes(), returns)
-                except FileError:
-                    path.unlink()
+                    done[i] = decode(files.read_own(path), returns)
+                except (OSError, FileError):
+                    files.remove(path)
         waiting = [i for i in range(len(items)) if i not in done]
         waiting.reverse()
         running: dict[Future[Any], int] = {}
@@ -251,6 +255,8 @@ class Context:
                 i = running.pop(future)
                 data = self._workers.result(future)
                 if (path := paths[i]) is not None:
+                    for file in () if reads is None else reads(items[i]):
+                        self._hashes.check_unchanged(Path(file))
                     files.write_bytes(path, data)
                 done[i] = decode(data, returns)
         self.progress(len(items), len(items), name)
@@ -273,7 +279,7 @@ class Context:
             base.append(fingerprint((function.args, function.keywords)))
         paths: list[Path | None] = []
         for item, key in zip(items, items if keys is None else keys, strict=True):
-            read = [] if reads is None else [self._hashes.of_file(Path(path)) for path in reads(item)]
+            read = [] if reads is None else [self._hashes.of_input(Path(path)) for path in reads(item)]
             mark = fingerprint_of_json([*base, fingerprint(key), *read])
             paths.append(self.work_folder / "items" / mark[:2] / mark[2:])
         if reads is not None:

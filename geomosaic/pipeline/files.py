@@ -1,4 +1,4 @@
-"""Files by content, and files that are whole under their final name."""
+"""Files of a run folder: whole under their final name, and never reached through a link."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+import stat
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from hashlib import blake2b
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeGuard
 
-from geomosaic.errors import FileError, GeomosaicError, OutputError
-from geomosaic.pipeline.artefacts import fingerprint_of_json
+from geomosaic.errors import GeomosaicError, LinkError, OutputError
 
-_CHUNK_BYTES = 1 << 20
-_LEFTOVER = re.compile(r"\..+\.\d+\.(part(\..+)?|old)")
-_SIDECARS = (".prj", ".tfw", ".jgw", ".wld")
+_LEFTOVER = re.compile(r"\..+\.\d+\.geomosaic\.(part(\..+)?|old)")
 _MENDS = {
     errno.ENOSPC: ("no space left on the disk", "free some or choose another output folder"),
     errno.EDQUOT: ("the disk quota is used up", "free some or choose another output folder"),
@@ -67,16 +64,16 @@ def writing(path: Path) -> Iterator[Path]:
     file or a whole folder; a folder takes the place of an older one. A full disk or a missing
     permission becomes an `OutputError` that names the final path.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.geomosaic.part{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove(temporary)
+        _remove_temporary(temporary)
         yield temporary
-        old = path.with_name(f".{path.name}.{os.getpid()}.old")
+        old = path.with_name(f".{path.name}.{os.getpid()}.geomosaic.old")
         if temporary.is_dir() and path.exists():
             path.replace(old)
         temporary.replace(path)
-        _remove(old)
+        remove(old)
     except OSError as error:
         if isinstance(error, GeomosaicError):
             raise
@@ -86,14 +83,14 @@ def writing(path: Path) -> Iterator[Path]:
             raise output_error(OSError(errno.ENOSPC, "disk full"), path) from error
         raise
     finally:
-        _remove(temporary)
+        _remove_temporary(temporary)
 
 
 def sweep(folder: Path) -> None:
     """Removes what killed runs left half-written in a folder that no other run is writing to."""
     for path in folder.iterdir():
         if _LEFTOVER.fullmatch(path.name):
-            _remove(path)
+            _remove_temporary(path)
 
 
 def disk_is_full(folder: Path) -> bool:
@@ -104,13 +101,22 @@ def disk_is_full(folder: Path) -> bool:
         return False
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Removes a file or a folder; of a link the link, never its target."""
     with suppress(OSError):
-        if path.is_dir():
+        if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
-            for leftover in [path, *(p for p in path.parent.iterdir() if p.name.startswith(f"{path.name}-"))]:
-                leftover.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+
+
+def _remove_temporary(path: Path) -> None:
+    """A half-written file, with what its driver left beside it (`-journal`, `-wal`)."""
+    with suppress(OSError):
+        for beside in path.parent.iterdir():
+            if beside.name.startswith(f"{path.name}-"):
+                remove(beside)
+    remove(path)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -125,78 +131,28 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def path_within(folder: Path, name: str) -> Path:
-    """`folder/name`, refused with `ValueError` where the name leads out of the folder."""
+    """`folder/name`, with no link on the way from `folder` down.
+
+    Raises `ValueError` where the name leads out of the folder, `LinkError` where a link stands.
+    """
     parts = PurePosixPath(name).parts
     if not parts or PurePosixPath(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name:
         raise ValueError(f"'{name}' is no name inside {folder}")
-    return folder.joinpath(*parts)
+    at = folder
+    for part in parts:
+        at = at / part
+        if at.is_symlink():
+            raise LinkError("is a link, and links are not followed there", file=at, mend="remove it")
+    return at
 
 
-class FileHashes:
-    """BLAKE2b of files' contents, remembered by path, size and time of change."""
-
-    def __init__(self, memory: Path | None = None) -> None:
-        self._memory = memory
-        self._known: dict[str, list[Any]] = {}
-        self._asked: set[str] = set()
-        self._new = False
-        if memory is not None:
-            with suppress(OSError, ValueError):
-                known = json.loads(memory.read_text())
-                self._known = known if isinstance(known, dict) else {}
-
-    def of_file(self, path: Path) -> str:
-        """Hash of one file's bytes."""
-        try:
-            stat = path.stat()
-            mark = [stat.st_size, stat.st_mtime_ns]
-            known = self._known.get(str(path))
-            self._asked.add(str(path))
-            if isinstance(known, list) and known[:2] == mark and isinstance(known[-1], str):
-                return known[-1]
-            digest = blake2b(digest_size=20)
-            with path.open("rb") as file:
-                while chunk := file.read(_CHUNK_BYTES):
-                    digest.update(chunk)
-        except OSError as error:
-            raise FileError(f"can't be read ({error.strerror or error})", file=path) from error
-        self._known[str(path)] = [*mark, digest.hexdigest()]
-        self._new = True
-        return digest.hexdigest()
-
-    def manifest(self, path: Path, progress: Callable[[int, int], None] | None = None) -> dict[str, str]:
-        """Names and hashes of what a file parameter stands for.
-
-        A file stands for itself and its sidecars (`.prj`, world files, `.aux.xml`, `.msk`), a folder for
-        the files directly inside that aren't hidden.
-        """
-        if path.is_dir():
-            files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
-        else:
-            beside = [path.with_suffix(s) for s in _SIDECARS]
-            beside += [path.with_name(path.name + s) for s in (".aux.xml", ".msk")]
-            files = [path, *(p for p in beside if p != path and p.is_file())]
-        hashes = {}
-        for i, file in enumerate(files):
-            hashes[file.name] = self.of_file(file)
-            if progress:
-                progress(i + 1, len(files))
-        return hashes
-
-    def of_written(self, path: Path) -> str:
-        """Hash of a file, or of all that lies below a folder, that a stage wrote."""
-        if path.is_dir():
-            files = sorted(p for p in path.rglob("*") if p.is_file())
-            return fingerprint_of_json([[p.relative_to(path).as_posix(), self.of_file(p)] for p in files])
-        return self.of_file(path)
-
-    def forget_unasked(self) -> None:
-        """Forgets the files that nobody asked for since the start."""
-        self._new = self._new or self._known.keys() != self._asked
-        self._known = {path: mark for path, mark in self._known.items() if path in self._asked}
-
-    def save(self) -> None:
-        """Keeps what is known for the next run."""
-        if self._memory is not None and self._new:
-            write_bytes(self._memory, json.dumps(self._known, separators=(",", ":")).encode())
-            self._new = False
+def read_own(path: Path, most_bytes: int | None = None) -> bytes:
+    """A file of a run folder, never through a link. Raises `OSError`, `ValueError` beyond `most_bytes`."""
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(handle, "rb") as file:
+        told = os.fstat(file.fileno())
+        if not stat.S_ISREG(told.st_mode):
+            raise OSError(errno.EINVAL, "no regular file", str(path))
+        if most_bytes is not None and told.st_size > most_bytes:
+            raise ValueError(f"{path} is larger than {most_bytes} bytes")
+        return file.read()

@@ -9,7 +9,7 @@ from typing import Any
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import decode, type_name
-from geomosaic.pipeline.runner import RECORDING, RUN_JSON
+from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.recording.reader import artefact_data, read_recording
 
 
@@ -38,7 +38,7 @@ def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: ty
     if not isinstance(entry, dict) or entry.get("type") != type_name(kind):
         raise FileError(f"this run made no '{name}'", file=run_folder, mend="run a recipe that does")
     try:
-        return decode(files.path_within(run_folder, str(entry.get("file"))).read_bytes(), kind)
+        return decode(files.read_own(files.path_within(run_folder, str(entry.get("file")))), kind)
     except (OSError, ValueError):
         recording = read_recording(run_folder / RECORDING)
     for kept in reversed(recording.artefacts):

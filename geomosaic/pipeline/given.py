@@ -6,14 +6,15 @@ import dataclasses
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from geomosaic.errors import FileError
 from geomosaic.pipeline.artefacts import decode
 from geomosaic.pipeline.context import Notes, RunFile
-from geomosaic.pipeline.files import path_within, writing
+from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.recipe import Recipe
+from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
 from geomosaic.recording.reader import artefact_data, stage_messages
 
@@ -41,9 +42,26 @@ class Given:
         return [name for output in self.outputs.values() for name in _named_files(output)]
 
     def manifest(self) -> dict[str, Any]:
-        """The stage's part of the recorded input manifest."""
+        """The stage's part of the recorded input manifest, by parameter."""
         own = f"{self.record.stage_id}."
-        return {name: files for name, files in self.recording.manifest.items() if name.startswith(own)}
+        found = {
+            name.removeprefix(own): entry
+            for name, entry in self.recording.manifest.items()
+            if name.startswith(own)
+        }
+        for entry in found.values():
+            if not (isinstance(entry, dict) and isinstance(entry.get("files"), dict) and "path" in entry):
+                raise FileError("its list of inputs isn't what a run writes", file=self.recording.path)
+        return found
+
+    def read_files(self) -> Iterator[tuple[Path, str]]:
+        """The files the recorded stage read, as far as they are still there, with their recorded hashes."""
+        for entry in self.manifest().values():
+            place = Path(str(entry["path"]))
+            for name, mark in entry["files"].items():
+                path = (place if place.is_dir() else place.parent) / PurePath(name).name
+                if path.is_file():
+                    yield path, str(mark)
 
 
 def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
@@ -68,8 +86,8 @@ def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
     return Given(recording, record, entries, outputs, notes)
 
 
-def bring_files(recipe: Recipe, given: Mapping[int, Given], recorded_folder: Path, run_folder: Path) -> None:
-    """Copies into a new run folder the files that given artefacts name.
+def bring_files(recipe: Recipe, given: Mapping[int, Given], folder: RunFolder) -> None:
+    """Copies into a new run folder the files that given artefacts name, from beside their recording.
 
     A file that a later stage takes must be there (`FileError`); another is copied if it is one of the
     run's results, and still lies there.
@@ -77,15 +95,16 @@ def bring_files(recipe: Recipe, given: Mapping[int, Given], recorded_folder: Pat
     later = [step for i, step in enumerate(recipe.steps) if i not in given]
     wanted = {name for step in later for name in (*step.stage.inputs, *step.stage.optional_inputs)}
     for index, stage in given.items():
+        recorded_folder = stage.recording.path.absolute().parent
         for name, artefact in stage.outputs.items():
             for file in _named_files(artefact):
                 try:
-                    source, target = path_within(recorded_folder, file), path_within(run_folder, file)
+                    source = path_within(recorded_folder, file)
                 except ValueError as error:
                     raise FileError(str(error), file=recorded_folder) from error
                 if source.is_file() and (name in wanted or not file.startswith("work/")):
-                    with writing(target) as temporary:
-                        shutil.copyfile(source, temporary)
+                    with folder.writing(file) as temporary:
+                        shutil.copyfile(source, temporary, follow_symlinks=False)
                 elif name in wanted:
                     mend = f"replay with --from {recipe.steps[index].stage.id} or an earlier stage"
                     raise FileError(f"the file of '{name}' is gone", file=source, mend=mend)

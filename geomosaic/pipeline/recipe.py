@@ -24,6 +24,8 @@ from geomosaic.pipeline.params import StageParams, accepts, check_params, file_v
 from geomosaic.pipeline.registry import Registry
 from geomosaic.pipeline.stage import Stage
 
+RUN_JSON = "run.json"
+RECORDING = "run.mcap"
 MAX_RECIPE_BYTES = 1 << 20
 _KEYS = ("name", "description", "seed", "stages")
 
@@ -67,12 +69,30 @@ class Recipe:
                     mend = f"give an existing one for {step.stage.id}.{name}"
                     raise FileError("no such file or folder", file=path, mend=mend)
                 if run_folder is not None:
-                    _check_apart(path.resolve(), run_folder.resolve(), path)
+                    self._check_apart(path, run_folder)
         for step in steps:
             step.stage.check(step.params)
             if run_folder is not None:
                 for path in step.stage.files(step.params).values():
-                    _check_apart(path.resolve(), run_folder.resolve(), path)
+                    self._check_apart(path, run_folder)
+
+    def results(self) -> frozenset[str]:
+        """Names of all that a run of the recipe may write beside RUN/work."""
+        return frozenset({RUN_JSON, RECORDING, *(name for s in self.steps for name in s.stage.results)})
+
+    def _check_apart(self, given: Path, run_folder: Path) -> None:
+        """No folder is read and written to at once, and nothing is read where the cache is tidied."""
+        path, folder = given.resolve(), run_folder.resolve()
+        mend = "give another output folder"
+        if path == folder:
+            problem = "would be read and written at once, and results be taken for frames"
+            raise InputError(problem, file=given, mend=mend)
+        if path == folder / "work" or folder / "work" in path.parents:
+            problem = f"lies in the run's cache {folder / 'work'}, which is tidied"
+            raise InputError(problem, file=given, mend=mend)
+        if path.parent == folder and path.name in self.results():
+            problem = "would be overwritten by the run's own file of that name"
+            raise InputError(problem, file=given, mend=mend)
 
 
 def _exists(path: Path) -> bool:
@@ -80,26 +100,6 @@ def _exists(path: Path) -> bool:
         return path.exists()
     except OSError:  # a name that no file can have
         return False
-
-
-def _check_apart(path: Path, run_folder: Path, given: Path) -> None:
-    """No folder is read and written to at once, and nothing is read where the cache is tidied."""
-    mend = "give another output folder"
-    if path == run_folder:
-        problem = "would be read and written at once, and results be taken for frames"
-        raise InputError(problem, file=given, mend=mend)
-    if path == run_folder / "work" or run_folder / "work" in path.parents:
-        raise InputError(
-            f"lies in the run's cache {run_folder / 'work'}, which is tidied", file=given, mend=mend
-        )
-    if path.parent == run_folder and path.name in _RESULTS:
-        raise InputError("would be overwritten by the run's own file of that name", file=given, mend=mend)
-
-
-_RESULTS = (
-    "mosaic.tif", "mosaic_RPC.TXT", "sources.tif", "offsets.csv", "positions.csv", "layers.gpkg",
-    "report.html", "run.json", "run.mcap",
-)  # fmt: skip
 
 
 class _Loader(yaml.SafeLoader):

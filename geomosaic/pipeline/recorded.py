@@ -27,7 +27,10 @@ class StageRecorder:
         self._target = target
         self._stage = stage
         self._lock = threading.Lock()
-        self._spool = spool.open("wb") if spool is not None else None
+        self._spool = None
+        if spool is not None:
+            spool.unlink(missing_ok=True)
+            self._spool = spool.open("xb")
 
     def log(self, level: str, text: str, stage: str = "", frame: str = "") -> None:
         """One line; `level` is `debug`, `info`, `warning` or `error`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -10,36 +9,22 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from geomosaic.errors import CancelledError, GeomosaicError, OutputError
+from geomosaic.errors import CancelledError, FileError, GeomosaicError, OutputError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import type_name
-from geomosaic.pipeline.cache import Finished, Held, StageCache, file_manifest, stage_key
+from geomosaic.pipeline.cache import Finished, Held, Lineage, StageCache, file_manifest, lineage_of, stage_key
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes
-from geomosaic.pipeline.given import Given
-from geomosaic.pipeline.recipe import Recipe, Step
+from geomosaic.pipeline.given import Given, bring_files
+from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, Recipe, Step
 from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.pipeline.reporter import Reporter, Silent, Source
+from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.single import check_outputs
 from geomosaic.pipeline.stage import Stage
 from geomosaic.recording.writer import Recorder
-
-RUN_JSON = "run.json"
-RECORDING = "run.mcap"
-
-
-@contextmanager
-def _locked(run_folder: Path) -> Iterator[None]:
-    path = run_folder / "work" / "lock"
-    with path.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise OutputError(
-                "another run is writing here", file=run_folder, mend="wait for it or choose another folder"
-            ) from error
-        yield
 
 
 @contextmanager
@@ -59,6 +44,7 @@ def run(
     recipe: Recipe,
     run_folder: Path,
     *,
+    overwrite: bool = False,
     workers: int = 1,
     dask: str | None = None,
     fixed_time: bool = False,
@@ -68,8 +54,10 @@ def run(
 ) -> dict[str, Any]:
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
-    What the finished run did not use is then deleted from RUN/work.
+    What the finished run did not use is then deleted from RUN/work, and results of an earlier run that
+    this one did not make are deleted too.
 
+    overwrite: the folder may hold files of others, and results may replace them.
     given: outcomes of steps (by index) that are not to be run, as taken from a recording.
     fixed_time: equal runs give equal bytes in run.mcap; clock times stand in run.json alone.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
@@ -77,17 +65,16 @@ def run(
     """
     given = given or {}
     recipe.check_files(skip=given.keys(), run_folder=run_folder)
-    run_folder = run_folder.absolute()
-    files.make_folder(run_folder)
-    files.make_folder(run_folder / "work")
-    with _locked(run_folder), _in_one_wording(run_folder), Workers(workers, dask) as team:
-        (run_folder / RUN_JSON).unlink(missing_ok=True)
-        files.sweep(run_folder)
-        hashes = files.FileHashes(run_folder / "work" / "hashes.json")
+    folder = RunFolder.opened(run_folder, sorted(recipe.results()), overwrite=overwrite)
+    with _in_one_wording(folder.path), folder.locked(), Workers(workers, dask) as team:
+        folder.remove(RUN_JSON)
+        files.sweep(folder.path)
+        bring_files(recipe, given, folder)
+        hashes = FileHashes(folder.within(f"{WORK}/hashes.json"))
         try:
-            with Recorder(run_folder / RECORDING, fixed_time=fixed_time) as recorder:
+            with Recorder(folder.claim(RECORDING), fixed_time=fixed_time) as recorder:
                 runner = _Run(
-                    recipe, run_folder, team, hashes, recorder, fixed_time, reporter or Silent(), cancelled
+                    recipe, folder, team, hashes, recorder, fixed_time, reporter or Silent(), cancelled
                 )
                 return runner.run(given)
         finally:
@@ -100,25 +87,25 @@ class _Run:
     def __init__(
         self,
         recipe: Recipe,
-        run_folder: Path,
+        folder: RunFolder,
         workers: Workers,
-        hashes: files.FileHashes,
+        hashes: FileHashes,
         recorder: Recorder,
         fixed_time: bool,
         reporter: Reporter,
         cancelled: Callable[[], bool] | None,
     ) -> None:
         self._recipe = recipe
-        self._folder = run_folder
+        self._folder = folder
         self._workers = workers
         self._hashes = hashes
         self._recorder = recorder
         self._fixed_time = fixed_time
         self._reporter = reporter
         self._cancelled = cancelled
-        self._cache = StageCache(run_folder, hashes)
+        self._cache = StageCache(folder, hashes)
         self._held: dict[str, Held] = {}
-        self._manifests: list[dict[str, dict[str, str]]] = []
+        self._lineages: list[Lineage] = []
         self._used: list[Path] = []
         self._summary: dict[str, Any] = {}
 
@@ -138,8 +125,9 @@ class _Run:
                 self._recorder.stage_started(stage, version, params, marks, reads_run=not step.stage.cached)
                 finished, source = self._step(i, step, inputs, given.get(i))
                 self._end_stage(step.stage, finished, time.monotonic() - started, source)
-            files.write_json(self._folder / RUN_JSON, self._summary)
-            self._cache.prune(self._used)
+            with self._folder.writing(RUN_JSON) as path:
+                files.write_json(path, self._summary)
+            self._tidy()
             self._hashes.forget_unasked()
             return self._summary
         except KeyboardInterrupt:
@@ -152,11 +140,15 @@ class _Run:
     def _begin(self, given: Mapping[int, Given]) -> None:
         manifest: dict[str, Any] = {}
         for i, step in enumerate(self._recipe.steps):
-            named = {} if i in given else step.stage.files(step.params)
-            content = file_manifest(named, self._hashes, self._hashing)
-            self._manifests.append(content)
             if i in given:
-                manifest.update(given[i].manifest())
+                recorded = given[i].manifest()
+                self._check_recorded(given[i])
+                self._lineages.append(lineage_of({name: entry["files"] for name, entry in recorded.items()}))
+                manifest |= {f"{step.stage.id}.{name}": entry for name, entry in recorded.items()}
+                continue
+            named = step.stage.files(step.params)
+            content = file_manifest(named, self._hashes, self._hashing)
+            self._lineages.append(lineage_of(content))
             for name, hashes in content.items():
                 manifest[f"{step.stage.id}.{name}"] = {"path": str(named[name]), "files": hashes}
         self._hashes.save()
@@ -173,6 +165,24 @@ class _Run:
         }
         self._recorder.begin_run(self._recipe.yaml(), self._summary["versions"], manifest)
 
+    def _check_recorded(self, given: Given) -> None:
+        """What a recorded stage found holds for the files it read, and only for them."""
+        for path, mark in given.read_files():
+            self._reporter.progress(0, 0, "reading inputs")
+            if self._hashes.of_input(path) != mark:
+                raise FileError(
+                    "has changed since the recording, which tells of the old one",
+                    file=path,
+                    mend="run the recipe again, or put the old file back",
+                )
+
+    def _tidy(self) -> None:
+        """Removes what earlier runs left and this one did not make or use."""
+        self._cache.prune(self._used)
+        made = {RUN_JSON, RECORDING, *(path.relative_to(self._folder.path).as_posix() for path in self._used)}
+        for name in (self._folder.made() & self._recipe.results()) - made:
+            self._folder.remove(name)
+
     def _hashing(self, done: int, total: int) -> None:
         if self._cancelled is not None and self._cancelled():
             raise CancelledError
@@ -186,18 +196,17 @@ class _Run:
     def _step(
         self, i: int, step: Step, inputs: Mapping[str, Held], given: Given | None
     ) -> tuple[Finished, Source]:
+        lineage = self._lineages[i].union(*(held.lineage for held in inputs.values()))
         if given is not None:
             for message in given.messages():
                 self._recorder.copy(*message)
-            return self._cache.keep_given(step.stage, given), "recording"
-        marks = {name: held.fingerprint for name, held in inputs.items()}
-        key = stage_key(step, marks, self._recipe.seed, self._manifests[i])
-        spool = self._folder / "work" / step.stage.id / "calls.part"
-        spool.parent.mkdir(parents=True, exist_ok=True)
-        finished = self._cache.find(step.stage, key) if step.stage.cached else None
+            return self._cache.keep_given(step.stage, given, lineage), "recording"
+        key = stage_key(step, inputs, self._recipe.seed, lineage)
+        finished = self._cache.find(step.stage, key, lineage) if step.stage.cached else None
         if finished is not None and finished.calls is not None:
             record_again(finished.calls, self._recorder)
             return finished, "cache"
+        spool = self._cache.spool(step.stage)
         recorder = StageRecorder(self._recorder, spool, step.stage.id)
         context = Context(
             self._folder,
@@ -218,12 +227,13 @@ class _Run:
             context.check_cancelled()
             values = step.stage().run({name: h.value() for name, h in inputs.items()}, step.params, context)
             check_outputs(step.stage, values)
+            self._hashes.check_unchanged()
         except BaseException:
             recorder.close()
             spool.unlink(missing_ok=True)
             raise
         recorder.close()
-        return self._cache.keep(step.stage, key, values, context, self._manifests[i], spool), "work"
+        return self._cache.keep(step.stage, key, values, context, lineage, spool), "work"
 
     def _timeless_summary(self) -> dict[str, Any]:
         """The summary without what differs between equal runs."""
@@ -235,7 +245,7 @@ class _Run:
             self._recorder.artefact(stage.id, name, type_name(held.type), held.fingerprint, held.data())
             self._held[name] = held
             self._summary["artefacts"][name] = {
-                "file": held.path.relative_to(self._folder).as_posix(),
+                "file": held.path.relative_to(self._folder.path).as_posix(),
                 "type": type_name(held.type),
                 "fingerprint": held.fingerprint,
             }

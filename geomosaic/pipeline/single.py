@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import PluginError
-from geomosaic.pipeline import files
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.params import StageParams
 from geomosaic.pipeline.recipe import Recipe, Step
 from geomosaic.pipeline.reporter import Reporter, Silent
+from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.stage import Stage
 
 
@@ -32,7 +32,7 @@ def check_outputs(stage: type[Stage], values: Any) -> None:
 def run_stage(
     stage: type[Stage],
     params: StageParams,
-    folder: Path,
+    folder: RunFolder,
     inputs: Mapping[str, Any] | None = None,
     *,
     work_folder: Path,
@@ -43,16 +43,15 @@ def run_stage(
 ) -> tuple[dict[str, Any], Notes]:
     """One stage by itself, without recording or cache: its outputs and what it noted.
 
-    `folder` is what the stage knows as the run folder; `work_folder` is the caller's to delete.
+    `work_folder` is the caller's to delete.
     """
     reporter = reporter or Silent()
     Recipe("", "", seed, (Step(stage, params),)).check_files()
-    files.make_folder(folder)
     reporter.stage_started(0, 1, stage.display_name)
     started = time.monotonic()
     with Workers(workers) as team:
         context = Context(
-            folder.absolute(),
+            folder,
             stage_id=stage.id,
             version=stage.version,
             work_folder=work_folder,
@@ -64,5 +63,6 @@ def run_stage(
         )
         values = stage().run(inputs or {}, params, context)
     check_outputs(stage, values)
+    folder.note(path.relative_to(folder.path).as_posix() for path in context.kept)
     reporter.stage_finished(time.monotonic() - started, "work")
     return values, context.notes

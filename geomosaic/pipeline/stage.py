@@ -43,6 +43,8 @@ class Stage(ABC):
     missing from `inputs` if no earlier stage gives it.
     cached: False for a stage that reads more than its inputs (the report reads the run's summary);
     it runs every time.
+    results: names of the files and folders it may write beside RUN/work. A run is refused before any work
+    if one of them is there and not geomosaic's; one of an earlier run that is not made again is removed.
     """
 
     id: ClassVar[str]
@@ -53,6 +55,7 @@ class Stage(ABC):
     optional_inputs: ClassVar[dict[str, type]] = {}
     outputs: ClassVar[dict[str, type]] = {}
     cached: ClassVar[bool] = True
+    results: ClassVar[tuple[str, ...]] = ()
     Params: ClassVar[type[StageParams]] = StageParams
 
     @classmethod

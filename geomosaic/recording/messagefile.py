@@ -38,7 +38,8 @@ class MessageFile:
         self._failure: OutputError | None = None
         self._closed = False
         with self._writing():
-            self._file = path.open("wb")
+            path.unlink(missing_ok=True)  # another name of the same file keeps its content
+            self._file = path.open("xb")
             self._writer: Any = Writer(  # partly untyped
                 self._file,
                 chunk_size=CHUNK_BYTES,

@@ -26,6 +26,7 @@ class ExportCog(Stage):
     version = 2
     inputs: ClassVar[dict[str, type]] = {"raster_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (MOSAIC,)
 
     class Params(StageParams):
         """See each parameter's help."""

@@ -36,6 +36,7 @@ class ExportLayers(Stage):
         "mosaic": Mosaic,
     }
     outputs: ClassVar[dict[str, type]] = {"layers_file": RunFile, "positions_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (POSITIONS, LAYERS)
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Both files from the same adjusted poses."""

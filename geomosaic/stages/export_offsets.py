@@ -21,6 +21,7 @@ class ExportOffsets(Stage):
     version = 1
     inputs: ClassVar[dict[str, type]] = {"offsets": StripOffsets}
     outputs: ClassVar[dict[str, type]] = {"offsets_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (OFFSETS,)
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """As `StripOffsets` has them."""

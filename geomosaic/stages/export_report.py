@@ -29,6 +29,7 @@ class ExportReport(Stage):
     }  # fmt: skip
     optional_inputs: ClassVar[dict[str, type]] = {"comparison": Comparison}
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = ("report.html",)
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Renders the page and writes it."""

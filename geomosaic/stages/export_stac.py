@@ -22,6 +22,7 @@ class ExportStac(Stage):
     version = 1
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "mosaic": Mosaic, "mosaic_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"stac_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (ITEM,)
     cached = False
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:

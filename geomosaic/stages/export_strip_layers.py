@@ -28,6 +28,7 @@ class ExportStripLayers(Stage):
         "strip_quality": StripQuality, "mosaic_file": RunFile,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"layers_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (LAYERS,)
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """By the RPC of mosaic.tif."""

@@ -29,6 +29,7 @@ class ExportStripReport(Stage):
         "strip_mosaic": StripMosaic, "strip_quality": StripQuality, "mosaic_file": RunFile,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (REPORT,)
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Renders the page and writes it."""

@@ -20,6 +20,7 @@ class ExportTiles(Stage):
     version = 1
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"tiles_folder": RunFile}
+    results: ClassVar[tuple[str, ...]] = (TILES,)
 
     class Params(StageParams):
         """See each parameter's help."""

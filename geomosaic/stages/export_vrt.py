@@ -20,6 +20,7 @@ class ExportVrt(Stage):
     version = 1
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"vrt_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (VRT,)
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Refers to mosaic.tif by its name, so that both can be moved together."""

@@ -37,6 +37,7 @@ class MosaicCompose(Stage):
         "adjusted": Adjusted,
     }
     outputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
+    results: ClassVar[tuple[str, ...]] = (SOURCES,)
 
     class Params(StageParams):
         """See each parameter's help."""

@@ -40,6 +40,7 @@ class MosaicStrips(Stage):
     outputs: ClassVar[dict[str, type]] = {
         "strip_mosaic": StripMosaic, "outlines": Outlines, "raster_file": RunFile,
     }  # fmt: skip
+    results: ClassVar[tuple[str, ...]] = (RPC,)
 
     class Params(StageParams):
         """See each parameter's help."""

@@ -1,0 +1,147 @@
+"""Files by content: BLAKE2b hashes, remembered for as long as nothing speaks against them."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import FileError
+from geomosaic.pipeline import files
+from geomosaic.pipeline.artefacts import fingerprint_of_json
+
+_CHUNK_BYTES = 1 << 20
+_MOST_MEMORY_BYTES = 64 << 20
+_SIDECARS = (".prj", ".tfw", ".jgw", ".wld")
+_APPENDED = (".aux.xml", ".msk", ".ovr")
+SETTLED_NS = 2_000_000_000
+"""A file changed so shortly before it was hashed could change again without another time of change: 2 s is
+the coarsest clock of a file system in use (FAT). Git's index has the same rule ("racily clean")."""
+
+Mark = list[int]
+
+
+def _mark(told: os.stat_result) -> Mark:
+    """What changes with a file's content: size, time of change, and the times and numbers of its inode.
+
+    Tools that keep the time of change (touch -r, rsync -t, cp -p) can't keep the inode's own (ctime).
+    """
+    return [told.st_size, told.st_mtime_ns, told.st_ctime_ns, told.st_ino, told.st_dev]
+
+
+class FileHashes:
+    """BLAKE2b of files' contents.
+
+    A hash is taken from memory only if size, both times, inode and device are as they were, and the file had
+    been still for 2 s when it was hashed. What this can't see: an edit on a file system without a time of
+    inode change (FAT, some network mounts) that keeps size and time. Deleting RUN/work asks all files anew.
+    """
+
+    def __init__(self, memory: Path | None = None) -> None:
+        self._memory = memory
+        self._known: dict[str, list[Any]] = {}
+        self._now: dict[str, tuple[Mark, str]] = {}
+        self._read: dict[Path, str] = {}
+        self._new = False
+        if memory is not None:
+            with suppress(OSError, ValueError, RecursionError):
+                known = json.loads(files.read_own(memory, _MOST_MEMORY_BYTES))
+                self._known = known if isinstance(known, dict) else {}
+
+    def of_file(self, path: Path) -> str:
+        """Hash of one file's bytes. Raises `FileError` if it can't be read, or changes meanwhile."""
+        try:
+            mark = _mark(path.stat())
+            name = str(path)
+            known = self._now.get(name)
+            if known is not None and known[0] == mark:
+                return known[1]
+            kept = self._known.get(name)
+            if isinstance(kept, list) and kept[:-1] == mark and isinstance(kept[-1], str):
+                self._now[name] = (mark, kept[-1])
+                return kept[-1]
+            digest = blake2b(digest_size=20)
+            with path.open("rb") as file:
+                while chunk := file.read(_CHUNK_BYTES):
+                    digest.update(chunk)
+            if _mark(path.stat()) != mark:
+                raise _changed(path)
+        except FileError:
+            raise
+        except OSError as error:
+            raise FileError(f"can't be read ({error.strerror or error})", file=path) from error
+        self._now[name] = (mark, digest.hexdigest())
+        self._known.pop(name, None)
+        if time.time_ns() - max(mark[1], mark[2]) > SETTLED_NS:
+            self._known[name] = [*mark, digest.hexdigest()]
+        self._new = True
+        return digest.hexdigest()
+
+    def of_input(self, path: Path) -> str:
+        """Hash of a file that the run reads; `check_unchanged` then watches over it."""
+        digest = self.of_file(path)
+        self._read[path] = digest
+        return digest
+
+    def check_unchanged(self, *paths: Path) -> None:
+        """Raises `FileError` for the first of some inputs, or of all, that is no longer what was hashed.
+
+        One that is gone is left to whoever wants to read it.
+        """
+        for path in paths or self._read:
+            if path.exists() and self.of_file(path) != self._read[path]:
+                raise _changed(path)
+
+    def inputs(self) -> frozenset[Path]:
+        """The files that the run reads, as normalised absolute paths."""
+        return frozenset(Path(os.path.normpath(path.absolute())) for path in self._read)
+
+    def manifest(self, path: Path, progress: Callable[[int, int], None] | None = None) -> dict[str, str]:
+        """Names and hashes of what a file parameter stands for.
+
+        A file stands for itself and its sidecars (`.prj`, world files, `.aux.xml`, `.msk`, `.ovr`), a folder
+        for the files directly inside that aren't hidden.
+        """
+        if path.is_dir():
+            found = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+        else:
+            beside = [path.with_suffix(s) for s in _SIDECARS]
+            beside += [path.with_name(path.name + s) for s in _APPENDED]
+            found = [path, *(p for p in beside if p != path and p.is_file())]
+        hashes = {}
+        for i, file in enumerate(found):
+            hashes[file.name] = self.of_input(file)
+            if progress:
+                progress(i + 1, len(found))
+        return hashes
+
+    def of_written(self, path: Path) -> str:
+        """Hash of a file, or of all that lies below a folder, that a stage wrote; links are refused."""
+        if path.is_dir():
+            found = sorted(p for p in path.rglob("*") if p.is_symlink() or p.is_file())
+            return fingerprint_of_json([[p.relative_to(path).as_posix(), self.of_written(p)] for p in found])
+        if path.is_symlink():
+            raise FileError("is a link", file=path)
+        return self.of_file(path)
+
+    def forget_unasked(self) -> None:
+        """Forgets the files that nobody asked for since the start."""
+        self._new = self._new or not self._known.keys() <= self._now.keys()
+        self._known = {path: kept for path, kept in self._known.items() if path in self._now}
+
+    def save(self) -> None:
+        """Keeps what is known for the next run."""
+        if self._memory is not None and self._new:
+            files.write_bytes(self._memory, json.dumps(self._known, separators=(",", ":")).encode())
+            self._new = False
+
+
+def _changed(path: Path) -> FileError:
+    return FileError(
+        "was changed while the run read it", file=path, mend="run again once nobody writes to it"
+    )

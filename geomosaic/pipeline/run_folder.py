@@ -1,0 +1,146 @@
+"""A folder that geomosaic writes to. A marker in it lists what geomosaic made; all else is somebody's."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+from geomosaic import __version__
+from geomosaic.errors import OutputError
+from geomosaic.pipeline import files
+
+MARKER = ".geomosaic.json"
+WORK = "work"
+_LOCK = f"{WORK}/lock"
+_MOST_MARKER_BYTES = 16 << 20
+_OVERWRITE = "move it away, choose another output folder, or allow it with --overwrite"
+
+
+class RunFolder:
+    """A run's folder: `work/` is its cache, and only files that the marker lists are replaced or removed.
+
+    overwrite: files that geomosaic did not make may be replaced where a result has their name. No link
+    inside the folder is ever followed.
+    """
+
+    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
+        self.path = path.absolute()
+        self.overwrite = overwrite
+        self._made = self._listed()
+
+    @classmethod
+    def opened(cls, path: Path, results: Iterable[str] = (), *, overwrite: bool = False) -> RunFolder:
+        """The folder, made where missing, marked, and proven to be writable.
+
+        Raises `OutputError`, before anything is made, if it holds files and no marker, or if one of the
+        results to be written is there and not in the marker's list.
+        """
+        folder = cls(path, overwrite=overwrite)
+        if not overwrite and not folder.marked and folder._holds_files():
+            raise OutputError(
+                "is not empty and not geomosaic's",
+                file=path,
+                mend="choose a new or empty folder, or allow it with --overwrite",
+            )
+        for name in results:
+            folder._check_free(name)
+        files.make_folder(folder.path)
+        folder._save()
+        return folder
+
+    @property
+    def marked(self) -> bool:
+        """Whether geomosaic made this folder."""
+        return (self.path / MARKER).is_file()
+
+    def within(self, name: str) -> Path:
+        """The path of a name in this folder; see `files.path_within`."""
+        return files.path_within(self.path, name)
+
+    def claim(self, name: str) -> Path:
+        """The path of a file that is about to be written, from now on in the marker's list.
+
+        Raises `OutputError` if a file of that name is there that geomosaic did not make.
+        """
+        self._check_free(name)
+        if name not in self._made:
+            self._made.add(name)
+            self._save()
+        return self.within(name)
+
+    def note(self, names: Iterable[str]) -> None:
+        """Lists files that a stage wrote by itself."""
+        if not self._made.issuperset(more := set(names)):
+            self._made |= more
+            self._save()
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """A temporary path that takes a claimed name if the block succeeds; see `files.writing`."""
+        with files.writing(self.claim(name)) as temporary:
+            yield temporary
+
+    def made(self) -> frozenset[str]:
+        """The names in the marker's list."""
+        return frozenset(self._made)
+
+    def remove(self, name: str) -> None:
+        """Removes a file or folder that the marker lists, and forgets it; another one is left alone."""
+        if name in self._made:
+            files.remove(self.within(name))
+            self._made.discard(name)
+            self._save()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Only one run writes here; `OutputError` if another does."""
+        files.make_folder(self.within(WORK))
+        path = self.within(_LOCK)
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise files.output_error(error, path) from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+        except BlockingIOError as error:
+            raise OutputError(
+                "another run is writing here", file=self.path, mend="wait for it or choose another folder"
+            ) from error
+        finally:
+            os.close(handle)
+
+    def _holds_files(self) -> bool:
+        try:
+            return any(not entry.name.startswith(".") for entry in self.path.iterdir())
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            raise files.output_error(error, self.path) from error
+
+    def _check_free(self, name: str) -> None:
+        path = self.within(name)
+        if name in self._made or self.overwrite or not os.path.lexists(path):
+            return
+        raise OutputError("is in the way, and geomosaic did not make it", file=path, mend=_OVERWRITE)
+
+    def _listed(self) -> set[str]:
+        try:
+            data = files.read_own(self.within(MARKER), _MOST_MARKER_BYTES)
+            names = json.loads(data)["files"]
+            return {name for name in names if isinstance(name, str) and _stays_inside(name)}
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):  # none, or cut by a power failure
+            return set()
+
+    def _save(self) -> None:
+        told = {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)}
+        files.write_json(self.within(MARKER), told)
+
+
+def _stays_inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts
