@@ -389,7 +389,7 @@ def test_doctor_finds_the_installation_sound(desk: Desk) -> None:
 
 def test_the_command_line_loads_nothing_heavy() -> None:
     code = (
-        "import sys, geomosaic.cli.main as m; m.build_app();"
+        "import sys, geomosaic.cli.app as m; m.build_app();"
         "print([n for n in ('cv2','rerun','osgeo','rasterio','numpy','scipy','pyproj') if n in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

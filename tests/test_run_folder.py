@@ -28,7 +28,7 @@ def test_a_folder_of_others_is_refused_and_left_as_it_is(toys: Toys) -> None:  #
     (toys.run_folder / "work").mkdir(parents=True)
     (toys.run_folder / "work" / "notes.txt").write_text("mine")
     before = contents(toys.run_folder)
-    with pytest.raises(OutputError, match="is not empty and not geomosaic's; choose a new .* --overwrite$"):
+    with pytest.raises(OutputError, match=r"is not empty and not geomosaic's; choose a new .* --overwrite$"):
         toys.run()
     assert contents(toys.run_folder) == before and toys.done() == []
 
@@ -75,7 +75,8 @@ def test_a_result_that_is_not_made_again_goes(toys: Toys) -> None:  # noqa: F811
 
 
 @pytest.mark.parametrize(
-    "name", ["work", "work/lock", "work/toy.read", "work/toy.read/calls.part", "run.mcap", "total.txt", MARKER]
+    "name",
+    ["work", "work/lock", "work/toy.read", "work/toy.read/calls.part", "run.mcap", "total.txt", MARKER],
 )
 @pytest.mark.parametrize("finished", [False, True])
 def test_links_are_not_followed(name: str, finished: bool, toys: Toys) -> None:  # noqa: F811

@@ -44,7 +44,9 @@ def invert(frame: Path) -> None:
     """Other pixels behind the same tags."""
     data = frame.read_bytes()
     tags = data[2 : 4 + int.from_bytes(data[4:6], "big")] if data[2:4] == b"\xff\xe1" else b""
-    pixels = 255 - cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = 255 - cv2.imdecode(
+        np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    )
     plain = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
     frame.write_bytes(plain[:2] + tags + plain[2:])
 

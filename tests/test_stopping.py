@@ -1,0 +1,94 @@
+"""Ctrl-C and SIGTERM, whatever is being done."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from geomosaic.export.cog import write_cog
+
+STUBBORN = """
+import sys, time, geomosaic.cli.main as main
+def stubborn(argv, stop):
+    while True:
+        try:
+            print("ready", flush=True)
+            while True:
+                time.sleep(0.01)
+        except KeyboardInterrupt:
+            {then}
+main._main = stubborn
+sys.exit(main.main())
+"""
+
+
+@pytest.fixture
+def raster(tmp_path: Path) -> Path:
+    path = tmp_path / "raster.tif"
+    shape = {"width": 3000, "height": 3000, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(
+        path, "w", driver="GTiff", transform=rasterio.Affine(1, 0, 5e5, 0, -1, 5e6), **shape
+    ) as out:
+        out.write(np.random.default_rng(1).integers(0, 255, (3, 3000, 3000), dtype=np.uint8))
+    return path
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("percent", [0, 20, 70])
+def test_a_signal_while_gdal_writes_stops_it_and_leaves_nothing(
+    number: int, percent: int, raster: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Raised in GDAL's callback it was printed, and taken for a fault of the disk."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def progress(done: int, _: int) -> None:
+        if done >= percent:
+            os.kill(os.getpid(), number)
+
+    before = signal.signal(number, stop)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            write_cog(raster, tmp_path / "cog.tif", progress=progress)
+        assert signal.getsignal(number) is stop
+    finally:
+        signal.signal(number, before)
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("then", ["pass", "raise OSError('disk')", "return 0", "raise"])
+def test_a_command_ends_in_time_with_the_signal_s_code(number: int, code: int, then: str) -> None:
+    """Also where a library swallows the exception, or makes another one of it."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", STUBBORN.format(then=then)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    started = time.monotonic()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    if then in ("pass", "return 0"):
+        assert process.returncode == code
+    assert time.monotonic() - started < 10.0
+    assert process.returncode != 0 and (then != "pass" or err == "geomosaic: stopped\n")
+
+
+def test_a_signal_that_is_ignored_stays_so() -> None:
+    """As under nohup, or in the background of a script."""
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import geomosaic.cli.stopping as s\n"
+        "with s.stoppable(): print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "True\n"
