@@ -43,6 +43,7 @@ from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.finished import load_artefact
 from geomosaic.pipeline.recipe import recipe_from
 from geomosaic.pipeline.registry import installed
+from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.single import run_stage
 from geomosaic.projection.footprint import ground_from_image
@@ -192,7 +193,11 @@ class Bench:
     def _stage(self, id: str, params: dict[str, Any], inputs: dict[str, Any]) -> dict[str, Any]:
         stage = installed().get(id)
         values, _ = run_stage(
-            stage, stage.Params(**params), self.folder / "run", inputs, work_folder=self.folder / "work"
+            stage,
+            stage.Params(**params),
+            RunFolder(self.folder / "run"),
+            inputs,
+            work_folder=self.folder / "work",
         )
         return {**inputs, **values}
 

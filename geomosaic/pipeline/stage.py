@@ -17,8 +17,8 @@ A stage is a class that adapts between the rooms and the runner and holds no mat
             ...
 
 It enters by the entry-point group `geomosaic.stages`. Its outputs are kept under a fingerprint of id,
-version, parameters that affect the output, the contents of the files they name, the seed, and the
-fingerprints of its inputs: whoever changes what a stage computes raises its `version`.
+version, parameters that affect the output, the seed, its inputs' fingerprints, and the contents of all
+files that it or any stage before it read: whoever changes what a stage computes raises its `version`.
 """
 
 from __future__ import annotations
