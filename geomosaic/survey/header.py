@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import rasterio
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from geomosaic.doors.raster import FRAME, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.jpeg import read_structure
@@ -64,25 +62,8 @@ def _jpeg_header(path: Path) -> FrameHeader:
     return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
 
 
-def open_picture(path: Path, driver: str | None = None) -> Any:
-    """A rasterio dataset that needs no place on the map."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return rasterio.open(path, driver=driver)
-
-
-def open_tiff(path: Path) -> Any:
-    """A TIFF frame as a rasterio dataset; `FileError` for what is none."""
-    try:
-        return open_picture(path, "GTiff")
-    except (RasterioError, OSError) as error:
-        raise FileError(
-            "is no readable TIFF file", file=path, mend="copy it again, or take it out of the folder"
-        ) from error
-
-
 def _tiff_header(path: Path) -> FrameHeader:
-    with open_tiff(path) as tiff:
+    with open_raster(path, FRAME) as tiff:
         _check_blocks(tiff, path)
         alpha = [i for i in tiff.colorinterp if i == ColorInterp.alpha]
         bands = tiff.count - len(alpha)

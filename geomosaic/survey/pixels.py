@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import RasterioError
 
+from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
-from geomosaic.survey.header import JPEG_SUFFIXES, open_tiff
+from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 
@@ -75,14 +75,11 @@ def _decode_jpeg(path: Path, bands: int, reduction: int) -> NDArray[Any]:
 
 def _read_tiff(path: Path) -> tuple[NDArray[Any], Mask | None]:
     """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
-    try:
-        with open_tiff(path) as tiff:
-            bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
-            pixels = np.moveaxis(tiff.read([i for i, c in bands if c != ColorInterp.alpha]), 0, -1)
-            masked = any(flag != MaskFlags.all_valid for flags in tiff.mask_flag_enums for flag in flags)
-            valid = tiff.dataset_mask() if masked else None
-    except RasterioError as error:
-        raise FileError("the TIFF can't be decoded whole", file=path, mend=_MEND) from error
+    with reading(path, "the TIFF can't be decoded whole", _MEND), open_raster(path, FRAME) as tiff:
+        bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
+        pixels = np.moveaxis(tiff.read([i for i, c in bands if c != ColorInterp.alpha]), 0, -1)
+        masked = any(flag != MaskFlags.all_valid for flags in tiff.mask_flag_enums for flag in flags)
+        valid = tiff.dataset_mask() if masked else None
     if valid is not None:
         valid = np.where(valid > 0, np.uint8(255), np.uint8(0))
         valid = None if valid.all() else valid
@@ -90,16 +87,23 @@ def _read_tiff(path: Path) -> tuple[NDArray[Any], Mask | None]:
 
 
 def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
-    mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if mask is None:
-        raise FileError("the mask can't be read", file=path, mend="write it as 8 bit PNG or TIFF")
-    if mask.shape != shape:
-        raise FileError(
-            f"the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its frame {shape[1]} x {shape[0]}",
-            file=path,
-            mend="make a mask of the frame's size",
-        )
-    return np.where(mask > 0, np.uint8(255), np.uint8(0))
+    """255 where any colour is above 0; an alpha band says nothing."""
+    with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.mend):
+        if mask.shape != shape:
+            raise FileError(
+                f"the mask has {mask.width} x {mask.height} pixels, its frame {shape[1]} x {shape[0]}",
+                file=path,
+                mend="make a mask of the frame's size",
+            )
+        if mask.colorinterp[0] == ColorInterp.palette:
+            colours = mask.colormap(1)
+            lit = np.array([any(colours.get(i, (i,))[:3]) for i in range(256)])
+            return np.where(lit[mask.read(1)], np.uint8(255), np.uint8(0))
+        valid = np.zeros(shape, dtype=np.uint8)
+        for i, colour in zip(mask.indexes, mask.colorinterp, strict=True):
+            if colour != ColorInterp.alpha:
+                valid[mask.read(i) > 0] = 255
+        return valid
 
 
 def _padded(array: NDArray[Any], reduction: int) -> NDArray[Any]:
