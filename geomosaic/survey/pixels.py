@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.windows import Window
 
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
@@ -46,9 +47,9 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
         raise ValueError(f"reduction is one of {sorted(_REDUCED)}, not {reduction}")
     path = Path(frame.path)
     if path.suffix.lower() in JPEG_SUFFIXES:
-        pixels, valid = _decode_jpeg(path, frame.bands, reduction), None
+        pixels, valid = _decode_jpeg(path, frame, reduction), None
     else:
-        pixels, valid = _read_tiff(path)
+        pixels, valid = _read_tiff(path, frame.whole_rows)
         pixels = _mean(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), frame.bands)
     if pixels.shape != expected:
@@ -56,16 +57,19 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     if frame.valid_mask is not None:
         sidecar = _read_mask(Path(frame.valid_mask), (frame.height_px, frame.width_px))
         valid = sidecar if valid is None else np.minimum(valid, sidecar)
+    if frame.whole_rows is not None:
+        valid = np.full((frame.height_px, frame.width_px), 255, np.uint8) if valid is None else valid
+        valid[frame.whole_rows :] = 0
     return pixels, None if valid is None else _least(valid, reduction)
 
 
-def _decode_jpeg(path: Path, bands: int, reduction: int) -> NDArray[Any]:
+def _decode_jpeg(path: Path, frame: Frame, reduction: int) -> NDArray[Any]:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
-    parse_structure(data, path)  # OpenCV fills what is missing with grey
-    colour = cv2.IMREAD_GRAYSCALE if bands == 1 else cv2.IMREAD_COLOR_RGB
+    parse_structure(data, path, whole=frame.whole_rows is None)  # OpenCV fills what is missing with grey
+    colour = cv2.IMREAD_GRAYSCALE if frame.bands == 1 else cv2.IMREAD_COLOR_RGB
     flags = _REDUCED[reduction] | colour | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if pixels is None:
@@ -73,13 +77,19 @@ def _decode_jpeg(path: Path, bands: int, reduction: int) -> NDArray[Any]:
     return np.atleast_3d(pixels)
 
 
-def _read_tiff(path: Path) -> tuple[NDArray[Any], Mask | None]:
+def _read_tiff(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
     """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
     with reading(path, "the TIFF can't be decoded whole", _MEND), open_raster(path, FRAME) as tiff:
         bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
-        pixels = np.moveaxis(tiff.read([i for i, c in bands if c != ColorInterp.alpha]), 0, -1)
+        window = Window(0, 0, tiff.width, tiff.height if whole_rows is None else whole_rows)
+        pixels = tiff.read([i for i, c in bands if c != ColorInterp.alpha], window=window)
         masked = any(flag != MaskFlags.all_valid for flags in tiff.mask_flag_enums for flag in flags)
-        valid = tiff.dataset_mask() if masked else None
+        valid = tiff.dataset_mask(window=window) if masked else None
+        missing = tiff.height - window.height
+    if missing:
+        pixels = np.pad(pixels, [(0, 0), (0, missing), (0, 0)])
+        valid = None if valid is None else np.pad(valid, [(0, missing), (0, 0)])
+    pixels = np.moveaxis(pixels, 0, -1)
     if valid is not None:
         valid = np.where(valid > 0, np.uint8(255), np.uint8(0))
         valid = None if valid.all() else valid
