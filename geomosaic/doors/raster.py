@@ -163,10 +163,10 @@ def _go_offline() -> None:
             pass
     finally:
         logger.setLevel(level)
-    for name in _CONNECTING.split():
-        driver = gdal.GetDriverByName(name)
-        if driver is not None:
-            driver.Deregister()
+    here = [name for name in _CONNECTING.split() if gdal.GetDriverByName(name) is not None]
+    gdal.SetConfigOption("GDAL_SKIP", " ".join(here))  # for osgeo.ogr, which registers all again
+    for name in here:
+        gdal.GetDriverByName(name).Deregister()
 
 
 _go_offline()

@@ -40,7 +40,6 @@ _WARP_TAGS = """
 _VRT_TAGS: Final = frozenset((_MOSAIC_TAGS + _WARP_TAGS).split())
 _PATH_TAGS: Final = frozenset({"SourceFilename", "SourceDataset"})
 _SUBCLASSES: Final = frozenset({"", "VRTWarpedDataset", "VRTSourcedRasterBand", "VRTWarpedRasterBand"})
-_OPTIONS: Final = frozenset({"INIT_DEST", "UNIFIED_SRC_NODATA", "SAMPLE_GRID", "SAMPLE_STEPS", "NUM_THREADS"})
 
 
 def check_sidecars(path: Path) -> None:
@@ -138,8 +137,8 @@ def _sources(root: Element, path: Path) -> Iterator[tuple[str, bool]]:
         tag = str(element.tag)
         subclass = element.get("subClass", "")
         known = tag in _VRT_TAGS and subclass in _SUBCLASSES
-        if tag == "Option":
-            known = element.get("name", "").upper() in _OPTIONS
+        if tag == "Option":  # of a warp: numbers, words, outlines
+            known = not set("/\\<") & set(element.text or "")
         if tag == "Metadata":
             known = element.get("domain", "") != "GEOLOCATION"
         if not known:
