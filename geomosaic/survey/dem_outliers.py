@@ -16,6 +16,7 @@ _LAND_M: Final = (
     9100.0,
 )  # the Dead Sea's shore to Everest, with room for mines
 _FILL_BELOW_M: Final = 20.0  # a fill below the land (0, -99) differs by more than banks and quays
+_FILL_MOST_M: Final = 100.0  # where it fills the larger part: a level plain with nothing on it but towers
 _FILL_ABOVE_M: Final = 300.0  # and one above it by more than towers with flat roofs
 _FILL_STEPS: Final = 4.0  # in 99th percentiles of the steps from pixel to pixel elsewhere
 _SPIKE_M: Final = 50.0  # a lone pixel that differs by less does a mosaic no harm
@@ -66,7 +67,8 @@ def _fill(height_m: Floats, lowest: bool) -> Flags | None:
     if not border.size:
         return None
     usual = float(np.percentile(ordinary, 99.0)) if ordinary.size else 0.0
-    least = max(_FILL_BELOW_M if lowest else _FILL_ABOVE_M, _FILL_STEPS * usual)
+    small = np.count_nonzero(its) < 0.5 * np.count_nonzero(known)
+    least = max((_FILL_BELOW_M if small else _FILL_MOST_M) if lowest else _FILL_ABOVE_M, _FILL_STEPS * usual)
     return its if float(np.median(border)) > least else None
 
 
