@@ -7,7 +7,6 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -20,7 +19,7 @@ _FILL_MOST_M: Final = 100.0  # where it fills the larger part: a level plain wit
 _FILL_ABOVE_M: Final = 300.0  # and one above it by more than towers with flat roofs
 _FILL_STEPS: Final = 4.0  # in 99th percentiles of the steps from pixel to pixel elsewhere
 _SPIKE_M: Final = 50.0  # a lone pixel that differs by less does a mosaic no harm
-_SPIKE_SPREADS: Final = 10.0  # in 95th percentiles of the differences to the median of 5 x 5 pixels
+_SPIKE_SPREADS: Final = 10.0  # in 95th percentiles of the differences to the third nearest of 8 neighbours
 _MOST_FILLS: Final = 4  # values on either side
 
 
@@ -28,7 +27,7 @@ def outliers(height_m: Floats, mixed: bool = False) -> Flags:
     """Where heights (rows, cols), NaN where unknown, can't be the ground's.
 
     Outside the land's range; one and the same value, the lowest or highest of all, that ends everywhere in a
-    step as there is none elsewhere; pixels far off the median of those around them. mixed: the neighbours
+    step as there is none elsewhere; pixels far off nearly all of those around them. mixed: the neighbours
     of fills are mixtures of both, and go too.
     """
     with np.errstate(invalid="ignore"):
@@ -77,16 +76,18 @@ def _both(flags: Flags, axis: int) -> Flags:
 
 
 def _spikes(height_m: Floats) -> Flags:
-    """Pixels far off the median of the 5 x 5 around them."""
-    unknown = np.isnan(height_m)
-    if unknown.all() or min(height_m.shape) < 3:
+    """Pixels that at most two of the eight around them come near to; unknown ones count as near."""
+    if min(height_m.shape) < 3:
         return np.zeros(height_m.shape, dtype=bool)
-    whole = height_m
-    if unknown.any():
-        nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-        whole = height_m[tuple(nearest)]
-    level = float(np.nanmedian(whole))
-    near = cv2.medianBlur((whole - level).astype(np.float32), 5) + level
-    off = np.abs(whole - near)
-    spread = float(np.percentile(off, 95.0))
-    return np.asarray((off > max(_SPIKE_M, _SPIKE_SPREADS * spread)) & ~unknown)
+    around = np.pad(height_m, 1, mode="reflect")
+    rows, cols = height_m.shape
+    first, second, third = (np.full(height_m.shape, np.inf) for _ in range(3))
+    for row in range(3):
+        for col in range(3):
+            if (row, col) != (1, 1):
+                away = np.nan_to_num(np.abs(around[row : row + rows, col : col + cols] - height_m), nan=0.0)
+                third = np.minimum(third, np.maximum(second, away))
+                second = np.minimum(second, np.maximum(first, away))
+                first = np.minimum(first, away)
+    spread = float(np.percentile(third, 95.0))
+    return np.asarray(third > max(_SPIKE_M, _SPIKE_SPREADS * spread))
