@@ -13,6 +13,7 @@ from rasterio.windows import Window
 
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
+from geomosaic.survey.damage import decoded_anyway
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
@@ -69,6 +70,8 @@ def _decode_jpeg(path: Path, frame: Frame, reduction: int) -> NDArray[Any]:
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
     parse_structure(data, path, whole=frame.whole_rows is None)  # OpenCV fills what is missing with grey
+    if frame.whole_rows is not None:
+        return decoded_anyway(data, frame.bands, reduction)
     colour = cv2.IMREAD_GRAYSCALE if frame.bands == 1 else cv2.IMREAD_COLOR_RGB
     flags = _REDUCED[reduction] | colour | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
