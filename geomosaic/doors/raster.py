@@ -67,7 +67,7 @@ REFERENCE: Final = Purpose(
     "is not a raster that GDAL can read",
     "give a georeferenced raster such as a GeoTIFF",
     sidecars=True,
-    missing=("no such file", "check the path"),
+    missing=("no such file", "give a georeferenced raster such as a GeoTIFF"),
 )
 
 

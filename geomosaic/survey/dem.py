@@ -19,6 +19,7 @@ from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
 _MOST_PIXELS: Final = 3000  # a side: 72 MB of heights
+_AROUND: Final = 32  # pixels beside the window, by which those in it are judged
 _METRES: Final = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
 
 
@@ -115,14 +116,16 @@ def read_heights(
     path = Path(elevation.path)
     with open_raster(path, DEM) as source, reading(path):
         check_grid(source, path)
-        window = _window(source, bounds)
-        if window is None:
+        wanted = _window(source, bounds, (1, 1))
+        if wanted is None:
             raise FileError("the DEM does not cover the survey", file=path, mend="give one that does")
-        t, sides = source.transform, (window.height, window.width)
+        t, sides = source.transform, (wanted.height, wanted.width)
         steps = [
             max(1.0, side / _MOST_PIXELS, finest / pixel)
             for side, pixel in zip(sides, (-t.e, t.a), strict=True)
         ]
+        window = _window(source, bounds, (int(steps[0] * _AROUND), int(steps[1] * _AROUND))) or wanted
+        sides = (window.height, window.width)
         shape = tuple(max(1, int(side / step)) for side, step in zip(sides, steps, strict=True))
         reduced = shape != sides
         heights = _read(source, window, shape, Resampling.average if reduced else Resampling.nearest)
@@ -132,31 +135,43 @@ def read_heights(
             bad_sample = outliers(sample + elevation.offset_m, reduced)
             if bad.any() or bad_sample.any():
                 heights, bad = sample, bad_sample
+        rows, step_y = _part(window.row_off, window.height, wanted.row_off, wanted.height, shape[0])
+        cols, step_x = _part(window.col_off, window.width, wanted.col_off, wanted.width, shape[1])
+        heights, bad = heights[rows, cols], bad[rows, cols]
         told = _counted(heights[bad])
         heights[bad] = np.nan
         return HeightRaster(
             height_ellipsoidal_m=heights + elevation.offset_m,
             crs=source.crs.to_wkt(),
-            west=t.c + window.col_off * t.a,
-            north=t.f + window.row_off * t.e,
-            pixel_x=t.a * window.width / shape[1],
-            pixel_y=-t.e * window.height / shape[0],
+            west=t.c + (window.col_off + cols.start * step_x) * t.a,
+            north=t.f + (window.row_off + rows.start * step_y) * t.e,
+            pixel_x=t.a * step_x,
+            pixel_y=-t.e * step_y,
             outliers=told,
         )
 
 
-def _window(source: Raster, bounds: tuple[float, float, float, float]) -> Window | None:
-    """Whole pixels around bounds, as far as the raster goes; None where it doesn't reach them."""
+def _window(
+    source: Raster, bounds: tuple[float, float, float, float], around: tuple[int, int]
+) -> Window | None:
+    """Whole pixels (and rows and cols more) around bounds, as far as the raster goes; None without any."""
     if not np.isfinite(bounds).all():
         return None
     wanted = from_bounds(*bounds, transform=source.transform)
     rows = wanted.row_off + np.array([0.0, wanted.height])
     cols = wanted.col_off + np.array([0.0, wanted.width])
-    row_0, row_1 = np.clip([np.floor(rows[0]) - 1, np.ceil(rows[1]) + 1], 0, source.height)
-    col_0, col_1 = np.clip([np.floor(cols[0]) - 1, np.ceil(cols[1]) + 1], 0, source.width)
+    row_0, row_1 = np.clip([np.floor(rows[0]) - around[0], np.ceil(rows[1]) + around[0]], 0, source.height)
+    col_0, col_1 = np.clip([np.floor(cols[0]) - around[1], np.ceil(cols[1]) + around[1]], 0, source.width)
     if row_1 - row_0 < 1 or col_1 - col_0 < 1:
         return None
     return Window(int(col_0), int(row_0), int(col_1 - col_0), int(row_1 - row_0))
+
+
+def _part(start: int, size: int, wanted_start: int, wanted_size: int, count: int) -> tuple[slice, float]:
+    """Which of count rows (or cols) that stand for size pixels hold the wanted ones; the pixels of one."""
+    step = size / count
+    first = int((wanted_start - start) / step)
+    return slice(first, int(np.ceil((wanted_start - start + wanted_size) / step))), step
 
 
 def _read(source: Raster, window: Window, shape: tuple[int, ...], how: Resampling) -> Floats:

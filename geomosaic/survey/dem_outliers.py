@@ -20,6 +20,7 @@ _FILL_ABOVE_M: Final = 300.0  # and one above it by more than towers with flat r
 _FILL_STEPS: Final = 4.0  # in 99th percentiles of the steps from pixel to pixel elsewhere
 _SPIKE_M: Final = 50.0  # a lone pixel that differs by less does a mosaic no harm
 _SPIKE_SPREADS: Final = 10.0  # in 95th percentiles of the differences to the third nearest of 8 neighbours
+_LEAST_STEPS: Final = 100  # fewer don't tell what steps are usual
 _MOST_FILLS: Final = 4  # values on either side
 
 
@@ -63,9 +64,9 @@ def _fill(height_m: Floats, lowest: bool) -> Flags | None:
         at_border.append(step[here & np.isfinite(step)])
         elsewhere.append(step[~here & np.isfinite(step) & ~_both(its, axis)])
     border, ordinary = np.concatenate(at_border), np.concatenate(elsewhere)
-    if not border.size:
+    if not border.size or ordinary.size < _LEAST_STEPS:
         return None
-    usual = float(np.percentile(ordinary, 99.0)) if ordinary.size else 0.0
+    usual = float(np.percentile(ordinary, 99.0))
     small = np.count_nonzero(its) < 0.5 * np.count_nonzero(known)
     least = max((_FILL_BELOW_M if small else _FILL_MOST_M) if lowest else _FILL_ABOVE_M, _FILL_STEPS * usual)
     return its if float(np.median(border)) > least else None
