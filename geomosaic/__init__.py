@@ -1,3 +1,7 @@
 """geomosaic: overlapping pictures of the ground in, one map-true picture out."""
 
 __version__ = "0.1.0"
+
+from geomosaic.doors.offline import go_offline
+
+go_offline()

@@ -22,6 +22,7 @@ from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.scene_rpc import scene_rpc
 from geomosaic.ccd.virtual_layout import ideal_camera, virtual_layout
 from geomosaic.ccd.virtual_line import virtual_line
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.strip_compose import compose_strips
@@ -32,7 +33,7 @@ from geomosaic.survey import strip_heights
 from geomosaic.survey.dem import read_heights
 from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import read_dem_heights
-from geomosaic.survey.strips import StripGeometry, open_raster, read_geometry
+from geomosaic.survey.strips import StripGeometry, read_geometry
 
 STILL: dict[str, Any] = {
     "jitter_1hz_px": 0.0, "jitter_5hz_px": 0.0, "jitter_22hz_px": 0.0, "drift_px_per_s": 0.0,
@@ -228,11 +229,11 @@ def test_the_composed_scene_is_the_true_one(made: Made, tmp_path: Path) -> None:
     """Against the picture of the simulation's own ideal line: no shift of 0.01 px is left."""
     layout = virtual_layout(made.geometry, made.space, "common")
     compose_strips(made.geometry, layout, None, tmp_path / "scene.tif", blend="smooth", resampling="lanczos")
-    with open_raster(tmp_path / "scene.tif") as raster:
+    with open_raster(tmp_path / "scene.tif", OWN) as raster:
         composed = raster.read(1).astype(np.float64)
         valid = raster.dataset_mask() > 0
     assert made.files.true_scene is not None
-    with open_raster(made.files.true_scene) as raster:
+    with open_raster(made.files.true_scene, OWN) as raster:
         true = raster.read(1).astype(np.float32)
     cols, rows = np.arange(16, layout.width_px - 16, 8), np.arange(4, layout.height_px - 4, 8)
     x, t = np.meshgrid(cols + 0.5, layout.first_line + rows + 0.5)

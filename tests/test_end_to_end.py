@@ -18,11 +18,11 @@ from rasterio.errors import NotGeoreferencedWarning
 from small_surveys import NOISE_M, mosaic, small_survey, summary, warned
 
 from geomosaic.adjustment.methods import METHODS
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.positions import COLUMNS
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.recording import read_recording
 from geomosaic.simulate.survey import SimulatedSurvey
-from geomosaic.survey.header import open_picture
 
 PATCHES = [f"--set=quality.compare.{k}_px={v}" for k, v in (("patch", 48), ("step", 24), ("search", 32))]
 LAYERS = {"frames", "footprints", "nadir_points", "tie_points", "residuals", "seamlines",
@@ -272,7 +272,7 @@ def test_16_bits_and_four_bands_with_a_mask_at_the_180th_meridian(tmp_path: Path
 
 def _add_infrared(path: Path) -> None:
     """A fourth band, the red one's opposite."""
-    with open_picture(path) as tiff:
+    with open_raster(path, OWN) as tiff:
         pixels = tiff.read()
         profile = {k: tiff.profile[k] for k in ("driver", "width", "height", "dtype")}
     with warnings.catch_warnings():

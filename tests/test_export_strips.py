@@ -209,7 +209,7 @@ def test_crops_are_of_the_seam_at_full_size(scene: ComposedScene) -> None:
     """The crop is the scene's own pixels about the seam, at the row where the line lies."""
     import rasterio
 
-    from geomosaic.survey.strips import open_raster
+    from geomosaic.doors.raster import OWN, open_raster
 
     place = Place("worst", 1500, 0.5)
     ((told, svg),) = seam_crops(scene.mosaic_file, scene.geometry, 0, [place], scene.mosaic.first_line)
@@ -221,7 +221,7 @@ def test_crops_are_of_the_seam_at_full_size(scene: ComposedScene) -> None:
     row = round(1500 + 1057 - scene.mosaic.first_line) - 110
     col = round(seam_col(scene.geometry, 0)) - 150
     assert seam_col(scene.geometry, 0) == 320 - 96 + 48
-    with open_raster(scene.mosaic_file) as raster:
+    with open_raster(scene.mosaic_file, OWN) as raster:
         truth = raster.read(1, window=rasterio.windows.Window(col, row, 300, 220)).astype(np.float64)
     assert np.corrcoef(truth.ravel(), crop[..., 0].ravel())[0, 1] > 0.98
     assert f'width="300" height="{220 + 18}"' in svg

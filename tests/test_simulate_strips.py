@@ -22,6 +22,7 @@ from osgeo import gdal
 from scipy import ndimage, optimize
 
 from geomosaic.camera.rpc import parse_rpc
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.pipeline.stage import Context
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
@@ -31,7 +32,7 @@ from geomosaic.simulate.strip_seen import Seen
 from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 from geomosaic.stages.simulate_strips import SimulateStrips
 from geomosaic.survey.strip_model import read_model
-from geomosaic.survey.strips import open_raster, read_geometry
+from geomosaic.survey.strips import read_geometry
 
 STILL: dict[str, Any] = {
     "jitter_1hz_px": 0.0, "jitter_5hz_px": 0.0, "jitter_22hz_px": 0.0, "drift_px_per_s": 0.0,
@@ -56,7 +57,7 @@ def rows_of(path: Path | None) -> list[dict[str, str]]:
 
 
 def pixels(path: Path) -> NDArray[Any]:
-    with open_raster(path) as strip:
+    with open_raster(path, OWN) as strip:
         return np.asarray(strip.read(1))
 
 

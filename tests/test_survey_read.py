@@ -202,7 +202,13 @@ def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
     bare.unlink()
     cut = folder / "DJI_0002.JPG"
     cut.write_bytes(cut.read_bytes()[:-200])
-    with pytest.raises(FileError, match=r"DJI_0002\.JPG: the JPEG is truncated"):
+    survey = read_survey(folder)
+    assert [out.name for out in survey.left_out] == ["DJI_0002.JPG"]
+    assert "libjpeg says" in survey.left_out[0].reason
+    for whole in folder.glob("*.JPG"):
+        if whole != cut:
+            whole.unlink()
+    with pytest.raises(FileError, match=r"DJI_0002\.JPG: the image data are damaged: libjpeg says"):
         read_survey(folder)
 
 

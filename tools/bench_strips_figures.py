@@ -27,13 +27,14 @@ from geomosaic.ccd.model import Settings, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import matched_points, segments
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.export.plots import Axis, Series, line_plot
 from geomosaic.mosaic.strip_compose import compose_strips
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strips import simulate_strips
-from geomosaic.survey.strips import open_raster, read_geometry
+from geomosaic.survey.strips import read_geometry
 
 SEGMENTS, SEGMENT_LINES = 64, 256
 LOW = StripPlan(seed=18, width_px=4096, lines=SEGMENTS * SEGMENT_LINES + 2114, low_contrast_share=0.4)
@@ -113,7 +114,7 @@ def seams(folder: Path) -> np.ndarray:
             at = worst_place(read_true_offsets(made.true_offsets, geometry)[0], offsets.pairs[0], left)
         row = round(at + 0.5 * SEAM.row_separation_lines - layout.first_line)
         seam = round(layout.seams_px[0])
-        with open_raster(raster) as scene:
+        with open_raster(raster, OWN) as scene:
             crops.append(scene.read(1)[row - 150 : row + 150, seam - 150 : seam + 150].astype(float))
     low, high = np.percentile(np.stack(crops), [1, 99])
     shown = [np.pad(np.clip((c - low) / (high - low) * 255, 0, 255), 4, constant_values=255) for c in crops]

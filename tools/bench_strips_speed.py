@@ -24,11 +24,12 @@ import yaml
 from osgeo import gdal
 from rasterio.windows import Window
 
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.cog import write_cog
 from geomosaic.simulate.strip_files import open_whole_strip
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.survey.strips import StripGeometry, open_raster, read_geometry
+from geomosaic.survey.strips import StripGeometry, read_geometry
 
 gdal.UseExceptions()
 MOST_OF_FLOOR, MOST_GB = 2.0, 2.0
@@ -150,7 +151,7 @@ def is_made(out: Path, plan: StripPlan) -> bool:
     if not (out / "geometry.yaml").exists():
         return False
     geometry = read_geometry(out / "geometry.yaml")
-    with open_raster(out / "ccd1.tif") as strip:
+    with open_raster(out / "ccd1.tif", OWN) as strip:
         return len(geometry.ccds) == plan.ccds and strip.shape == (plan.lines, plan.width_px)
 
 

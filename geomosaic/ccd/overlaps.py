@@ -15,8 +15,9 @@ from rasterio.windows import Window
 
 from geomosaic.ccd.model import Floats, Overlap
 from geomosaic.ccd.object_space import ObjectSpace
+from geomosaic.doors.raster import STRIP, open_raster
 from geomosaic.errors import FileError
-from geomosaic.survey.strips import StripGeometry, open_raster
+from geomosaic.survey.strips import StripGeometry
 
 Edge = Literal["left", "right"]
 Columns = Callable[[int, Edge, int, int], NDArray[Any]]
@@ -100,7 +101,7 @@ class StripFiles(Strips):
         assert path is not None
         try:
             if ccd not in self._files:
-                self._files[ccd] = self._open.enter_context(open_raster(path))
+                self._files[ccd] = self._open.enter_context(open_raster(path, STRIP))
             strip, last = self._files[ccd], self.geometry.width_px - read
             windows: dict[Edge, Window] = {
                 "left": Window(0, start, read, stop - start),
@@ -108,6 +109,8 @@ class StripFiles(Strips):
             }
             return {edge: strip.read(1, window=window) for edge, window in windows.items()}
         except (RasterioError, ValueError, OSError) as error:
+            if isinstance(error, FileError):
+                raise
             raise FileError(f"can't be read: {error}", file=path, mend=_MEND) from error
 
 

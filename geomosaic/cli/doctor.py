@@ -60,6 +60,8 @@ def _both_gdals() -> tuple[str, str]:
     from osgeo import gdal, osr
     from pyproj import CRS
 
+    from geomosaic.doors.raster import OWN, open_raster
+
     gdal.UseExceptions()
     pixels = np.arange(35, dtype=np.uint8).reshape(5, 7)
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as folder:
@@ -72,7 +74,7 @@ def _both_gdals() -> tuple[str, str]:
         dataset.WriteArray(pixels)
         dataset.FlushCache()
         del dataset
-        with rasterio.open(path) as file:
+        with open_raster(Path(path), OWN) as file:
             same = bool((file.read(1) == pixels).all())
             same = same and CRS.from_wkt(file.crs.to_wkt()) == CRS.from_epsg(32615)
             same = same and tuple(file.transform)[:6] == (0.5, 0.0, 500000.0, 0.0, -0.5, 5000000.0)

@@ -67,7 +67,7 @@ def mosaic(
         Path | None, typer.Option(help="interior orientation: cameras.json, YAML", metavar="F")
     ] = None,
     dem: Annotated[
-        Path | None, typer.Option(help="elevation model, any raster GDAL reads", metavar="F")
+        Path | None, typer.Option(help="elevation model: GeoTIFF and other local rasters", metavar="F")
     ] = None,
     dem_offset: Annotated[
         float | None, typer.Option(help="what to add to the DEM to have ellipsoidal heights", metavar="M")
@@ -79,6 +79,10 @@ def mosaic(
         float | None, typer.Option(help="ellipsoidal height of flat ground [by the frames]", metavar="M")
     ] = None,
     gcp: Annotated[Path | None, typer.Option(help="control and check points", metavar="F")] = None,
+    damaged: Annotated[
+        str | None,
+        typer.Option(help="damaged frames: leave_out, or mask the damage [leave_out]", metavar="HOW"),
+    ] = None,
     crs: Annotated[str, typer.Option(help="map CRS of the mosaic: auto (UTM) or EPSG:n")] = "auto",
     gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
     adjust: Adjust = None,
@@ -106,6 +110,7 @@ def mosaic(
             "gcp": gcp,
             "crs": crs,
             "pos_crs": pos_crs,
+            "damaged": damaged,
         },
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},

@@ -10,6 +10,7 @@ from typing import Final
 from osgeo import gdal
 
 from geomosaic import __version__
+from geomosaic.doors.raster import OWN, open_with_osgeo
 from geomosaic.errors import InputError
 from geomosaic.mosaic.gdal_failures import GdalProgress, Progress, gdal_failures
 
@@ -55,7 +56,7 @@ def write_cog(
     """
     callback = GdalProgress(progress)
     with callback.reraise(), gdal_failures(out), _block_cache(_CACHE_BYTES):
-        source = gdal.Open(str(raster))
+        source = open_with_osgeo(raster, OWN)
         band = source.GetRasterBand(1)
         eight_bits = band.DataType == gdal.GDT_Byte
         if compression in LOSSY and not (eight_bits and source.RasterCount in (1, 3)):

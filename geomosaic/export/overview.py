@@ -9,12 +9,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, Resampling
-from rasterio.errors import RasterioError
 
-from geomosaic.errors import FileError
+from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.svg import COLOURS, number, points, tag, text
 
 Floats = NDArray[np.float64]
@@ -45,21 +43,18 @@ def glance(path: Path) -> Glance:
 
     Values of other than 8 bits are stretched between their 1st and 99th percentile.
     """
-    try:
-        with rasterio.open(path) as dataset:
-            scale = max(1.0, max(dataset.shape) / _LONGER_SIDE_PX)
-            shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
-            colours = [
-                i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha
-            ]
-            colours = colours[:3] if len(colours) >= 3 else colours[:1] * 3
-            bands = dataset.read(colours, out_shape=(3, *shape), resampling=Resampling.average)
-            valid = dataset.dataset_mask(out_shape=shape) > 127
-            t = dataset.transform
-            full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
-            size = dataset.width, dataset.height
-    except (RasterioError, OSError) as error:
-        raise FileError("can't be read as a raster", file=path, mend="run the recipe again") from error
+    with open_raster(path, OWN) as dataset, reading(path, OWN.problem, OWN.mend):
+        scale = max(1.0, max(dataset.shape) / _LONGER_SIDE_PX)
+        shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
+        colours = [
+            i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha
+        ]
+        colours = colours[:3] if len(colours) >= 3 else colours[:1] * 3
+        bands = dataset.read(colours, out_shape=(3, *shape), resampling=Resampling.average)
+        valid = dataset.dataset_mask(out_shape=shape) > 127
+        t = dataset.transform
+        full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
+        size = dataset.width, dataset.height
     picture = np.moveaxis(_eight_bits(bands, valid), 0, -1)
     drawn = np.dstack([picture[..., ::-1], np.where(valid, 255, 0).astype(np.uint8)])
     data = cv2.imencode(".webp", drawn, [cv2.IMWRITE_WEBP_QUALITY, 82])[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,8 @@ COLUMNS = (
 _DECIMALS = (9, 9, 4, 4, 4, *[6] * 6, *[4] * 3, *[5] * 3, 4, 5)
 
 
-def write_positions(path: Path, orientations: Orientations) -> None:
-    """Writes the table; what is unknown is an empty cell."""
+def write_positions(path: Path, orientations: Orientations, left_out: Sequence[str] = ()) -> None:
+    """Writes the table; what is unknown is an empty cell. Pictures that were left out come last."""
     o = orientations
     numbers = np.column_stack(
         [
@@ -56,3 +57,5 @@ def write_positions(path: Path, orientations: Orientations) -> None:
         for name, status, row in zip(o.names, o.status, numbers, strict=True):
             cells = [f"{v:.{d}f}" if np.isfinite(v) else "" for v, d in zip(row, _DECIMALS, strict=True)]
             table.writerow([name, status, *cells])
+        for name in left_out:
+            table.writerow([name, "left_out", *[""] * len(_DECIMALS)])

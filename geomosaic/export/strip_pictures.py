@@ -10,16 +10,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from geomosaic.ccd.model import MEASURED, Floats, PairOffsets
-from geomosaic.errors import FileError
+from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.overview import Glance, glance
 from geomosaic.export.svg import COLOURS, number, tag
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES, common_lines
 from geomosaic.quality.strips import BLOCK_LINES, PairQuality, StripQuality
-from geomosaic.survey.strips import StripGeometry, open_raster
+from geomosaic.survey.strips import StripGeometry
 
 CROP_PX = (300, 220)
 _TICK_PX = 9
@@ -124,19 +124,16 @@ def seam_crops(
     Greys are stretched between the crop's 1st and 99th percentile. Raises: `FileError`.
     """
     out = []
-    try:
-        with open_raster(path) as scene:
-            for place in places:
-                row = scene_row(geometry, pair, place.line, first_line)
-                wide, high = min(CROP_PX[0], scene.width), min(CROP_PX[1], scene.height)
-                left = int(np.clip(seam_col(geometry, pair) - wide / 2, 0, scene.width - wide))
-                top = int(np.clip(row - high / 2, 0, scene.height - high))
-                window = Window(left, top, wide, high)
-                values = scene.read(1, window=window).astype(np.float64)
-                valid = scene.dataset_mask(window=window) > 127
-                out.append((place, _crop(values, valid, seam_col(geometry, pair) - left, place)))
-    except (RasterioError, OSError) as error:
-        raise FileError("can't be read as a raster", file=path, mend="run the recipe again") from error
+    with open_raster(path, OWN) as scene, reading(path, OWN.problem, OWN.mend):
+        for place in places:
+            row = scene_row(geometry, pair, place.line, first_line)
+            wide, high = min(CROP_PX[0], scene.width), min(CROP_PX[1], scene.height)
+            left = int(np.clip(seam_col(geometry, pair) - wide / 2, 0, scene.width - wide))
+            top = int(np.clip(row - high / 2, 0, scene.height - high))
+            window = Window(left, top, wide, high)
+            values = scene.read(1, window=window).astype(np.float64)
+            valid = scene.dataset_mask(window=window) > 127
+            out.append((place, _crop(values, valid, seam_col(geometry, pair) - left, place)))
     return out
 
 

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import rasterio
 from osgeo import gdal
 from rasterio.warp import transform_bounds
 
+from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
 from geomosaic.mosaic.gdal_failures import gdal_failures
-from geomosaic.survey.strips import open_raster
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256
@@ -29,7 +28,7 @@ _SHOWN_PERCENTILES = (1.0, 99.0)
 def write_vrt(mosaic_file: Path, out: Path) -> None:
     """A VRT beside the mosaic that names it by its relative path and shows its mask as an alpha band."""
     with gdal_failures(out):
-        source = gdal.Open(str(mosaic_file))
+        source = open_with_osgeo(mosaic_file, OWN)
         bands = [*range(1, source.RasterCount + 1), "mask"]
         done = gdal.Translate(str(out), source, format="VRT", bandList=bands, maskBand="none")
         done.GetRasterBand(len(bands)).SetColorInterpretation(gdal.GCI_AlphaBand)
@@ -53,7 +52,7 @@ def write_tiles(
     bands the first three are shown. Raises `OSError` if a tile can't be written.
     """
     folder.mkdir(parents=True)
-    with open_raster(mosaic_file) as tiff:
+    with open_raster(mosaic_file, OWN) as tiff:
         if tiff.crs is None:
             mend = "put it on a map first, such as with gdalwarp -rpc"
             raise InputError("has no map projection", file=mosaic_file, mend=mend)
@@ -91,7 +90,7 @@ def _zoom(pixel_m: float, lat_deg: float) -> float:
 
 def _write_shown(mosaic_file: Path, out: Path) -> None:
     """The mosaic as 8 bit grey or colour with alpha, as a VRT."""
-    with rasterio.open(mosaic_file) as tiff:
+    with open_raster(mosaic_file, OWN) as tiff:
         bands = [1, 2, 3] if tiff.count >= 3 else [1]
         reduction = max(1, max(tiff.shape) // 1000)
         shape = (len(bands), -(-tiff.height // reduction), -(-tiff.width // reduction))
@@ -105,9 +104,10 @@ def _write_shown(mosaic_file: Path, out: Path) -> None:
                 low, high = np.percentile(valid, _SHOWN_PERCENTILES) if valid.size else (0.0, 1.0)
                 options += [f"-scale_{k + 1}", f"{low:.10g}", f"{max(high, low + 1e-9):.10g}", "0", "255"]
             options += [f"-scale_{len(bands) + 1}", "0", "255", "0", "255"]
+        source = open_with_osgeo(mosaic_file, OWN)
         done = gdal.Translate(
             str(out),
-            str(mosaic_file),
+            source,
             options=gdal.TranslateOptions(
                 options=options,
                 format="VRT",
@@ -117,7 +117,7 @@ def _write_shown(mosaic_file: Path, out: Path) -> None:
             ),
         )
         done.GetRasterBand(len(bands) + 1).SetColorInterpretation(gdal.GCI_AlphaBand)
-        del done
+        del done, source
 
 
 def _run(command: Sequence[str], check_cancelled: Callable[[], None] | None) -> None:

@@ -13,17 +13,18 @@ from typing import Any
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.errors import FileError, UnknownNameError
+from geomosaic.doors.raster import STRIP, open_raster
+from geomosaic.errors import UnknownNameError
 from geomosaic.mosaic.strip_blends import BLENDS, REACH_ROWS, Blend
 from geomosaic.mosaic.strip_lines import StripLines
 from geomosaic.mosaic.strip_raster import BLOCK_ROWS, writing_scene
 from geomosaic.mosaic.strip_window import Part, part_of_strip
 from geomosaic.mosaic.window import KERNEL_RADIUS_PX, RESAMPLING
-from geomosaic.survey.strips import StripGeometry, open_raster
+from geomosaic.survey.strips import StripGeometry
 
 _CACHE_MB = 64
 Flags = NDArray[np.bool_]
@@ -202,10 +203,7 @@ def _sources(
     for k in living:
         path = geometry.ccds[k].path
         assert path is not None
-        try:
-            strip = files.enter_context(open_raster(path))
-        except (RasterioError, OSError) as error:
-            raise FileError("is no raster that GDAL reads", file=path, mend="give a strip") from error
+        strip = files.enter_context(open_raster(path, STRIP))
         lines = StripLines(
             strip,
             path,

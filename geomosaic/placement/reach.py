@@ -21,6 +21,13 @@ def half_extent_m(camera: Camera, height_m: float) -> float:
     return float(np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px * height_m)
 
 
+def ground_pixel_m(cameras: Sequence[Camera], height_m: Floats) -> float:
+    """The finest pixel of level frames, at the middle of their heights (n,) above ground; 0.01 m or more."""
+    known = height_m[np.isfinite(height_m) & (height_m > 0.0)]
+    height = float(np.median(known)) if known.size else 100.0
+    return max(0.01, height / max(camera.focal_length_px for camera in cameras))
+
+
 def heights_above_ground_m(poses: Poses, ground: GroundSurface) -> Floats:
     """Each projection centre above the surface below it, (n,)."""
     return np.asarray(poses.positions_m[:, 2] - ground.up_at(*poses.positions_m[:, :2].T))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.interpolate import RectBivariateSpline
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
@@ -13,7 +15,11 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.dem import HeightRaster
 
 Floats = NDArray[np.float64]
-_MOST_NODES = 4000
+Places = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
+_MOST_NODES = 2000  # a side: a surface of 32 MB, which every worker is given
+_KNOTS = 17  # a side: between them the Earth bends smoothly, to 1e-6 of a map's unit over 20 km
+_LIFT_M = 100.0
+_BAND = 256
 
 
 def relief(
@@ -29,25 +35,36 @@ def relief(
     spacing_m = max(spacing_m, float(np.max(high_en_m - low_en_m)) / _MOST_NODES)
     east = np.arange(low_en_m[0], high_en_m[0] + spacing_m, spacing_m)
     north = np.arange(low_en_m[1], high_en_m[1] + spacing_m, spacing_m)
-    e, n = np.meshgrid(east, north)
-    projection = MapProjection(raster.crs)
-    up = np.zeros_like(e)
-    for _ in range(3):
-        geodetic = work_frame.geodetic_from_enu(np.stack([e, n, up], axis=-1))
-        en = projection.map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
-        up = up + raster.at(en[..., 0], en[..., 1]) - geodetic[..., 2]
-        if not np.isfinite(up).any():
-            raise InputError(
-                "the DEM has no heights where the frames lie", mend="give one of the survey's area"
-            )
-        up = _filled(up)
-    return GroundSurface("dem", float(east[0]), float(north[0]), spacing_m, up)
+    known = raster.filled()
+    if known is None:
+        raise InputError("the DEM has no heights where the frames lie", mend="give one of the survey's area")
+    places = _places(work_frame, MapProjection(raster.crs), east, north)
+    up_m = np.zeros((north.size, east.size))
+    for top in range(0, north.size, _BAND):
+        rows = north[top : top + _BAND]
+        up = up_m[top : top + _BAND]
+        for _ in range(3):
+            x, y, height = places(rows, east, up)
+            up += known.nearest(x, y) - height
+    return GroundSurface("dem", float(east[0]), float(north[0]), spacing_m, up_m)
 
 
-def _filled(heights: Floats) -> Floats:
-    unknown = np.isnan(heights)
-    if not unknown.any():
-        return heights
+def _places(work_frame: LocalFrame, projection: MapProjection, east: Floats, north: Floats) -> Places:
+    """Map coordinates and height of nodes at (norths, easts, ups): exact at some knots, splines between."""
+    knots = [np.linspace(axis[0], max(axis[-1], axis[0] + 1.0), _KNOTS) for axis in (north, east)]
+    n, e = np.meshgrid(*knots, indexing="ij")
+    levels = []
+    for up in (0.0, _LIFT_M):
+        geodetic = work_frame.geodetic_from_enu(np.stack([e, n, np.full_like(e, up)], axis=-1))
+        xy = projection.map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
+        levels.append(np.concatenate([xy, geodetic[..., 2:]], axis=-1))
+    base, slope = levels[0], (levels[1] - levels[0]) / _LIFT_M
+    if not np.isfinite(levels).all():
+        raise InputError("the DEM's map doesn't reach the survey", mend="give one of the survey's area")
+    splines = [[RectBivariateSpline(*knots, values[..., i]) for i in range(3)] for values in (base, slope)]
 
-    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return np.asarray(heights[tuple(nearest)])
+    def at(norths: Floats, easts: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
+        x, y, height = (b(norths, easts) + up * s(norths, easts) for b, s in zip(*splines, strict=True))
+        return x, y, height
+
+    return at

@@ -16,7 +16,7 @@ from rasterio.windows import Window
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality.displacement import Displacements, measure_displacements
 from geomosaic.quality.figures import Figures, figures, touching_patches
-from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_raster, pixel_m, read_luma
+from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
 from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, pooled, ssim_maps
 
 Floats = NDArray[np.float64]
@@ -83,8 +83,8 @@ def compare(
             "patch, step or search out of bounds", mend="patch 16 to 512 px, step and search up to 4096 px"
         )
     with ExitStack() as stack:
-        a = stack.enter_context(open_raster(mosaic))
-        b = stack.enter_context(open_raster(reference))
+        a = stack.enter_context(open_map(mosaic))
+        b = stack.enter_context(open_map(reference))
         gsd_m, metres = pixel_m(a, mosaic)
         pair = stack.enter_context(on_grid_of(a, b, reference))
         sizes = _Sizes(patch_px, step_px, search_px, min_correlation)

@@ -2,41 +2,33 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, Resampling
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
+from geomosaic.doors.raster import REFERENCE, Raster, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality.ssim import luma
 
 _RESAMPLING_TOLERANCE_PX = 0.005
 
 
-def open_raster(path: Path) -> rasterio.DatasetReader:
+def open_map(path: Path) -> Raster:
     """An open raster with a georeference. Raises `FileError`."""
-    mend = "give a georeferenced raster such as a GeoTIFF"
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
-    except (RasterioError, OSError) as error:
-        what = "no such file" if not path.exists() else "is not a raster that GDAL can read"
-        raise FileError(what, file=path, mend=mend) from error
+    dataset = open_raster(path, REFERENCE)
     if dataset.crs is None or dataset.transform.is_identity:
         dataset.close()
-        raise FileError("has no coordinate reference system", file=path, mend=mend)
+        raise FileError("has no coordinate reference system", file=path, mend=REFERENCE.mend)
     return dataset
 
 
-def pixel_m(dataset: rasterio.DatasetReader, path: Path) -> tuple[float, float]:
+def pixel_m(dataset: Raster, path: Path) -> tuple[float, float]:
     """Side of the pixel in metres, and metres per unit of the map."""
     if not dataset.crs.is_projected:
         raise FileError("is not in a map projection", file=path, mend="warp it to a projected CRS first")
@@ -44,7 +36,7 @@ def pixel_m(dataset: rasterio.DatasetReader, path: Path) -> tuple[float, float]:
     return float(np.sqrt(abs(dataset.transform.determinant))) * metres, metres
 
 
-def on_grid_of(mosaic: rasterio.DatasetReader, other: rasterio.DatasetReader, path: Path) -> WarpedVRT:
+def on_grid_of(mosaic: Raster, other: Raster, path: Path) -> WarpedVRT:
     """The other raster (cubic) on the mosaic's grid; `path` names it in errors."""
     alpha = ColorInterp.alpha in other.colorinterp
     try:
@@ -65,7 +57,7 @@ def on_grid_of(mosaic: rasterio.DatasetReader, other: rasterio.DatasetReader, pa
 
 
 def read_luma(
-    dataset: rasterio.DatasetReader, window: Window | None, shape: tuple[int, int] | None = None
+    dataset: Raster, window: Window | None, shape: tuple[int, int] | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Luma and valid pixels of a window, at a reduced shape if one is given."""
     colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]

@@ -13,6 +13,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.simulate.landscape import COVERS, Bounds, Building, Landscape
 from geomosaic.simulate.relief import RasterRelief, Relief
 from geomosaic.simulate.spread import in_threads
@@ -119,7 +120,7 @@ def write_ortho(
 
 def write_cover(path: Path, ortho: Path, landscape: Landscape) -> None:
     """What covers the ortho's pixels, on its grid: 0 land, then the number of `COVERS` (1 water, ...)."""
-    with rasterio.open(ortho) as like:
+    with open_raster(ortho, OWN) as like:
         profile = {**like.profile, "count": 1, "nodata": None}
         t, width, height = like.transform, like.width, like.height
     for key in ("photometric", "interleave"):

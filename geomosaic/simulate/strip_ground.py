@@ -14,13 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.errors import RasterioError
 from scipy.ndimage import map_coordinates
 
-from geomosaic.errors import FileError
+from geomosaic.doors.raster import REFERENCE, open_raster, reading
 from geomosaic.simulate.noise import fractal_noise, hashed, lattice_noise, spline_noise
 from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.survey.strips import open_raster
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -166,15 +164,10 @@ def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
 
 def _read_picture(path: Path) -> Floats32:
     """A raster's mean over bands; it is laid on the world pixel on pixel, mirrored at its edges."""
-    try:
-        with open_raster(path) as source:
-            step = max(1.0, max(source.width, source.height) / _MOST_PX)
-            shape = (source.count, max(int(source.height / step), 1), max(int(source.width / step), 1))
-            bands = source.read(out_shape=shape, resampling=Resampling.average)
-    except (RasterioError, OSError) as error:
-        raise FileError(
-            "is no raster that GDAL reads", file=path, mend="give a picture of the ground"
-        ) from error
+    with open_raster(path, REFERENCE) as source, reading(path):
+        step = max(1.0, max(source.width, source.height) / _MOST_PX)
+        shape = (source.count, max(int(source.height / step), 1), max(int(source.width / step), 1))
+        bands = source.read(out_shape=shape, resampling=Resampling.average)
     return np.asarray(bands.mean(axis=0), dtype=np.float32)
 
 

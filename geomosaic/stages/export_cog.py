@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
-from geomosaic.survey.strips import open_raster
 
 MOSAIC = "mosaic.tif"
 _THUMBNAIL_PX = 1024
@@ -58,7 +58,7 @@ class ExportCog(Stage):
 
 def _glance(path: Path) -> Any:
     """The mosaic at a fraction of its size, rows, cols, bands."""
-    with open_raster(path) as tiff:
+    with open_raster(path, OWN) as tiff:
         reduction = max(1, max(tiff.width, tiff.height) // _THUMBNAIL_PX)
         shape = (min(tiff.count, 3), -(-tiff.height // reduction), -(-tiff.width // reduction))
         return np.moveaxis(tiff.read(list(range(1, shape[0] + 1)), out_shape=shape), 0, -1)

@@ -26,7 +26,7 @@ class ExportLayers(Stage):
     id = "export.layers"
     display_name = "Write layers and positions"
     group = "Export"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -42,7 +42,11 @@ class ExportLayers(Stage):
         """Both files from the same adjusted poses."""
         survey, placement, adjusted = inputs["survey"], inputs["placement"], inputs["adjusted"]
         with context.writing(POSITIONS) as path:
-            write_positions(path, orientations(survey, placement.poses, adjusted))
+            write_positions(
+                path,
+                orientations(survey, placement.poses, adjusted),
+                [out.name for out in survey.left_out],
+            )
         context.check_cancelled()
         with context.writing(LAYERS) as path:
             write_layers(path, survey, placement, inputs["ties"], adjusted, inputs["mosaic"])

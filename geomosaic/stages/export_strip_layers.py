@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines
+from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.strip_layers import write_strip_layers
 from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.quality.strips import StripQuality
-from geomosaic.survey.strips import StripGeometry, open_raster
+from geomosaic.survey.strips import StripGeometry
 
 LAYERS = "layers.gpkg"
 
@@ -32,7 +33,7 @@ class ExportStripLayers(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """By the RPC of mosaic.tif."""
-        with open_raster(context.path_of(inputs["mosaic_file"])) as mosaic:
+        with open_raster(context.path_of(inputs["mosaic_file"]), OWN) as mosaic:
             tags = mosaic.tags(ns="RPC")
         with context.writing(LAYERS) as path:
             write_strip_layers(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -20,15 +21,16 @@ from geomosaic.placement.heights import (
     neighbours,
     with_heights_above_ground,
 )
-from geomosaic.placement.reach import half_extent_m
+from geomosaic.placement.reach import ground_pixel_m, half_extent_m
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.relief import relief
 from geomosaic.stages.keypoints import frame_features
-from geomosaic.survey.dem import dem_crs, read_heights
+from geomosaic.survey.dem import dem_crs, outliers_told, read_heights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _MOST_FLAT_REACH = 3.0
+_NODE_PX = 4.0  # ground pixels between the nodes of a surface: edges of walls are no sharper in a mosaic
 _PAIRS = 16
 _LONGEST_PX = 1500
 
@@ -39,7 +41,7 @@ class ProjectionGround(Stage):
     id = "projection.ground"
     display_name = "Make the ground surface"
     group = "Projection"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "survey": Survey}
 
@@ -63,7 +65,7 @@ class ProjectionGround(Stage):
         positions = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
         enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
         if survey.elevation is not None:
-            ground = self._dem(survey, enu)
+            ground = self._dem(survey, enu, context)
             context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
         else:
             level = float(height or 0.0)
@@ -107,7 +109,7 @@ class ProjectionGround(Stage):
         height = float(known.max()) if known.size else 100.0
         return _MOST_FLAT_REACH * max(half_extent_m(c, max(height, 1.0)) for c in survey.cameras)
 
-    def _dem(self, survey: Survey, enu: Floats) -> GroundSurface:
+    def _dem(self, survey: Survey, enu: Floats, context: Context) -> GroundSurface:
         assert survey.elevation is not None
         projection = MapProjection(dem_crs(survey.elevation))
         at = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
@@ -115,12 +117,17 @@ class ProjectionGround(Stage):
         near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
         below = near.at(xy[:, 0], xy[:, 1])
         low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
-        reach = self._reach_m(survey, frame_heights_m(survey.frames, below) - low)
+        above = frame_heights_m(survey.frames, below) - low
+        reach = self._reach_m(survey, above)
         corners = np.array([[e, n] for e in (enu[:, 0].min() - reach, enu[:, 0].max() + reach)
                             for n in (enu[:, 1].min() - reach, enu[:, 1].max() + reach)])  # fmt: skip
         lonlat = survey.work_frame.geodetic_from_enu(np.column_stack([corners, np.zeros(4)]))
         box = projection.map_from_geodetic(lonlat[:, 0], lonlat[:, 1])
-        raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)))
-        metres = np.linalg.norm(corners[3] - corners[0]) / np.linalg.norm(box[3] - box[0])
-        spacing = max(0.02, float(raster.pixel_y * metres))
+        metres = float(np.linalg.norm(corners[3] - corners[0]) / np.linalg.norm(box[3] - box[0]))
+        finest_m = _NODE_PX * ground_pixel_m(survey.cameras, above)
+        raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)), finest_m / metres)
+        if raster.outliers:
+            warning = outliers_told(raster.outliers, Path(survey.elevation.path))
+            context.warn(warning.code, warning.frame, warning.text)
+        spacing = max(finest_m, float(raster.pixel_y * metres))
         return relief(survey.work_frame, raster, corners[0], corners[3], spacing)

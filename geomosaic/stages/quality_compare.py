@@ -15,7 +15,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
-from geomosaic.quality.rasters import open_raster
+from geomosaic.quality.rasters import open_map
 from geomosaic.survey.model import Survey
 
 _LITTLE = 0.5
@@ -48,7 +48,7 @@ class QualityCompare(Stage):
     @classmethod
     def check(cls, params: Params) -> None:
         """The reference is a raster with a place on the map."""
-        open_raster(params.reference).close()
+        open_map(params.reference).close()
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Compares, tells the figures, and warns where too little could be measured."""

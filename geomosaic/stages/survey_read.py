@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
+from geomosaic.survey.damage import wholeness
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
+from geomosaic.survey.usable import DAMAGED
 
 _THUMBNAILS = 200
 
 
 class SurveyRead(Stage):
-    """Reads headers, positions, attitudes, cameras, DEM and control; decodes no frame in full."""
+    """Reads headers, positions, attitudes, cameras, DEM and control; decodes every frame small."""
 
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 2
+    version = 3
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
@@ -31,7 +34,7 @@ class SurveyRead(Stage):
         frames: Path = param(help="folder of frames, JPEG or TIFF")
         pos: Path | None = param(None, help="positions and attitudes: CSV, geo.txt, Pix4D")
         camera: Path | None = param(None, help="interior orientation: cameras.json or YAML")
-        dem: Path | None = param(None, help="elevation model, any raster GDAL reads")
+        dem: Path | None = param(None, help="elevation model: GeoTIFF and other local rasters")
         dem_offset_m: float | None = param(
             None, help="what to add to the DEM to have ellipsoidal heights", unit="m", ge=-12000, le=12000
         )
@@ -39,17 +42,23 @@ class SurveyRead(Stage):
         crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
         pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
         attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)
+        damaged: str = param(
+            "leave_out",
+            help="what becomes of frames whose data are damaged; mask: the part above the damage is used",
+            choices=DAMAGED,
+        )
 
     @classmethod
     def check(cls, params: Params) -> None:
         """The frames' names and every file beside them, but for what only the frames' headers tell."""
-        told = params.model_dump(exclude={"frames", "dem_offset_m"})
+        told = params.model_dump(exclude={"frames", "dem_offset_m", "damaged"})
         check_survey_files(params.frames, **told)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
         told = params.model_dump(exclude={"frames"})
-        survey = read_survey(params.frames, **told, progress=context.progress)
+        inspect = partial(context.map, "looking for damage", wholeness, reads=_itself)
+        survey = read_survey(params.frames, **told, inspect=inspect, progress=context.progress)
         for warning in survey.warnings:
             context.warn(warning.code, warning.frame, warning.text)
         for camera in survey.cameras:
@@ -59,3 +68,7 @@ class SurveyRead(Stage):
             pixels, _ = read_pixels(frame, 8)
             context.recorder.image("/frames", frame.name, thumbnail(pixels))
         return {"survey": survey}
+
+
+def _itself(path: str) -> list[str]:
+    return [path]

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rasterio.errors import RasterioError
-
-from geomosaic.errors import FileError
+from geomosaic.doors.raster import STRIP, open_raster, reading
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
-from geomosaic.survey.strips import StripGeometry, open_raster, read_geometry
+from geomosaic.survey.strips import StripGeometry, read_geometry
 
 _THUMBNAIL_LINES = 600
 
@@ -67,9 +65,6 @@ class SurveyStrips(Stage):
 
 def _glance(path: Path) -> Any:
     """A strip at a fraction of its size."""
-    try:
-        with open_raster(path) as strip:
-            reduction = max(1, strip.height // _THUMBNAIL_LINES)
-            return strip.read(1, out_shape=(-(-strip.height // reduction), -(-strip.width // reduction)))
-    except (RasterioError, OSError) as error:
-        raise FileError("can't be read whole", file=path, mend="copy it again") from error
+    with open_raster(path, STRIP) as strip, reading(path):
+        reduction = max(1, strip.height // _THUMBNAIL_LINES)
+        return strip.read(1, out_shape=(-(-strip.height // reduction), -(-strip.width // reduction)))

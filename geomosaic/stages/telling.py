@@ -58,8 +58,10 @@ def record_adjusted(
     for tie, (left, right), residual in zip(block.ties.pairs, pairs, adjusted.residuals_m, strict=True):
         context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual)
     record_locations(context, survey.work_frame, block.names, adjusted.poses, adjusted.status)
-    total = len(block.names)
+    total = len(block.names) + len(survey.left_out)
     count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
+    if survey.left_out:
+        count["left_out"] = len(survey.left_out)
     context.report("frames", {"total": total, **count})
     used = {c.name: c for c in adjusted.cameras}
     context.report("camera", [vars_of(c) for c in used.values()])

@@ -1,22 +1,26 @@
-"""Heights out of a DEM raster: only the window that a survey needs."""
+"""Heights out of a DEM raster: only the window that a survey needs, and no finer than it needs it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.windows import Window, from_bounds
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
+from geomosaic.doors.raster import DEM, Raster, open_raster, reading
 from geomosaic.errors import FileError
-from geomosaic.survey.model import ElevationModel
+from geomosaic.survey.dem_outliers import outliers
+from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_MOST_PIXELS = 6000
+_MOST_PIXELS: Final = 3000  # a side: 72 MB of heights
+_AROUND: Final = 32  # pixels beside the window, by which those in it are judged
+_METRES: Final = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,8 @@ class HeightRaster:
     """Ellipsoidal heights (rows, cols), NaN where unknown, of a north-up raster in some CRS.
 
     west, north: the outer corner of the first pixel; pixel_x, pixel_y > 0: its size, in CRS units.
+    outliers: values (m, as the file has them) that no neighbour bears out and that count as unknown, with
+    how many there are of each.
     """
 
     height_ellipsoidal_m: Floats
@@ -32,6 +38,7 @@ class HeightRaster:
     north: float
     pixel_x: float
     pixel_y: float
+    outliers: tuple[tuple[float, int], ...] = ()
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Bilinear between pixel centres; NaN outside and beside unknown pixels."""
@@ -44,51 +51,139 @@ class HeightRaster:
         ).reshape(row.shape)
         return np.where(inside, heights, np.nan)
 
+    def nearest(self, x: Floats, y: Floats) -> Floats:
+        """As `at`, with the edge's heights beyond it."""
+        rows, cols = self.height_ellipsoidal_m.shape
+        half_x, half_y = self.pixel_x / 2.0, self.pixel_y / 2.0
+        return self.at(
+            np.clip(x, self.west + half_x, self.west + cols * self.pixel_x - half_x),
+            np.clip(y, self.north - rows * self.pixel_y + half_y, self.north - half_y),
+        )
+
+    def filled(self) -> HeightRaster | None:
+        """With the nearest known height where one is unknown; None where none is known."""
+        unknown = np.isnan(self.height_ellipsoidal_m)
+        if unknown.all():
+            return None
+        if not unknown.any():
+            return self
+        nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        return replace(self, height_ellipsoidal_m=self.height_ellipsoidal_m[tuple(nearest)])
+
+
+def outliers_told(found: tuple[tuple[float, int], ...], path: Path) -> Warn:
+    """What a DEM's outliers are said to be."""
+    count = sum(n for _, n in found)
+    values = ", ".join(f"{value:g} m ({n:,} times)" for value, n in found[:3])
+    more = f" and {len(found) - 3} other values" if len(found) > 3 else ""
+    text = f"{count:,} heights that none around them bears out count as no data: {values}{more}"
+    return Warn("dem-outliers", "", f"{path.name}: {text}")
+
 
 def dem_crs(elevation: ElevationModel) -> str:
     """The DEM's horizontal CRS as WKT."""
-    with rasterio.open(elevation.path) as source:
+    with open_raster(Path(elevation.path), DEM) as source:
         return str(source.crs.to_wkt())
 
 
-def check_north_up(source: rasterio.DatasetReader, path: str | Path) -> None:
-    """`FileError` for a raster that is turned or upside down."""
+def check_grid(source: Raster, path: Path) -> None:
+    """`FileError` for a raster that is turned or upside down, or whose values are no heights in metres."""
     t = source.transform
+    if not np.isfinite([*t, *source.bounds]).all():
+        raise FileError("the DEM's place on the map is no number", file=path, mend="correct its georeference")
     if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
         raise FileError("the DEM is not north-up", file=path, mend="warp it with gdalwarp first")
+    if np.dtype(source.dtypes[0]).kind not in "iuf":
+        raise FileError(f"the DEM's values are {source.dtypes[0]}", file=path, mend="give heights")
+    if (source.units[0] or "").lower() not in _METRES:
+        raise FileError(
+            f"the DEM's heights are in {source.units[0]}", file=path, mend="convert them to metres"
+        )
+    if not np.isfinite([source.scales[0], source.offsets[0]]).all() or source.scales[0] == 0.0:
+        problem = f"the DEM's scale is {source.scales[0]:g}, its offset {source.offsets[0]:g}"
+        raise FileError(problem, file=path, mend="correct them (gdal_edit.py -scale 1 -offset 0)")
 
 
-def read_heights(elevation: ElevationModel, bounds: tuple[float, float, float, float]) -> HeightRaster:
+def read_heights(
+    elevation: ElevationModel, bounds: tuple[float, float, float, float], finest: float = 0.0
+) -> HeightRaster:
     """The DEM's first band inside bounds (west, south, east, north in its own CRS), a pixel wider.
 
-    A window of more than 6000 pixels a side is read reduced. Raises: FileError if nothing of the DEM
-    lies inside the bounds, or it is not north-up.
+    It is read reduced to pixels of at least `finest` (CRS units), and to 3000 pixels a side. Scale and
+    offset of the band are applied, and values that can't be heights are unknown.
+    Raises: FileError if nothing of the DEM lies inside the bounds, or it can't be read.
     """
-    with rasterio.open(elevation.path) as source:
-        check_north_up(source, elevation.path)
-        t = source.transform
-        wanted = from_bounds(*bounds, transform=t)
-        row_0, row_1 = np.clip(
-            [np.floor(wanted.row_off) - 1, np.ceil(wanted.row_off + wanted.height) + 1], 0, source.height
-        )
-        col_0, col_1 = np.clip(
-            [np.floor(wanted.col_off) - 1, np.ceil(wanted.col_off + wanted.width) + 1], 0, source.width
-        )
-        rows, cols = int(row_1 - row_0), int(col_1 - col_0)
-        if rows < 1 or cols < 1:
-            raise FileError(
-                "the DEM does not cover the survey", file=elevation.path, mend="give one that does"
-            )
-        step = max(1.0, max(rows, cols) / _MOST_PIXELS)
-        shape = (max(1, int(rows / step)), max(1, int(cols / step)))
-        window = Window(int(col_0), int(row_0), cols, rows)
-        band = source.read(1, window=window, out_shape=shape, masked=True, resampling=Resampling.average)
-        heights = band.astype(np.float64).filled(np.nan) + elevation.offset_m
+    path = Path(elevation.path)
+    with open_raster(path, DEM) as source, reading(path):
+        check_grid(source, path)
+        wanted = _window(source, bounds, (1, 1))
+        if wanted is None:
+            raise FileError("the DEM does not cover the survey", file=path, mend="give one that does")
+        t, sides = source.transform, (wanted.height, wanted.width)
+        steps = [
+            max(1.0, side / _MOST_PIXELS, finest / pixel)
+            for side, pixel in zip(sides, (-t.e, t.a), strict=True)
+        ]
+        window = _window(source, bounds, (int(steps[0] * _AROUND), int(steps[1] * _AROUND))) or wanted
+        sides = (window.height, window.width)
+        shape = tuple(max(1, int(side / step)) for side, step in zip(sides, steps, strict=True))
+        reduced = shape != sides
+        heights = _read(source, window, shape, Resampling.average if reduced else Resampling.nearest)
+        bad = outliers(heights + elevation.offset_m, reduced)
+        if reduced:  # means would mix what is no height into what is one
+            sample = _read(source, window, shape, Resampling.nearest)
+            bad_sample = outliers(sample + elevation.offset_m, reduced)
+            if bad.any() or bad_sample.any():
+                heights, bad = sample, bad_sample
+        rows, step_y = _part(window.row_off, window.height, wanted.row_off, wanted.height, shape[0])
+        cols, step_x = _part(window.col_off, window.width, wanted.col_off, wanted.width, shape[1])
+        heights, bad = heights[rows, cols], bad[rows, cols]
+        told = _counted(heights[bad])
+        heights[bad] = np.nan
         return HeightRaster(
-            height_ellipsoidal_m=heights,
+            height_ellipsoidal_m=heights + elevation.offset_m,
             crs=source.crs.to_wkt(),
-            west=t.c + col_0 * t.a,
-            north=t.f + row_0 * t.e,
-            pixel_x=t.a * cols / shape[1],
-            pixel_y=-t.e * rows / shape[0],
+            west=t.c + (window.col_off + cols.start * step_x) * t.a,
+            north=t.f + (window.row_off + rows.start * step_y) * t.e,
+            pixel_x=t.a * step_x,
+            pixel_y=-t.e * step_y,
+            outliers=told,
         )
+
+
+def _window(
+    source: Raster, bounds: tuple[float, float, float, float], around: tuple[int, int]
+) -> Window | None:
+    """Whole pixels (and rows and cols more) around bounds, as far as the raster goes; None without any."""
+    if not np.isfinite(bounds).all():
+        return None
+    wanted = from_bounds(*bounds, transform=source.transform)
+    rows = wanted.row_off + np.array([0.0, wanted.height])
+    cols = wanted.col_off + np.array([0.0, wanted.width])
+    row_0, row_1 = np.clip([np.floor(rows[0]) - around[0], np.ceil(rows[1]) + around[0]], 0, source.height)
+    col_0, col_1 = np.clip([np.floor(cols[0]) - around[1], np.ceil(cols[1]) + around[1]], 0, source.width)
+    if row_1 - row_0 < 1 or col_1 - col_0 < 1:
+        return None
+    return Window(int(col_0), int(row_0), int(col_1 - col_0), int(row_1 - row_0))
+
+
+def _part(start: int, size: int, wanted_start: int, wanted_size: int, count: int) -> tuple[slice, float]:
+    """Which of count rows (or cols) that stand for size pixels hold the wanted ones; the pixels of one."""
+    step = size / count
+    first = int((wanted_start - start) / step)
+    return slice(first, int(np.ceil((wanted_start - start + wanted_size) / step))), step
+
+
+def _read(source: Raster, window: Window, shape: tuple[int, ...], how: Resampling) -> Floats:
+    """Heights as the band's scale, offset and unit have them, NaN where there are none."""
+    band = source.read(1, window=window, out_shape=shape, masked=True, resampling=how)
+    heights = band.astype(np.float64).filled(np.nan) * source.scales[0] + source.offsets[0]
+    heights[~np.isfinite(heights)] = np.nan
+    return np.asarray(heights * _METRES[(source.units[0] or "").lower()])
+
+
+def _counted(values: Floats) -> tuple[tuple[float, int], ...]:
+    """Each value and how often it is there, the most frequent first; the first hundred."""
+    unique, counts = np.unique(values, return_counts=True)
+    order = np.argsort(-counts, kind="stable")[:100]
+    return tuple((float(unique[i]), int(counts[i])) for i in order)

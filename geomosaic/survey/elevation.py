@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import stat
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from pyproj.exceptions import CRSError
 
-from geomosaic.errors import FileError, InputError
+from geomosaic.doors.raster import DEM, open_raster
+from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.survey.dem import check_north_up, read_heights
+from geomosaic.survey.dem import check_grid, read_heights
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_METRES: Final = frozenset({"", "m", "metre", "meter", "metres", "meters"})
 
 
 def read_elevation(
@@ -59,36 +56,26 @@ def read_elevation(
 def check_dem(path: Path) -> tuple[CRS, Any]:
     """The CRS of a DEM and its bounds in it, from its header.
 
-    Raises: `FileError` for what is no raster or not north-up, `InputError` without a CRS or in feet.
+    Raises: `FileError` for what is no raster, not north-up or in feet, `InputError` without a CRS that has a
+    place on the Earth.
     """
-    with _open(path) as dem:
+    with open_raster(path, DEM) as dem:
         if dem.crs is None:
             mend = "assign its coordinate reference system (gdal_edit.py -a_srs EPSG:n)"
             raise InputError("the DEM has no coordinate reference system", file=path, mend=mend)
-        if (dem.units[0] or "").lower() not in _METRES:
+        check_grid(dem, path)
+        try:
+            crs = CRS.from_wkt(dem.crs.to_wkt())
+        except CRSError as error:
+            problem = "the DEM's coordinate reference system can't be understood"
             raise InputError(
-                f"the DEM's heights are in {dem.units[0]}", file=path, mend="convert them to metres"
-            )
-        check_north_up(dem, path)
-        return CRS.from_wkt(dem.crs.to_wkt()), dem.bounds
-
-
-def _open(path: Path) -> Any:
-    try:
-        kind = path.stat().st_mode
-    except OSError as error:
-        file = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
-        raise FileError("there is no such DEM", file=file, mend="check --dem") from error
-    if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
-        raise FileError("is no regular file", file=path, mend="give a DEM such as a GeoTIFF")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            return rasterio.open(path)
-    except (RasterioError, OSError) as error:
-        raise FileError(
-            "is no raster that GDAL reads", file=path, mend="give a DEM such as a GeoTIFF"
-        ) from error
+                problem, file=path, mend="assign another (gdal_edit.py -a_srs EPSG:n)"
+            ) from error
+        level = crs.sub_crs_list[0] if crs.is_compound else crs
+        if not level.is_geographic and not level.is_projected:
+            problem = f"the DEM's coordinate reference system '{level.name}' is a {level.type_name}"
+            raise InputError(problem, file=path, mend="give the DEM in a map projection or in degrees")
+        return crs, dem.bounds
 
 
 def _with_datum(

@@ -7,10 +7,9 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
-from rasterio.errors import RasterioError
-
+from geomosaic.doors.raster import MASK, open_raster
 from geomosaic.errors import FileError, InputError
-from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, open_picture
+from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader
 from geomosaic.survey.names import natural_key
 
 _MASK_ENDINGS: Final = ("_mask", ".mask")
@@ -69,11 +68,8 @@ def masks(headers: list[FrameHeader]) -> dict[str, str]:
 
 
 def _check_size(mask: Path, header: FrameHeader) -> None:
-    try:
-        with open_picture(mask) as raster:
-            size = raster.width, raster.height
-    except (RasterioError, OSError) as error:
-        raise FileError("the mask can't be read", file=mask, mend="write it as 8 bit PNG or TIFF") from error
+    with open_raster(mask, MASK) as raster:
+        size = raster.width, raster.height
     if size != (header.width_px, header.height_px):
         raise FileError(
             f"the mask has {size[0]} x {size[1]} pixels, its frame {header.width_px} x {header.height_px}",

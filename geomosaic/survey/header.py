@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import rasterio
+import numpy as np
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from geomosaic.doors.raster import FRAME, Raster, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.jpeg import read_structure
@@ -19,7 +18,12 @@ from geomosaic.survey.xmp import Xmp, parse_xmp
 JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
 DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
-_MAX_PIXELS: Final = 1 << 30
+_BYTES: Final = {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4}
+_MOST_SIDE_PX: Final = 32_766  # OpenCV's remap counts pixels in 16 bits with a sign
+_MOST_BYTES: Final = 4 << 30  # the largest cameras: 26,460 x 17,004 px in 4 bands of 16 bits
+_MOST_RATIO: Final = 4000  # DEFLATE packs 1,032 equal bytes into one, LZW up to 4,000
+_SMALL_BYTES: Final = 64 << 20
+_MOST_LOOKED_AT: Final = 4096  # blocks of a TIFF
 _EXIF_BYTES: Final = 8 << 20
 
 
@@ -40,12 +44,15 @@ class FrameHeader:
 def read_header(path: Path) -> FrameHeader:
     """Header of a JPEG or TIFF frame.
 
-    Raises: `FileError` when the file isn't what its name says or its pixels aren't all there;
+    Raises: `FileError` when the file isn't what its name says, or can't hold the pixels it states;
     `InputError` when its pixels are of a kind that isn't handled.
     """
     header = _jpeg_header(path) if path.suffix.lower() in JPEG_SUFFIXES else _tiff_header(path)
-    if header.width_px * header.height_px > _MAX_PIXELS:
-        raise InputError(f"{header.width_px} x {header.height_px} pixels are too many for a frame", file=path)
+    size = f"{header.width_px} x {header.height_px} pixels"
+    needed = header.width_px * header.height_px * header.bands * _BYTES.get(header.dtype, 8)
+    if max(header.width_px, header.height_px) > _MOST_SIDE_PX or needed > _MOST_BYTES:
+        mend = f"a frame has at most {_MOST_SIDE_PX:,} px a side and {_MOST_BYTES >> 30} GB of pixels"
+        raise FileError(f"{size} in {header.bands} bands are too many", file=path, mend=mend)
     if header.dtype not in DTYPES:
         raise InputError(
             f"pixels of type {header.dtype} aren't handled",
@@ -56,7 +63,7 @@ def read_header(path: Path) -> FrameHeader:
 
 
 def _jpeg_header(path: Path) -> FrameHeader:
-    jpeg = read_structure(path)
+    jpeg = read_structure(path, whole=False)
     if jpeg.bits != 8:
         raise InputError(f"a JPEG of {jpeg.bits} bits isn't handled", file=path, mend="convert it to TIFF")
     exif = exif_from_block(jpeg.exif) if jpeg.exif else Exif()
@@ -64,25 +71,9 @@ def _jpeg_header(path: Path) -> FrameHeader:
     return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
 
 
-def open_picture(path: Path, driver: str | None = None) -> Any:
-    """A rasterio dataset that needs no place on the map."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return rasterio.open(path, driver=driver)
-
-
-def open_tiff(path: Path) -> Any:
-    """A TIFF frame as a rasterio dataset; `FileError` for what is none."""
-    try:
-        return open_picture(path, "GTiff")
-    except (RasterioError, OSError) as error:
-        raise FileError(
-            "is no readable TIFF file", file=path, mend="copy it again, or take it out of the folder"
-        ) from error
-
-
 def _tiff_header(path: Path) -> FrameHeader:
-    with open_tiff(path) as tiff:
+    with open_raster(path, FRAME) as tiff:
+        _check_packing(tiff, path)
         _check_blocks(tiff, path)
         alpha = [i for i in tiff.colorinterp if i == ColorInterp.alpha]
         bands = tiff.count - len(alpha)
@@ -100,20 +91,26 @@ def _tiff_header(path: Path) -> FrameHeader:
         )
 
 
-def _check_blocks(tiff: Any, path: Path) -> None:
-    """Every strip or tile lies within the file."""
+def _check_packing(tiff: Raster, path: Path) -> None:
+    """`FileError` where so few bytes can't be a picture of such a size."""
+    size = path.stat().st_size
+    unpacked = tiff.width * tiff.height * sum(_BYTES.get(str(kind), 8) for kind in tiff.dtypes)
+    if unpacked > max(_SMALL_BYTES, _MOST_RATIO * size):
+        problem = f"{size:,} bytes can't hold {tiff.width} x {tiff.height} pixels in {tiff.count} bands"
+        raise FileError(problem, file=path, mend=FRAME.mend)
+
+
+def _check_blocks(tiff: Raster, path: Path) -> None:
+    """Every strip or tile lies within the file; of more than some thousands, an even share of them."""
     size = path.stat().st_size
     rows, cols = tiff.block_shapes[0]
     across, down = -(-tiff.width // cols), -(-tiff.height // rows)
     bands = tiff.indexes if tiff.interleaving and tiff.interleaving.name == "band" else (1,)
+    most = max(2, _MOST_LOOKED_AT // len(bands))
     for band in bands:
-        for y in range(down):
-            for x in range(across):
-                start = tiff.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band)
-                length = tiff.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band)
-                if start and length and int(start) + int(length) > size:
-                    raise FileError(
-                        "the TIFF is truncated: its image data don't end",
-                        file=path,
-                        mend="copy it again from the camera, or take it out of the folder",
-                    )
+        for i in np.unique(np.linspace(0, across * down - 1, min(across * down, most)).astype(np.int64)):
+            y, x = divmod(int(i), across)
+            start = tiff.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band)
+            length = tiff.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band)
+            if start and length and int(start) + int(length) > size:
+                raise FileError("the TIFF is truncated: its image data don't end", file=path, mend=FRAME.mend)

@@ -47,7 +47,8 @@ class Frame:
     """One picture: its file, its camera's name, and what the platform said of it.
 
     `name` is the file's name without folders; `path` is absolute. `valid_mask` names a raster of
-    the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC.
+    the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
+    that is used none the less, only the first `whole_rows` count.
     """
 
     name: str
@@ -62,6 +63,15 @@ class Frame:
     time_s: float | None = None
     valid_mask: str | None = None
     nodata: float | None = None
+    whole_rows: int | None = None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A picture of the folder that isn't used, and why."""
+
+    name: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -111,6 +121,7 @@ class Survey:
     elevation: ElevationModel | None = None
     control: tuple[ControlPoint, ...] = ()
     warnings: tuple[Warn, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
     def camera_of(self, i: int) -> Camera:
         """The camera that took frame i."""

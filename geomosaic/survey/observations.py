@@ -34,11 +34,14 @@ class Observations:
     warnings: tuple[Warn, ...]
 
 
-def observe(headers: Sequence[FrameHeader], pos: PosFile | None) -> Observations:
+def observe(
+    headers: Sequence[FrameHeader], pos: PosFile | None, left_out: Sequence[str] = ()
+) -> Observations:
     """Put EXIF, XMP and the POS file together.
 
-    With a POS file every frame needs a row and every row a frame. The row's position counts; a height
-    or an attitude it doesn't have is the frame's own. Without one, every frame needs its own position.
+    With a POS file every frame needs a row and every row a frame, or a picture that is left out. The row's
+    position counts; a height or an attitude it doesn't have is the frame's own. Without one, every frame
+    needs its own position.
 
     Raises: `InputError` naming the first frame or line that is wrong, and how many are.
     """
@@ -56,7 +59,7 @@ def observe(headers: Sequence[FrameHeader], pos: PosFile | None) -> Observations
         rows: list[PosRow | None] = [None] * len(headers)
         warnings: list[Warn] = []
     else:
-        given = _matched(headers, pos)
+        given = _matched(headers, pos, left_out)
         warnings = [*pos.warnings, *_against_exif(headers, own, given, pos)]
         positions = [_position(row, p) for row, p in zip(given, own, strict=True)]
         attitudes = [_attitude(row, a) for row, a in zip(given, attitudes, strict=True)]
@@ -74,8 +77,8 @@ def lonlat_of(positions: Sequence[Position]) -> Floats:
     return lonlat
 
 
-def _matched(headers: Sequence[FrameHeader], pos: PosFile) -> list[PosRow]:
-    names = FrameNames(h.path.name for h in headers)
+def _matched(headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str]) -> list[PosRow]:
+    names = FrameNames([*(h.path.name for h in headers), *left_out])
     rows: dict[str, PosRow] = {}
     for row in pos.rows:
         try:

@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import RasterioError
+from rasterio.windows import Window
 
+from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
-from geomosaic.survey.header import JPEG_SUFFIXES, open_tiff
+from geomosaic.survey.damage import decoded_anyway
+from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 
@@ -46,9 +48,9 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
         raise ValueError(f"reduction is one of {sorted(_REDUCED)}, not {reduction}")
     path = Path(frame.path)
     if path.suffix.lower() in JPEG_SUFFIXES:
-        pixels, valid = _decode_jpeg(path, frame.bands, reduction), None
+        pixels, valid = _decode_jpeg(path, frame, reduction), None
     else:
-        pixels, valid = _read_tiff(path)
+        pixels, valid = _read_tiff(path, frame.whole_rows)
         pixels = _mean(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), frame.bands)
     if pixels.shape != expected:
@@ -56,16 +58,21 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     if frame.valid_mask is not None:
         sidecar = _read_mask(Path(frame.valid_mask), (frame.height_px, frame.width_px))
         valid = sidecar if valid is None else np.minimum(valid, sidecar)
+    if frame.whole_rows is not None:
+        valid = np.full((frame.height_px, frame.width_px), 255, np.uint8) if valid is None else valid
+        valid[frame.whole_rows :] = 0
     return pixels, None if valid is None else _least(valid, reduction)
 
 
-def _decode_jpeg(path: Path, bands: int, reduction: int) -> NDArray[Any]:
+def _decode_jpeg(path: Path, frame: Frame, reduction: int) -> NDArray[Any]:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
-    parse_structure(data, path)  # OpenCV fills what is missing with grey
-    colour = cv2.IMREAD_GRAYSCALE if bands == 1 else cv2.IMREAD_COLOR_RGB
+    parse_structure(data, path, whole=frame.whole_rows is None)  # OpenCV fills what is missing with grey
+    if frame.whole_rows is not None:
+        return decoded_anyway(data, frame.bands, reduction)
+    colour = cv2.IMREAD_GRAYSCALE if frame.bands == 1 else cv2.IMREAD_COLOR_RGB
     flags = _REDUCED[reduction] | colour | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if pixels is None:
@@ -73,16 +80,19 @@ def _decode_jpeg(path: Path, bands: int, reduction: int) -> NDArray[Any]:
     return np.atleast_3d(pixels)
 
 
-def _read_tiff(path: Path) -> tuple[NDArray[Any], Mask | None]:
+def _read_tiff(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
     """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
-    try:
-        with open_tiff(path) as tiff:
-            bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
-            pixels = np.moveaxis(tiff.read([i for i, c in bands if c != ColorInterp.alpha]), 0, -1)
-            masked = any(flag != MaskFlags.all_valid for flags in tiff.mask_flag_enums for flag in flags)
-            valid = tiff.dataset_mask() if masked else None
-    except RasterioError as error:
-        raise FileError("the TIFF can't be decoded whole", file=path, mend=_MEND) from error
+    with reading(path, "the TIFF can't be decoded whole", _MEND), open_raster(path, FRAME) as tiff:
+        bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
+        window = Window(0, 0, tiff.width, tiff.height if whole_rows is None else whole_rows)
+        pixels = tiff.read([i for i, c in bands if c != ColorInterp.alpha], window=window)
+        masked = any(flag != MaskFlags.all_valid for flags in tiff.mask_flag_enums for flag in flags)
+        valid = tiff.dataset_mask(window=window) if masked else None
+        missing = tiff.height - window.height
+    if missing:
+        pixels = np.pad(pixels, [(0, 0), (0, missing), (0, 0)])
+        valid = None if valid is None else np.pad(valid, [(0, missing), (0, 0)])
+    pixels = np.moveaxis(pixels, 0, -1)
     if valid is not None:
         valid = np.where(valid > 0, np.uint8(255), np.uint8(0))
         valid = None if valid.all() else valid
@@ -90,16 +100,23 @@ def _read_tiff(path: Path) -> tuple[NDArray[Any], Mask | None]:
 
 
 def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
-    mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if mask is None:
-        raise FileError("the mask can't be read", file=path, mend="write it as 8 bit PNG or TIFF")
-    if mask.shape != shape:
-        raise FileError(
-            f"the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its frame {shape[1]} x {shape[0]}",
-            file=path,
-            mend="make a mask of the frame's size",
-        )
-    return np.where(mask > 0, np.uint8(255), np.uint8(0))
+    """255 where any colour is above 0; an alpha band says nothing."""
+    with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.mend):
+        if mask.shape != shape:
+            raise FileError(
+                f"the mask has {mask.width} x {mask.height} pixels, its frame {shape[1]} x {shape[0]}",
+                file=path,
+                mend="make a mask of the frame's size",
+            )
+        if mask.colorinterp[0] == ColorInterp.palette:
+            colours = mask.colormap(1)
+            lit = np.array([any(colours.get(i, (i,))[:3]) for i in range(256)])
+            return np.where(lit[mask.read(1)], np.uint8(255), np.uint8(0))
+        valid = np.zeros(shape, dtype=np.uint8)
+        for i, colour in zip(mask.indexes, mask.colorinterp, strict=True):
+            if colour != ColorInterp.alpha:
+                valid[mask.read(i) > 0] = 255
+        return valid
 
 
 def _padded(array: NDArray[Any], reduction: int) -> NDArray[Any]:

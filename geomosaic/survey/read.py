@@ -15,11 +15,12 @@ from geomosaic.survey.cameras import cameras_from_file, cameras_from_headers
 from geomosaic.survey.control import check_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
-from geomosaic.survey.header import FrameHeader, read_header
+from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Frame, Position, Survey, Warn
 from geomosaic.survey.names import FrameNames, natural_key
 from geomosaic.survey.observations import lonlat_of, observe
 from geomosaic.survey.pos import read_pos
+from geomosaic.survey.usable import Inspect, inspect_all, usable
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -61,9 +62,11 @@ def read_survey(
     crs: str = "auto",
     pos_crs: str | None = None,
     attitude_convention: str = "auto",
+    damaged: str = "leave_out",
+    inspect: Inspect = inspect_all,
     progress: Progress | None = None,
 ) -> Survey:
-    """Read everything a survey is made of; nothing is written, no pixels are decoded.
+    """Read everything a survey is made of; nothing is written. Every frame is decoded once, small.
 
     Frames are the folder's JPEG and TIFF files, in order of capture (time, then name; by name alone
     where a frame has no time). The work frame lies at the median position, at the median height of the
@@ -71,21 +74,18 @@ def read_survey(
 
     Args: pos, camera, dem, gcp: files as docs/inputs.md describes them; dem_offset_m: what is added to
     the DEM's values to have ellipsoidal heights; crs: the map's, `auto` for the UTM zone of the
-    middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; progress:
-    called with frames done, frames in all, and what is being done.
+    middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; damaged: one of
+    `usable.DAMAGED`; inspect: `damage.wholeness` of many frames; progress: called with frames done,
+    frames in all, and what is being done.
     Raises: `InputError` and `FileError`, one line that names the file and the mend.
     """
     wanted_crs = None if crs == "auto" else map_crs(crs).to_string()
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
     table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
     cameras = None if camera is None else read_cameras(camera)
-    headers = []
-    for i, file in enumerate(files):
-        headers.append(read_header(file))
-        if progress is not None:
-            progress(i + 1, len(files), "reading headers")
-    headers, by_time = _in_order(headers)
-    observed = observe(headers, table)
+    found = usable(files, inspect, mask_damaged=damaged == "mask", progress=progress)
+    headers, by_time = _in_order(found.headers)
+    observed = observe(headers, table, [out.name for out in found.left_out])
     if cameras is None or camera is None:
         choice = cameras_from_headers(headers)
     else:
@@ -118,6 +118,7 @@ def read_survey(
             time_s=h.exif.time_s,
             valid_mask=sidecars.get(h.path.name),
             nodata=h.nodata,
+            whole_rows=found.whole_rows.get(h.path.name),
         )
         for h, name, position, attitude in zip(
             headers, choice.names, observed.positions, observed.attitudes, strict=True
@@ -131,7 +132,15 @@ def read_survey(
         map_crs=wanted_crs or utm_crs(work_frame.lon_deg, work_frame.lat_deg),
         elevation=elevation,
         control=control,
-        warnings=(*order, *observed.warnings, *choice.warnings, *dem_warnings, *control_warnings),
+        left_out=found.left_out,
+        warnings=(
+            *found.warnings,
+            *order,
+            *observed.warnings,
+            *choice.warnings,
+            *dem_warnings,
+            *control_warnings,
+        ),
     )
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import Rpc, parse_rpc
+from geomosaic.doors.raster import Purpose, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -20,6 +18,7 @@ from geomosaic.survey.strip_model import check_regular, read_model
 
 _MAX_BYTES: Final = 1 << 20
 _MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
+_RPC: Final = Purpose(("GTiff",), "is no RPC and no raster that holds one", _MEND)
 _DEM_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
 _PAST: Final = "looks past the Earth"
 _PAST_MEND: Final = "check the attitude's and the looks' signs"
@@ -36,14 +35,14 @@ def read_rpc(path: Path) -> Rpc:
             content = file.read(_MAX_BYTES + 1)
         if len(content) <= _MAX_BYTES and b"LINE_OFF" in content and b"\0" not in content:
             return parse_rpc(content.decode("utf-8-sig"))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as raster:
-                return Rpc.from_metadata(raster.tags(ns="RPC"))
+        with open_raster(path, _RPC) as raster:
+            return Rpc.from_metadata(raster.tags(ns="RPC"))
+    except FileError:
+        raise
     except InputError as error:
         raise InputError(error.problem, file=path, mend=_MEND) from error
-    except (RasterioError, OSError, ValueError) as error:
-        raise FileError("is no RPC and no raster that holds one", file=path, mend=_MEND) from error
+    except (OSError, ValueError) as error:
+        raise FileError(_RPC.problem, file=path, mend=_MEND) from error
 
 
 def checked_model(path: Path, ccds: int, line_rate_hz: float) -> Pushbroom:

@@ -9,15 +9,13 @@ from threading import Lock
 from typing import Final
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import RasterioError
-from scipy.ndimage import distance_transform_edt
 
-from geomosaic.errors import FileError, InputError
+from geomosaic.doors.raster import DEM, open_raster
+from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.survey.dem import HeightRaster, read_heights
+from geomosaic.survey.dem import HeightRaster, outliers_told, read_heights
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel, Warn
 
@@ -42,6 +40,7 @@ class DemHeights:
     mean_m: float = 0.0
     span_m: tuple[float, float] = (0.0, 0.0)
     warnings: tuple[Warn, ...] = ()
+    outliers: tuple[tuple[float, int], ...] = ()
     _tiles: OrderedDict[tuple[int, int], HeightRaster | None] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
 
@@ -74,11 +73,9 @@ class DemHeights:
             width, height = _TILE_PX * self.pixel[0], _TILE_PX * self.pixel[1]
             left, top = west + col * width, north - row * height
             at = left, max(top - height, south), min(left + width, east), top
-            path = Path(self.elevation.path)
-            try:
-                raster = _filled(read_heights(self.elevation, at))
-            except (RasterioError, OSError) as error:
-                raise FileError("the DEM can't be read", file=path, mend="copy it again") from error
+            read = read_heights(self.elevation, at)
+            self.outliers += read.outliers
+            raster = read.filled()
             self._tiles[row, col] = raster
             if len(self._tiles) > _MOST_TILES:
                 self._tiles.popitem(last=False)
@@ -111,7 +108,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
         except InputError as error:
             raise InputError(error.problem, file=path, mend=error.mend) from error
         model = ElevationModel(str(path), offset_m, f"{vertical.name}, offset {offset_m:+.2f} m")
-    with rasterio.open(path) as dem:
+    with open_raster(path, DEM) as dem:
         pixel = float(dem.transform.a), float(-dem.transform.e)
     heights = DemHeights(model, projection, tuple(bounds), pixel, np.nan)
     sampled = heights(*lonlat[inside].T)
@@ -124,16 +121,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     if lacking > 0.0:
         text = f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene; the nearest are taken"
         warnings.append(Warn("dem-gaps", "", text))
+    if heights.outliers:
+        warnings.append(outliers_told(heights.outliers, path))
     heights.warnings = tuple(warnings)
     return heights
-
-
-def _filled(raster: HeightRaster) -> HeightRaster | None:
-    """Unknown heights replaced by the nearest known ones; None where none is known."""
-    unknown = np.isnan(raster.height_ellipsoidal_m)
-    if unknown.all():
-        return None
-    if unknown.any():
-        nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-        raster.height_ellipsoidal_m[:] = raster.height_ellipsoidal_m[tuple(nearest)]
-    return raster

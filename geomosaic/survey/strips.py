@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
-
+from geomosaic.doors.raster import STRIP, open_raster
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
@@ -190,13 +187,6 @@ def _numbers(entry: Mapping[str, Any], path: Path) -> Callable[..., float]:
     return number
 
 
-def open_raster(path: Path, mode: str = "r") -> Any:
-    """A strip opened by rasterio; that it has no georeference of its own is no cause for a warning."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return rasterio.open(path, mode)
-
-
 def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | None]:
     """Width, lines of each, data type and nodata of the strips; `FileError` where they don't agree."""
     lines: list[int] = []
@@ -205,13 +195,9 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
         if ccd.path is None:
             lines.append(0)
             continue
-        try:
-            with open_raster(ccd.path) as strip:
-                width, count, kind, nodata = strip.width, strip.count, strip.dtypes[0], strip.nodata
-                lines.append(int(strip.height))
-        except (RasterioError, OSError) as error:
-            mend = "give a strip such as a GeoTIFF"
-            raise FileError("is no raster that GDAL reads", file=ccd.path, mend=mend) from error
+        with open_raster(ccd.path, STRIP) as strip:
+            width, count, kind, nodata = strip.width, strip.count, strip.dtypes[0], strip.nodata
+            lines.append(int(strip.height))
         if count != 1 or kind not in _BITS:
             problem = f"has {count} bands" if count != 1 else f"has {kind} pixels"
             raise FileError(problem, file=ccd.path, mend="a strip has one band of 8 to 16 bits")

@@ -1,0 +1,180 @@
+"""What a raster makes GDAL open besides itself, looked at first: its sidecars and the sources of a VRT."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from geomosaic.errors import FileError
+
+_MOST_XML_BYTES: Final = 16 << 20  # a VRT of 10,000 tiles has some 5 MB
+_MOST_SOURCES: Final = 10_000  # opening each takes about 1 ms
+_MOST_DEPTH: Final = 4
+_HEAD_BYTES: Final = 4096  # GDAL looks for <VRTDataset in the first 1 to 4 kB, wherever it stands
+_VRT_MEND: Final = "make one file of it with gdal_translate"
+_SIDECAR_MEND: Final = "take it away"
+_TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_MOSAIC_TAGS = """
+    VRTDataset SRS GeoTransform Metadata MDI BlockXSize BlockYSize OverviewList VRTRasterBand
+    Description UnitType Offset Scale NoDataValue HideNoDataValue ColorInterp ColorTable Entry
+    Histograms HistItem HistMin HistMax BucketCount IncludeOutOfRange Approximate HistCounts
+    CategoryNames Category MaskBand Overview SimpleSource ComplexSource AveragedSource
+    NoDataFromMaskSource SourceFilename SourceBand SourceProperties SrcRect DstRect NODATA
+    ScaleOffset ScaleRatio LUT UseMaskBand MaskValueThreshold RemappedValue
+"""  # gdalbuildvrt, gdal_translate
+_WARP_TAGS = """
+    GDALWarpOptions WarpMemoryLimit ResampleAlg WorkingDataType Option SourceDataset Transformer
+    ApproxTransformer MaxError BaseTransformer GenImgProjTransformer SrcGeoTransform
+    SrcInvGeoTransform DstGeoTransform DstInvGeoTransform ReprojectTransformer
+    ReprojectionTransformer SourceSRS TargetSRS Reverse BandList BandMapping SrcNoDataReal
+    SrcNoDataImag DstNoDataReal DstNoDataImag SrcAlphaBand DstAlphaBand
+"""  # gdalwarp -of VRT
+_VRT_TAGS: Final = frozenset((_MOSAIC_TAGS + _WARP_TAGS).split())
+_PATH_TAGS: Final = frozenset({"SourceFilename", "SourceDataset"})
+_SUBCLASSES: Final = frozenset({"", "VRTWarpedDataset", "VRTSourcedRasterBand", "VRTWarpedRasterBand"})
+
+
+def check_sidecars(path: Path) -> None:
+    """`FileError` where a file that goes with path could lead GDAL to another place than this folder.
+
+    World files and .prj are plain text. Overviews and masks must be TIFF or Imagine files themselves; an
+    .aux.xml may not name a file.
+    """
+    name, stem = path.name.lower(), path.stem.lower()
+    with os.scandir(path.parent) as entries:
+        beside = [e for e in entries if e.name.lower().startswith(f"{stem}.") and e.name != path.name]
+    for entry in beside:
+        file, lower = path.parent / entry.name, entry.name.lower()
+        if not entry.is_file() and not entry.is_dir():
+            raise FileError(f"is no regular file beside {path.name}", file=file, mend=_SIDECAR_MEND)
+        if not entry.is_file():
+            continue
+        if lower.endswith(".aux.xml"):
+            _check_aux(file)
+        elif lower.endswith((".ovr", ".msk")) and lower.startswith(f"{name}."):
+            _check_plain(file, _TIFF)
+        elif lower.endswith((".aux", ".rrd")):
+            _check_plain(file, (b"EHFA",))
+
+
+def check_sources(path: Path, check_file: Callable[[Path], None]) -> None:
+    """Looks at every source of a VRT, of the VRTs among them too; any other file is passed over.
+
+    check_file raises for a source that isn't a VRT and is no raster either. Raises: `FileError` for a source
+    that isn't there or isn't local, VRTs in themselves or more than four deep, more than 10,000 sources,
+    anything but mosaics and warps.
+    """
+    waiting, seen = [(path, 0)], {path}
+    while waiting:
+        file, depth = waiting.pop()
+        if not _is_vrt(file):
+            if depth:
+                _check_once(check_file, file)
+            continue
+        if depth >= _MOST_DEPTH:
+            raise FileError(f"VRTs lie more than {_MOST_DEPTH} deep in it", file=path, mend=_VRT_MEND)
+        if depth:
+            check_sidecars(file)
+        for text, beside in _named(file, *_state(file)):
+            source = _local(file, text, beside)
+            if source in (path, file):
+                raise FileError("the VRT is a source of itself", file=path, mend=_VRT_MEND)
+            if source not in seen:
+                seen.add(source)
+                waiting.append((source, depth + 1))
+        if len(seen) > _MOST_SOURCES:
+            raise FileError(f"has more than {_MOST_SOURCES:,} sources", file=path, mend=_VRT_MEND)
+
+
+_checked: set[tuple[Path, tuple[int, ...]]] = set()
+
+
+def _check_once(check_file: Callable[[Path], None], file: Path) -> None:
+    key = file, _state(file)
+    if key not in _checked:
+        check_file(file)
+        _checked.add(key)
+
+
+def _state(path: Path) -> tuple[int, int, int]:
+    found = path.stat()
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _local(vrt: Path, text: str, beside: bool) -> Path:
+    """The regular local file that a VRT names."""
+    shown = text if len(text) < 200 else f"{text[:200]}..."
+    source = vrt.parent / text if beside else Path(text)
+    if "\0" in text or "://" in text or str(source).startswith("/vsi") or not source.is_absolute():
+        problem = f"its source '{shown}' is no path of a file on this machine"
+        raise FileError(problem, file=vrt, mend="name a local file")
+    try:
+        regular = stat.S_ISREG(source.stat().st_mode)
+    except OSError as error:
+        problem = f"its source '{shown}' is not there"
+        raise FileError(problem, file=vrt, mend="copy it too, or correct the VRT") from error
+    if not regular:
+        raise FileError(f"its source '{shown}' is no regular file", file=vrt, mend="name a local file")
+    return Path(os.path.abspath(source))  # noqa: PTH100 - GDAL follows no links in the name either
+
+
+@lru_cache(maxsize=64)
+def _named(path: Path, *_state: int) -> tuple[tuple[str, bool], ...]:
+    """The sources a VRT names, each with whether it counts from the VRT's folder."""
+    return tuple(_sources(_parsed(path, "VRT", _VRT_MEND), path))
+
+
+def _sources(root: Element, path: Path) -> Iterator[tuple[str, bool]]:
+    for element in root.iter():
+        tag = str(element.tag)
+        subclass = element.get("subClass", "")
+        known = tag in _VRT_TAGS and subclass in _SUBCLASSES
+        if tag == "Option":  # of a warp: numbers, words, outlines
+            known = not set("/\\<") & set(element.text or "")
+        if tag == "Metadata":
+            known = element.get("domain", "") != "GEOLOCATION"
+        if not known:
+            what = f"{tag} {subclass or element.get('name', '') or element.get('domain', '')}".strip()[:80]
+            raise FileError(f"the VRT holds a {what}, which isn't followed", file=path, mend=_VRT_MEND)
+        if tag in _PATH_TAGS:
+            beside = element.get("relativeToVRT", element.get("relativetoVRT", "0")).strip()
+            yield (element.text or "").strip(), beside not in ("", "0")
+
+
+def _check_aux(path: Path) -> None:
+    for element in _parsed(path, "sidecar", _SIDECAR_MEND).iter():
+        names = element.get("domain", "").upper(), element.get("key", "").upper()
+        if "OVERVIEWS" in names or "OVERVIEW_FILE" in names:
+            raise FileError("the sidecar refers to another file", file=path, mend=_SIDECAR_MEND)
+
+
+def _parsed(path: Path, what: str, mend: str) -> Element:
+    with path.open("rb") as file:
+        text = file.read(_MOST_XML_BYTES + 1)
+    if len(text) > _MOST_XML_BYTES:
+        raise FileError(f"the {what} is over {_MOST_XML_BYTES >> 20} MB", file=path, mend=mend)
+    try:
+        root: Element = fromstring(text, forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
+        raise FileError(f"the {what} is no well-formed XML", file=path, mend=mend) from error
+    return root
+
+
+def _check_plain(path: Path, magics: tuple[bytes, ...]) -> None:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if not head.startswith(magics) or b"<VRTDataset" in head or b"<GDAL_" in head:
+        raise FileError("is not the overview or mask its name says", file=path, mend=_SIDECAR_MEND)
+
+
+def _is_vrt(path: Path) -> bool:
+    with path.open("rb") as file:
+        return b"<VRTDataset" in file.read(_HEAD_BYTES)

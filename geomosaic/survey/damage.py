@@ -1,0 +1,159 @@
+"""Whether a frame's pixels are all there. OpenCV decodes what is left of a damaged JPEG without a word."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+from rasterio.windows import Window
+
+from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
+from geomosaic.errors import FileError
+from geomosaic.survey.header import JPEG_SUFFIXES
+from geomosaic.survey.jpeg import JpegStructure, parse_structure
+
+_EOI: Final = b"\xff\xd9"
+_MOST_SCANS: Final = 200  # a progressive JPEG has about 10; each takes as long as the whole picture
+_RUN_BYTES: Final = 64  # of one value: a disk's or a card's lost blocks; coded pictures hardly repeat a byte
+_RUN: Final = re.compile(rb"(.)\1{%d,}" % (_RUN_BYTES - 1), re.DOTALL)
+_RESTART: Final = re.compile(rb"\xff[\xd0-\xd7]")
+_CONTEXT_ROWS: Final = 16  # colour is interpolated over the border of the blocks
+_TAIL: Final = np.random.default_rng(1).integers(0, 254, 4096, dtype=np.uint8).tobytes()
+
+
+@dataclass(frozen=True)
+class Wholeness:
+    """damage: what the decoder said, '' where the frame is whole.
+
+    whole_rows: of a damaged frame, how many rows from the top are surely whole; 0 where that can't be told.
+    """
+
+    damage: str
+    whole_rows: int
+
+
+def wholeness(path: str) -> Wholeness:
+    """Decodes a frame (a JPEG at an eighth of its size) and listens to the decoder.
+
+    Raises: `FileError` if it can't be opened at all.
+    """
+    file = Path(path)
+    if file.suffix.lower() in JPEG_SUFFIXES:
+        try:
+            data = file.read_bytes()
+        except OSError as error:
+            raise FileError(f"can't be read ({error.strerror})", file=file, mend=FRAME.mend) from error
+        return _of_jpeg(data, parse_structure(data, file, whole=False))
+    return _of_tiff(file)
+
+
+def _of_jpeg(data: bytes, structure: JpegStructure) -> Wholeness:
+    if data.count(b"\xff\xda", structure.data_start) > _MOST_SCANS:
+        return Wholeness(f"it has more than {_MOST_SCANS} scans", 0)
+    data = _without_version(data)
+    said = _said(data)
+    if "extraneous" in said:  # cameras may pad the data in front of the end marker
+        end = data.find(_EOI, structure.data_start)
+        said = _said(data[:end].rstrip(b"\0\xff") + data[end:])
+    if not said or said.startswith("Warning"):
+        return Wholeness("", structure.height_px)
+    return Wholeness(f"libjpeg says '{said}'", _whole_rows(data, structure))
+
+
+def _without_version(data: bytes) -> bytes:
+    """A JPEG without JFIF's version number: an odd one is a warning that hides what comes after it."""
+    return data.replace(b"JFIF\0", b"JFIX\0", 1)
+
+
+def _said(data: bytes) -> str:
+    """What libjpeg says first of a JPEG's data; nothing where they are whole."""
+    try:
+        simplejpeg.decode_jpeg(data, "GRAY", min_height=1, min_width=1, min_factor=8, strict=True)
+    except (ValueError, MemoryError) as error:
+        return " ".join(str(error).split()) or "no more than that it can't be decoded"
+    return ""
+
+
+def decoded_anyway(data: bytes, bands: int, reduction: int = 1) -> NDArray[np.uint8]:
+    """A damaged JPEG's pixels (rows, cols, bands), whatever stands in them; `ValueError` if there are none.
+
+    Not by OpenCV: it gives nothing where the end is missing, and else it writes to the terminal.
+    """
+    data = _without_version(data)
+    height, width = simplejpeg.decode_jpeg_header(data, strict=False)[:2]
+    rows, cols = -(-height // reduction), -(-width // reduction)
+    colours = "GRAY" if bands == 1 else "RGB"
+    return np.asarray(simplejpeg.decode_jpeg(data, colours, min_height=rows, min_width=cols, strict=False))
+
+
+def _whole_rows(data: bytes, jpeg: JpegStructure) -> int:
+    """Rows above the damage: from restart markers, or from where bytes are missing or all alike."""
+    if jpeg.progressive:  # each scan goes over the whole picture
+        return 0
+    start = jpeg.data_start
+    end = data.find(_EOI, start)
+    coded = data[start : end if end >= 0 else len(data)]
+    if jpeg.restart_blocks:
+        return _rows_of_intervals(data, coded, jpeg)
+    run = _RUN.search(coded)
+    if run is None and end >= 0:
+        return 0
+    cut = data[: start + (run.start() if run is not None else len(coded) - 2)]
+    try:
+        one, other = (decoded_anyway(cut + tail + _EOI, 1) for tail in (b"", _TAIL))
+    except ValueError:
+        return 0
+    differ = (one != other).any(axis=(1, 2))
+    rows = int(differ.argmax()) if differ.any() else 0
+    return max(0, rows // jpeg.block_px[1] * jpeg.block_px[1] - _CONTEXT_ROWS)
+
+
+def _rows_of_intervals(data: bytes, coded: bytes, jpeg: JpegStructure) -> int:
+    """Whole rows before the first stretch between restart markers that doesn't decode by itself."""
+    width, height = jpeg.block_px
+    across = -(-jpeg.width_px // width)
+    header = bytearray(data[: jpeg.data_start])
+    size_at = jpeg.size_at
+    header[size_at : size_at + 4] = height.to_bytes(2, "big") + min(
+        jpeg.restart_blocks * width, 65535
+    ).to_bytes(2, "big")
+    for i, (part, marker) in enumerate(_intervals(coded)):
+        if _said(bytes(header) + part + _EOI) or marker not in (None, i % 8):
+            return max(0, i * jpeg.restart_blocks // across * height - _CONTEXT_ROWS)
+    return 0
+
+
+def _intervals(coded: bytes) -> Iterator[tuple[bytes, int | None]]:
+    """The data between restart markers, with the marker that ends each."""
+    at = 0
+    for found in _RESTART.finditer(coded):
+        yield coded[at : found.start()], found.group()[1] - 0xD0
+        at = found.end()
+    yield coded[at:], None
+
+
+def _of_tiff(path: Path) -> Wholeness:
+    with open_raster(path, FRAME) as tiff:
+        if tiff.compression is None:  # any bytes are pixels
+            return Wholeness("", tiff.height)
+        rows = max(256, int(tiff.block_shapes[0][0]))
+        for top in range(0, tiff.height, rows):
+            if said := _unreadable(tiff, path, Window(0, top, tiff.width, min(rows, tiff.height - top))):
+                return Wholeness(said, top)
+    return Wholeness("", tiff.height)
+
+
+def _unreadable(tiff: Raster, path: Path, window: Window) -> str:
+    try:
+        with reading(path):
+            tiff.read(window=window)
+    except FileError as error:
+        cause: Any = error.__cause__
+        return f"GDAL says '{' '.join(str(cause.__cause__ or cause).split())}'"
+    return ""

@@ -1,0 +1,94 @@
+"""Values in a DEM that are no heights, though the file doesn't say so: fills, and lone pixels far off."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+_LAND_M: Final = (
+    -600.0,
+    9100.0,
+)  # the Dead Sea's shore to Everest, with room for mines
+_FILL_BELOW_M: Final = 20.0  # a fill below the land (0, -99) differs by more than banks and quays
+_FILL_MOST_M: Final = 100.0  # where it fills the larger part: a level plain with nothing on it but towers
+_FILL_ABOVE_M: Final = 300.0  # and one above it by more than towers with flat roofs
+_FILL_STEPS: Final = 4.0  # in 99th percentiles of the steps from pixel to pixel elsewhere
+_SPIKE_M: Final = 50.0  # a lone pixel that differs by less does a mosaic no harm
+_SPIKE_SPREADS: Final = 10.0  # in 95th percentiles of the differences to the third nearest of 8 neighbours
+_LEAST_STEPS: Final = 100  # fewer don't tell what steps are usual
+_MOST_FILLS: Final = 4  # values on either side
+
+
+def outliers(height_m: Floats, mixed: bool = False) -> Flags:
+    """Where heights (rows, cols), NaN where unknown, can't be the ground's.
+
+    Outside the land's range; one and the same value, the lowest or highest of all, that ends everywhere in a
+    step as there is none elsewhere; pixels far off nearly all of those around them. mixed: the neighbours
+    of fills are mixtures of both, and go too.
+    """
+    with np.errstate(invalid="ignore"):
+        bad = (height_m < _LAND_M[0]) | (height_m > _LAND_M[1])
+    left = np.where(bad, np.nan, height_m)
+    for lowest in (True, False):
+        for _ in range(_MOST_FILLS):
+            fill = _fill(left, lowest)
+            if fill is None:
+                break
+            bad |= fill
+            left[fill] = np.nan
+    if mixed and bad.any():
+        beside = cv2.dilate(bad.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        bad |= beside & np.isfinite(left)
+        left[bad] = np.nan
+    return bad | _spikes(left)
+
+
+def _fill(height_m: Floats, lowest: bool) -> Flags | None:
+    """Where the lowest (highest) value is, if it stands in many pixels and is a fill."""
+    known = np.isfinite(height_m)
+    if not known.any():
+        return None
+    value = np.nanmin(height_m) if lowest else np.nanmax(height_m)
+    its = height_m == value
+    if np.count_nonzero(its) < 2:
+        return None
+    at_border, elsewhere = [], []
+    for axis in (0, 1):
+        step = np.abs(np.diff(height_m, axis=axis))
+        here = np.diff(its, axis=axis)
+        at_border.append(step[here & np.isfinite(step)])
+        elsewhere.append(step[~here & np.isfinite(step) & ~_both(its, axis)])
+    border, ordinary = np.concatenate(at_border), np.concatenate(elsewhere)
+    if not border.size or ordinary.size < _LEAST_STEPS:
+        return None
+    usual = float(np.percentile(ordinary, 99.0))
+    small = np.count_nonzero(its) < 0.5 * np.count_nonzero(known)
+    least = max((_FILL_BELOW_M if small else _FILL_MOST_M) if lowest else _FILL_ABOVE_M, _FILL_STEPS * usual)
+    return its if float(np.median(border)) > least else None
+
+
+def _both(flags: Flags, axis: int) -> Flags:
+    return np.asarray(flags[1:] & flags[:-1] if axis == 0 else flags[:, 1:] & flags[:, :-1])
+
+
+def _spikes(height_m: Floats) -> Flags:
+    """Pixels that at most two of the eight around them come near to; unknown ones count as near."""
+    if min(height_m.shape) < 3:
+        return np.zeros(height_m.shape, dtype=bool)
+    around = np.pad(height_m, 1, mode="reflect")
+    rows, cols = height_m.shape
+    first, second, third = (np.full(height_m.shape, np.inf) for _ in range(3))
+    for row in range(3):
+        for col in range(3):
+            if (row, col) != (1, 1):
+                away = np.nan_to_num(np.abs(around[row : row + rows, col : col + cols] - height_m), nan=0.0)
+                third = np.minimum(third, np.maximum(second, away))
+                second = np.minimum(second, np.maximum(first, away))
+                first = np.minimum(first, away)
+    spread = float(np.percentile(third, 95.0))
+    return np.asarray(third > max(_SPIKE_M, _SPIKE_SPREADS * spread))

@@ -1,0 +1,75 @@
+"""Which of a folder's pictures can be used: the others are left out and named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from geomosaic.errors import FileError
+from geomosaic.survey.damage import Wholeness, wholeness
+from geomosaic.survey.header import FrameHeader, read_header
+from geomosaic.survey.model import LeftOut, Warn
+
+Inspect = Callable[[list[str]], list[Wholeness]]
+DAMAGED: Final = ("leave_out", "mask")
+_LEAST_WHOLE: Final = 0.25  # of a damaged frame's rows: with less it hardly ties to its neighbours
+
+
+@dataclass(frozen=True)
+class Usable:
+    """headers of the frames that are used; whole_rows of those among them whose lower part is masked."""
+
+    headers: list[FrameHeader]
+    whole_rows: dict[str, int]
+    left_out: tuple[LeftOut, ...]
+    warnings: tuple[Warn, ...]
+
+
+def inspect_all(paths: list[str]) -> list[Wholeness]:
+    """One after the other."""
+    return [wholeness(path) for path in paths]
+
+
+def usable(
+    files: Sequence[Path],
+    inspect: Inspect,
+    *,
+    mask_damaged: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Usable:
+    """The frames that can be read whole; of damaged ones the whole part, if asked for and if that is told.
+
+    Raises: `FileError` of the first, if none can be used; `InputError` for pixels that aren't handled.
+    """
+    headers: list[FrameHeader] = []
+    unreadable: dict[str, FileError] = {}
+    for i, file in enumerate(files):
+        try:
+            headers.append(read_header(file))
+        except FileError as error:
+            unreadable[file.name] = error
+        if progress is not None:
+            progress(i + 1, len(files), "reading headers")
+    used, whole_rows, warnings = [], {}, []
+    for header, found in zip(headers, inspect([str(h.path) for h in headers]), strict=True):
+        name, rows = header.path.name, found.whole_rows
+        if not found.damage:
+            used.append(header)
+        elif mask_damaged and rows >= _LEAST_WHOLE * header.height_px:
+            used.append(header)
+            whole_rows[name] = rows
+            text = f"damaged: {found.damage}; only its first {rows} of {header.height_px} rows are used"
+            warnings.append(Warn("frame-damaged", name, text))
+        else:
+            problem = f"the image data are damaged: {found.damage}"
+            if mask_damaged:
+                problem += f" (where is not told, or above row {_LEAST_WHOLE * header.height_px:.0f})"
+            mend = "copy it again from the camera, or take it out of the folder"
+            unreadable[name] = FileError(problem, file=header.path, mend=mend)
+    if not used:
+        raise next(unreadable[file.name] for file in files if file.name in unreadable)
+    left_out = tuple(LeftOut(f.name, unreadable[f.name].problem) for f in files if f.name in unreadable)
+    warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
+    return Usable(used, whole_rows, left_out, tuple(warnings))
