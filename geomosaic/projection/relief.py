@@ -9,11 +9,10 @@ from scipy.ndimage import distance_transform_edt
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.survey.dem import HeightRaster
 
 Floats = NDArray[np.float64]
-_MOST_NODES = 4000
 
 
 def relief(
@@ -26,7 +25,7 @@ def relief(
 
     Raises: InputError if the DEM knows no height in the rectangle.
     """
-    spacing_m = max(spacing_m, float(np.max(high_en_m - low_en_m)) / _MOST_NODES)
+    spacing_m = node_spacing_m(low_en_m, high_en_m, spacing_m)
     east = np.arange(low_en_m[0], high_en_m[0] + spacing_m, spacing_m)
     north = np.arange(low_en_m[1], high_en_m[1] + spacing_m, spacing_m)
     e, n = np.meshgrid(east, north)

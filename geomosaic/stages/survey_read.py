@@ -22,7 +22,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 2
+    version = 3
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
