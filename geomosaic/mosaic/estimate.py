@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+
+from geomosaic.errors import InputError
 
 Range = tuple[float, float]
 
@@ -28,6 +31,7 @@ SOLVE: Final = Rate(0.2, 2.0, "s/frame", "bundle, by how many points and rounds 
 COMPOSE: Final = Rate(0.3, 1.2, "core s/MP filled", "every frame that sees a pixel is resampled", _HERE)
 WRITE: Final = Rate(0.2, 0.6, "core s/MP filled", "compression and overviews", _HERE)
 STRIPS: Final = Rate(0.3, 2.0, "s/MP", "from offsets to overviews, by the method", _HERE)
+SCENE_MEMORY: Final = Rate(10e3, 40e3, "bytes/column", "blocks of rows at work, windows of offsets", _HERE)
 PACKED: Final = Rate(0.3, 1.1, "share of the pixels' bytes", "lossless, with a third for overviews", _HERE)
 MEMORY: Final = Rate(0.7, 1.5, "share of the sum", "of decoded frames, windows at work and keypoints", _HERE)
 _LONGEST_MATCHED_PX: Final = 3000
@@ -102,6 +106,33 @@ def estimate(
             (core_s[0] + (COMPOSE.least + WRITE.least) * filled / 1e6 / threads) / 60.0,
             (core_s[1] + (COMPOSE.most + WRITE.most) * filled / 1e6 / threads) / 60.0,
         ),
+    )
+
+
+def estimate_scene(
+    width_px: int, height_px: int, *, filled_share: float, pixel_bytes: int, max_gigapixels: float
+) -> Estimate:
+    """Of a scene of strips; raises `InputError` where it would be larger than max_gigapixels."""
+    gigapixels = width_px * height_px / 1e9
+    if gigapixels > max_gigapixels:
+        raise InputError(
+            f"the scene would have {width_px:,} x {height_px:,} px, {gigapixels:,.3g} gigapixels, "
+            f"more than {max_gigapixels:g}",
+            mend="check the strips' sizes and row_separation_lines, "
+            f"or --set mosaic.strips.max_gigapixels={math.ceil(gigapixels)}",
+        )
+    pixels = filled_share * width_px * height_px
+    scratch = pixels * (4.0 / 3.0 * pixel_bytes + _MASK_BYTES)
+    memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
+    return Estimate(
+        width_px=width_px,
+        height_px=height_px,
+        gsd_m=None,
+        filled_share=filled_share,
+        scratch_gb=scratch / 1e9,
+        mosaic_gb=(PACKED.least * pixels * pixel_bytes / 1e9, PACKED.most * pixels * pixel_bytes / 1e9),
+        memory_gb=(0.5e-9 * memory, (memory + SCENE_MEMORY.most * width_px) / 1e9),
+        minutes=(STRIPS.least * pixels / 60e6, STRIPS.most * pixels / 60e6),
     )
 
 

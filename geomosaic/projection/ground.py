@@ -103,7 +103,7 @@ def node_spacing_m(
 
     Args: low_m, high_m (2,) corners. Raises: `InputError` where one of them is unknown.
     """
-    width, height = (np.asarray(high_m, dtype=np.float64) - low_m).tolist()
+    width, height = (np.asarray(high_m, dtype=np.float64) - np.asarray(low_m, dtype=np.float64)).tolist()
     if not (np.isfinite(width) and np.isfinite(height) and min(width, height) >= 0.0):
         raise InputError(
             "the ground's extent is unknown", mend="check the frames' positions, heights and focal lengths"

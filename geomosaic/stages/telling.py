@@ -77,7 +77,7 @@ def vars_of(camera: Any) -> dict[str, Any]:
 def params_of(context: Context, stage: type[Stage]) -> Any:
     """The parameters that the run's recipe gives another stage, or its own defaults where it isn't in it."""
     steps = context.summary().get("recipe", {}).get("stages", [])
-    given = next((step["params"] for step in steps if step["stage"] == stage.id), {})
+    given: dict[str, Any] = next((step["params"] for step in steps if step["stage"] == stage.id), {})
     return stage.Params.model_validate(given)
 
 
@@ -94,8 +94,8 @@ def tell_estimate(context: Context, estimate: Estimate) -> None:
     least, most = estimate.disk_gb
     if least > free_gb + before:
         raise OutputError(
-            f"no space left on the disk: the mosaic of {estimate.width_px:,} x {estimate.height_px:,} px takes "
-            f"{least:.2g} to {most:.2g} GB, {free_gb:.2g} GB are free",
+            f"no space left on the disk: a mosaic of {estimate.width_px:,} x {estimate.height_px:,} px "
+            f"takes {least:.2g} to {most:.2g} GB, {free_gb:.2g} GB are free",
             file=context.run_folder,
             mend="free some, choose another output folder or a coarser --gsd",
         )

@@ -111,9 +111,8 @@ def plausible_attitudes(
     names: Sequence[str], attitudes: Sequence[Attitude], unknown: Attitude
 ) -> tuple[tuple[Attitude, ...], list[Warn]]:
     """The attitudes, `unknown` in place of those with an angle beyond half a turn, and a warning of them."""
-    tilts = [
-        max((abs(t) for t in (a.pitch_deg, a.roll_deg) if t is not None), default=0.0) for a in attitudes
-    ]
+    given = [[abs(t) for t in (a.pitch_deg, a.roll_deg) if t is not None] for a in attitudes]
+    tilts = [max(t, default=0.0) for t in given]
     wrong = np.array([not t <= 180.0 for t in tilts], dtype=bool)
     kept = tuple(unknown if w else a for a, w in zip(attitudes, wrong, strict=True))
     texts = [f"a tilt of {t:g} degrees" for t in tilts]
@@ -122,15 +121,12 @@ def plausible_attitudes(
 
 def warn(code: str, names: Sequence[str], concerned: Flags, what: Sequence[str]) -> Warn:
     """One line for all frames that a kind of absurd value concerns, with the first one's."""
-    which = np.flatnonzero(concerned)
-    few = (
-        ""
-        if len(which) == 1
-        else f" ({len(which)} of {len(names)} frames: {some([names[i] for i in which])})"
-    )
-    frame = names[which[0]] if len(which) == 1 else ""
-    of = "" if frame else f" in {names[which[0]]}"
-    return Warn(code, frame, f"{what[which[0]]}{of} can't be: taken as not given{few}")
+    which = [name for name, c in zip(names, concerned, strict=True) if c]
+    first = what[int(np.argmax(concerned))]
+    if len(which) == 1:
+        return Warn(code, which[0], f"{first} can't be: taken as not given")
+    few = f"{len(which)} of {len(names)} frames: {some(which)}"
+    return Warn(code, "", f"{first} in {which[0]} can't be, and others: taken as not given ({few})")
 
 
 def focal_length_can_be(focal_length_px: float, width_px: int, height_px: int) -> bool:
