@@ -153,9 +153,9 @@ def test_the_estimate_is_told_and_comes_true(
 ) -> None:
     run = tmp_path / "run"
     assert mosaic(flown.frames, run, "--pos", flown.pos, "--camera", flown.camera, *QUICK) == 0
-    (line,) = [x for x in capfd.readouterr().err.splitlines() if x.startswith("the mosaic will have about")]
+    (line,) = [x for x in capfd.readouterr().err.splitlines() if "the mosaic will have about" in x]
     found, estimate = summary(run)["mosaic"], summary(run)["metrics"]["estimate"]
-    assert f"{estimate['width_px']:,} x {estimate['height_px']:,} px at 0." in line and "GB of memory" in line
+    assert f"{estimate['width_px']:,} x {estimate['height_px']:,} px at 0." in line and "B of memory" in line
     for side in ("width", "height"):
         assert estimate[f"{side}_px"] == pytest.approx(found[side], rel=0.05)
     least, most = estimate["disk_gb"]

@@ -61,7 +61,7 @@ class Lines:
 
     def note(self, text: str) -> None:
         """What a stage tells that is no warning."""
-        self._line(text)
+        self._line(f"{self._name}: {text}")
 
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
@@ -103,7 +103,7 @@ class Bar:
 
     def note(self, text: str) -> None:
         """What a stage tells that is no warning."""
-        self._say(text)
+        self._say(f"{self._name}: {text}")
 
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""

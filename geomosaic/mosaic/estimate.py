@@ -71,8 +71,7 @@ class Estimate:
         at = "" if self.gsd_m is None else f" at {self.gsd_m:.3g} m"
         return (
             f"the mosaic will have about {self.width_px:,} x {self.height_px:,} px{at} and take "
-            f"{_from_to(self.disk_gb)} GB on the disk, {_from_to(self.memory_gb)} GB of memory and "
-            f"{_minutes(self.minutes)}"
+            f"{room(self.disk_gb)} on the disk, {room(self.memory_gb)} of memory and {_minutes(self.minutes)}"
         )
 
 
@@ -155,6 +154,12 @@ def before_composing(
     matching = (workers if workers > 1 else 0) * _PROGRAM_BYTES
     matching += workers * _SIFT_BYTES_PER_PX * float(matched.max(initial=0.0))
     return (s[0], s[1]), _PROGRAM_BYTES + matching + memory_bytes + threads * _WINDOW_BYTES
+
+
+def room(range_gb: Range) -> str:
+    """Gigabytes in words, in MB where they are few."""
+    least, most = range_gb
+    return f"{_from_to(range_gb)} GB" if most >= 1.0 else f"{_from_to((1e3 * least, 1e3 * most))} MB"
 
 
 def _from_to(range_: Range) -> str:

@@ -15,7 +15,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.errors import OutputError
 from geomosaic.export.solved import ground_reason
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.estimate import Estimate
+from geomosaic.mosaic.estimate import Estimate, room
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.survey.model import Survey
 
@@ -91,11 +91,10 @@ def tell_estimate(context: Context, estimate: Estimate) -> None:
     free_gb = free / 1e9
     context.metric("estimate", asdict(estimate) | {"disk_gb": estimate.disk_gb, "disk_free_gb": free_gb})
     context.tell(estimate.told())
-    least, most = estimate.disk_gb
-    if least > free_gb + before:
+    if estimate.disk_gb[0] > free_gb + before:
         raise OutputError(
             f"no space left on the disk: a mosaic of {estimate.width_px:,} x {estimate.height_px:,} px "
-            f"takes {least:.2g} to {most:.2g} GB, {free_gb:.2g} GB are free",
+            f"takes {room(estimate.disk_gb)}, {room((free_gb, free_gb))} are free",
             file=context.run_folder,
             mend="free some, choose another output folder or a coarser --gsd",
         )
