@@ -281,7 +281,7 @@ def test_a_frame_without_a_line(survey: Survey, refused: Refused) -> None:
 
 
 def test_a_height_below_the_ground(survey: Survey, refused: Refused) -> None:
-    survey.change(3, height_ellipsoidal_m=-2000)
+    survey.change(3, height_ellipsoidal_m=-200)
     code = survey.mosaic("--set", "projection.ground.height_m=520")
     refused(code, survey.run, "F0004.jpg", "below the ground")
 

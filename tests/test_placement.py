@@ -61,7 +61,7 @@ def with_height(absolute: float | None, above: float | None, sd_m: float) -> Fra
 def test_a_known_attitude_is_kept_with_its_deviations() -> None:
     """120 m east and 50 m north of the origin the verticals differ by 20 microradians only."""
     poses = prior_poses(
-        survey_of(frame_at((120.0, 50.0, 80.0), yaw=35.0, pitch=4.0)), np.array([600.0]), (0,)
+        survey_of(frame_at((120.0, 50.0, 80.0), yaw=35.0, pitch=4.0)), np.array([600.0]), np.ones(1), (0,)
     )
     yaw, pitch, roll = (float(np.degrees(a)) for a in poses[0].rotation.yaw_pitch_roll())
     assert (yaw, pitch, roll) == pytest.approx((35.0, 4.0, 0.0), abs=2e-3)
@@ -73,7 +73,7 @@ def test_a_known_attitude_is_kept_with_its_deviations() -> None:
 def test_an_unknown_yaw_is_the_course_and_says_how_little_it_is_worth() -> None:
     """A flight to the east-north-east: 40 m east and 30 m north a step is a course of 53.13 degrees."""
     frames = [frame_at((40.0 * i, 30.0 * i, 100.0), yaw=None, pitch=None) for i in range(3)]
-    poses = prior_poses(survey_of(*frames), np.full(3, 620.0), (0, 0, 0))
+    poses = prior_poses(survey_of(*frames), np.full(3, 620.0), np.full(3, 3.0), (0, 0, 0))
     yaw, pitch, _ = (np.degrees(a) for a in Rotation(poses.rotations).yaw_pitch_roll())
     assert yaw == pytest.approx(np.full(3, 53.1301), abs=0.01)
     assert pitch == pytest.approx(np.zeros(3), abs=0.01)
@@ -81,7 +81,9 @@ def test_an_unknown_yaw_is_the_course_and_says_how_little_it_is_worth() -> None:
 
 
 def test_a_yaw_without_any_course_may_be_anything() -> None:
-    poses = prior_poses(survey_of(frame_at((0.0, 0.0, 100.0), yaw=None)), np.array([620.0]), (0,))
+    poses = prior_poses(
+        survey_of(frame_at((0.0, 0.0, 100.0), yaw=None)), np.array([620.0]), np.array([3.0]), (0,)
+    )
     assert np.degrees(poses.rotations_sd_rad[0, 2]) == pytest.approx(180.0)
 
 

@@ -112,7 +112,7 @@ def test_what_lies_behind_the_camera_is_not_seen():
 
 def test_far_from_the_origin_and_wide_windows_stay_exact():
     """A 10 m ground pixel, 10 km window, 40 km from the work frame's origin: bend of 125 m, convergence."""
-    ground = flat_ground(HOME, 500.0, 60000.0, 2000.0)
+    ground = flat_ground(HOME, 500.0, 60000.0)
     far = MapProjection(CRS).map_from_geodetic(10.2, 47.3)
     enu = HOME.enu_from_geodetic(10.2, 47.3, 9000.0)
     pose = Pose(

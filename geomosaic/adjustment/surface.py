@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags, identity, kron
 from scipy.sparse.linalg import splu
 
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import GroundSurface, node_spacing_m
 
 Floats = NDArray[np.float64]
 _MOST_NODES, _MOST_TRIAL_NODES = 40_000, 8_000
@@ -53,12 +53,8 @@ def tie_surface(
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
     at = points_m, sd_up_m, low_m, high_m, height_m
-    curving = _curving(*at, max(spacing, _finest(low_m, high_m, _MOST_TRIAL_NODES)))
-    return _fitted(*at, max(spacing, _finest(low_m, high_m, _MOST_NODES)), curving, _ROUNDS)
-
-
-def _finest(low_m: Floats, high_m: Floats, nodes: int) -> float:
-    return float(np.sqrt(np.prod(high_m - low_m) / nodes))
+    curving = _curving(*at, node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES))
+    return _fitted(*at, node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, _ROUNDS)
 
 
 def _curving(

@@ -20,6 +20,7 @@ STAGES = (
     "survey.read",
     "projection.ground",
     "placement.pos",
+    "mosaic.estimate",
     "matching.sift",
     "adjustment.solve",
     "mosaic.compose",

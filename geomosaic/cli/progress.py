@@ -59,6 +59,10 @@ class Lines:
         """A stage's warning."""
         self._line(f"warning: {text}")
 
+    def note(self, text: str) -> None:
+        """What a stage tells that is no warning."""
+        self._line(f"{self._name}: {text}")
+
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
         self._line(f"{self._name}: {_how(seconds, source)}")
@@ -96,6 +100,10 @@ class Bar:
     def warning(self, text: str) -> None:
         """A stage's warning."""
         self._say(f"warning: {text}", style="yellow")
+
+    def note(self, text: str) -> None:
+        """What a stage tells that is no warning."""
+        self._say(f"{self._name}: {text}")
 
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""

@@ -14,6 +14,7 @@ from geomosaic.errors import GeomosaicError
 
 STAGES = (
     "survey.strips",
+    "mosaic.estimate_strips",
     "ccd.offsets",
     "ccd.radiometry",
     "mosaic.strips",

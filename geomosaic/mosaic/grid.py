@@ -6,50 +6,140 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.views import FrameView
 
+MAX_GIGAPIXELS = 100.0
+"""1,000 km² at 0.1 m: some 380,000 windows to plan, as many as fit into 300 MB."""
 MOST_PIXELS_PER_FRAME_PIXEL = 200.0
+"""Lines with 99 % overlap across a diagonal fill a hundredth of what they span."""
+_LEFT_OUT_SHARE = 0.1
+_STRETCHED = 4.0
 
 
 def auto_gsd_m(ground_pixel_m: float) -> float:
-    """A survey's median ground sampling distance to three digits, so that grids have plain numbers."""
+    """A survey's median ground sampling distance to three digits, so that grids have plain numbers.
+
+    Raises: `InputError` where it isn't known.
+    """
+    if not (math.isfinite(ground_pixel_m) and ground_pixel_m > 0.0):
+        raise InputError("no frame sees the ground", mend="check the positions, attitudes and heights")
     return round(ground_pixel_m, 2 - math.floor(math.log10(ground_pixel_m)))
 
 
-def output_grid(crs: str, views: Sequence[FrameView], gsd_m: float, names: Sequence[str]) -> OutputGrid:
+def output_grid(
+    crs: str,
+    views: Sequence[FrameView],
+    gsd_m: float,
+    names: Sequence[str],
+    max_gigapixels: float = MAX_GIGAPIXELS,
+) -> OutputGrid:
     """The smallest grid at whole multiples of `gsd_m` that holds every frame's bounds.
 
     Args: names: of all the survey's frames, for the message.
-    Raises: `InputError` if there is no frame, or if one wild position (or a ground pixel far too fine)
-    would make the mosaic larger than 200 times all the frames' pixels.
+    Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than
+    200 times all the frames' pixels, naming the frame that stretches it or a ground pixel far too fine.
     """
     if not views:
         raise InputError("no frame sees the ground", mend="check the positions, attitudes and heights")
+    if not _fits(views, gsd_m, max_gigapixels):
+        raise _too_large(views, names, gsd_m, max_gigapixels)
+    west, south, east, north = _edges(views, gsd_m)
+    return OutputGrid(
+        crs, west * gsd_m, north * gsd_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1)
+    )
+
+
+def without_flung(
+    views: Sequence[FrameView], gsd_m: float, max_gigapixels: float = MAX_GIGAPIXELS
+) -> tuple[tuple[FrameView, ...], tuple[FrameView, ...]]:
+    """The views whose grid can be, and those left out for it: the farthest, at most a tenth of all or one.
+
+    All stay where that doesn't help.
+    """
+    if len(views) < 3 or _fits(views, gsd_m, max_gigapixels):
+        return tuple(views), ()
+    far = np.argsort(-_reach_m(views), kind="stable")
+    for count in range(1, max(1, int(_LEFT_OUT_SHARE * len(views))) + 1):
+        out = {int(i) for i in far[:count]}
+        kept = tuple(v for i, v in enumerate(views) if i not in out)
+        if _fits(kept, gsd_m, max_gigapixels):
+            return kept, tuple(v for i, v in enumerate(views) if i in out)
+    return tuple(views), ()
+
+
+def stretching(views: Sequence[FrameView], gsd_m: float) -> tuple[FrameView, float] | None:
+    """The one of at least four frames without which the grid were less than a quarter, and how much less."""
+    if len(views) < 4:
+        return None
+    far = int(_reach_m(views).argmax())
+    whole = _pixels(views, gsd_m)
+    share = _pixels([v for i, v in enumerate(views) if i != far], gsd_m) / whole
+    return (views[far], share) if share * _STRETCHED < 1.0 else None
+
+
+def _edges(views: Sequence[FrameView], gsd_m: float) -> tuple[float, float, float, float]:
+    """West, south, east and north in whole ground pixels."""
     bounds = np.array([v.bounds_m for v in views])
-    west, south = np.floor(bounds[:, :2].min(axis=0) / gsd_m + 1e-6)
-    east, north = np.ceil(bounds[:, 2:].max(axis=0) / gsd_m - 1e-6)
-    width, height = int(east - west), int(north - south)
-    pixels = sum(v.camera.width_px * v.camera.height_px for v in views)
-    if width * height > MOST_PIXELS_PER_FRAME_PIXEL * pixels:
-        raise InputError(_blame(views, names, width * gsd_m, height * gsd_m, gsd_m))
-    return OutputGrid(crs, float(west * gsd_m), float(north * gsd_m), gsd_m, max(width, 1), max(height, 1))
+    west, south = np.floor(bounds[:, :2].min(axis=0) / gsd_m + 1e-6).tolist()
+    east, north = np.ceil(bounds[:, 2:].max(axis=0) / gsd_m - 1e-6).tolist()
+    return west, south, east, north
 
 
-def _blame(
-    views: Sequence[FrameView], names: Sequence[str], width_m: float, height_m: float, gsd_m: float
-) -> str:
-    middles = np.array([(v.bounds_m[:2] + v.bounds_m[2:]) / 2.0 for v in views])
-    distances = np.linalg.norm(middles - np.median(middles, axis=0), axis=1)
-    far = int(distances.argmax())
+def _pixels(views: Sequence[FrameView], gsd_m: float) -> float:
+    west, south, east, north = _edges(views, gsd_m)
+    return (east - west) * (north - south)
+
+
+def _fits(views: Sequence[FrameView], gsd_m: float, max_gigapixels: float) -> bool:
+    taken = sum(v.camera.width_px * v.camera.height_px for v in views)
+    return _pixels(views, gsd_m) <= min(max_gigapixels * 1e9, MOST_PIXELS_PER_FRAME_PIXEL * taken)
+
+
+def _reach_m(views: Sequence[FrameView]) -> NDArray[np.float64]:
+    """How far from the survey's middle each frame sees."""
+    bounds = np.array([v.bounds_m for v in views])
+    middle = np.median((bounds[:, :2] + bounds[:, 2:]) / 2.0, axis=0)
+    return np.asarray(np.abs(bounds - np.tile(middle, 2)).max(axis=1))
+
+
+def _too_large(
+    views: Sequence[FrameView], names: Sequence[str], gsd_m: float, max_gigapixels: float
+) -> InputError:
+    west, south, east, north = _edges(views, gsd_m)
+    width, height = east - west, north - south
+    gigapixels = width * height / 1e9
+    size = (
+        f"the mosaic would be {width * gsd_m / 1000.0:,.1f} x {height * gsd_m / 1000.0:,.1f} km, "
+        f"{gigapixels:,.3g} gigapixels at {gsd_m:g} m"
+    )
     typical = float(np.median([v.gsd_m for v in views]))
+    far = int(_reach_m(views).argmax())
+    bounds = views[far].bounds_m
+    rest = [v for i, v in enumerate(views) if i != far]
     if gsd_m < 0.2 * typical:
-        mend = f"the ground pixel of {gsd_m:g} m is too fine for frames of {typical:.3g} m; make it coarser"
-    else:
-        mend = (
-            f"frame {names[views[far].frame]} lies farthest out, {distances[far] / 1000.0:.1f} km "
-            "from the middle; check its position and attitude or leave it out"
+        return InputError(
+            size, mend=f"this ground pixel is too fine for frames of {typical:.3g} m; make --gsd coarser"
         )
-    return f"the mosaic would be {width_m / 1000.0:.1f} x {height_m / 1000.0:.1f} km; {mend}"
+    if rest and _fits(rest, gsd_m, max_gigapixels):
+        side_km = max(bounds[2] - bounds[0], bounds[3] - bounds[1]) / 1000.0
+        return InputError(
+            f"{size}, {_pixels(rest, gsd_m) / 1e9:,.3g} without frame {names[views[far].frame]}, which "
+            f"reaches {_reach_m(views)[far] / 1000.0:,.1f} km from the middle and is {side_km:,.1f} km wide",
+            mend="check its position, height and attitude, or leave it out",
+        )
+    if gigapixels > max_gigapixels:
+        return InputError(
+            f"{size}, more than {max_gigapixels:g}; frame {names[views[far].frame]} lies farthest out, "
+            f"{_reach_m(views)[far] / 1000.0:,.1f} km from the middle",
+            mend=f"check its position, make --gsd coarser, "
+            f"or --set mosaic.compose.max_gigapixels={math.ceil(gigapixels)}",
+        )
+    return InputError(
+        f"{size}, and nearly all of it empty; frame {names[views[far].frame]} lies farthest out, "
+        f"{_reach_m(views)[far] / 1000.0:,.1f} km from the middle",
+        mend="check its position and the others', or make --gsd coarser",
+    )

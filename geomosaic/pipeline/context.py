@@ -117,6 +117,7 @@ class Context:
         fixed_time: bool = False,
         on_progress: Progress | None = None,
         on_warning: Callable[[str], None] | None = None,
+        on_note: Callable[[str], None] | None = None,
         cancelled: Callable[[], bool] | None = None,
         summary: Mapping[str, Any] | None = None,
     ) -> None:
@@ -139,6 +140,7 @@ class Context:
         self._key = key
         self._on_progress = on_progress
         self._on_warning = on_warning
+        self._on_note = on_note
         self._cancelled = cancelled
         self._summary = summary or {}
 
@@ -159,6 +161,17 @@ class Context:
         self.recorder.log("warning", f"{code}: {text}", frame=frame)
         if self._on_warning is not None:
             self._on_warning(f"{frame}: {text}" if frame else text)
+
+    def tell(self, text: str) -> None:
+        """What the user wants to know while the run is on: one line on the screen and in the recording."""
+        self.recorder.log("info", text)
+        if self._on_note is not None:
+            self._on_note(text)
+
+    @property
+    def workers(self) -> int:
+        """How many processes `map` spreads its work over."""
+        return self._workers.workers
 
     def metric(self, name: str, value: Any) -> None:
         """A number for run.json's `metrics`; dots in the name nest: `adjustment.rounds`."""

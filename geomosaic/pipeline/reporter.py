@@ -20,6 +20,9 @@ class Reporter(Protocol):
     def warning(self, text: str) -> None:
         """A stage's warning."""
 
+    def note(self, text: str) -> None:
+        """What a stage tells that is no warning."""
+
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
 
@@ -34,6 +37,9 @@ class Silent:
         """Nothing."""
 
     def warning(self, text: str) -> None:
+        """Nothing."""
+
+    def note(self, text: str) -> None:
         """Nothing."""
 
     def stage_finished(self, seconds: float, source: Source) -> None:

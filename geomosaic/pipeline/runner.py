@@ -220,6 +220,7 @@ class _Run:
             fixed_time=self._fixed_time,
             on_progress=self._reporter.progress,
             on_warning=self._reporter.warning,
+            on_note=self._reporter.note,
             cancelled=self._cancelled,
             summary=self._timeless_summary() if self._fixed_time else self._summary,
         )

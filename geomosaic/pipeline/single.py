@@ -59,6 +59,7 @@ def run_stage(
             seed=seed,
             on_progress=reporter.progress,
             on_warning=reporter.warning,
+            on_note=reporter.note,
             summary=summary,
         )
         values = stage().run(inputs or {}, params, context)

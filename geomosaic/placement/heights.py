@@ -37,6 +37,23 @@ def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floa
     return np.where(weak & relative, np.median(ground_heights_m[relative]) + above, absolute)
 
 
+def with_missing_heights(heights_m: Floats, sd_m: Floats, ground_heights_m: Floats) -> tuple[Floats, Floats]:
+    """Heights (n,) in order of capture and their deviations, those that are NaN taken from their neighbours.
+
+    A missing height goes evenly from the known one before to the one after; its deviation is what known
+    heights spread about their middle, and at least a tenth of how high it comes to lie above the ground.
+    All stay NaN where none is known.
+    """
+    known = np.flatnonzero(np.isfinite(heights_m))
+    missing = np.isnan(heights_m)
+    if not known.size or not missing.any():
+        return heights_m, sd_m
+    filled = np.interp(np.arange(len(heights_m)), known, heights_m[known])
+    spread = 1.4826 * float(np.median(np.abs(heights_m[known] - np.median(heights_m[known]))))
+    wide = np.maximum(spread, _ESTIMATED_SD_SHARE * np.abs(filled - ground_heights_m))
+    return filled, np.where(missing, wide, sd_m)
+
+
 def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
     """The flat ground's ellipsoidal height: the median of absolute minus relative heights."""
     both = [

@@ -71,6 +71,7 @@ def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
 def prior_poses(
     survey: Survey,
     heights_m: Floats,
+    heights_sd_m: Floats,
     lines: tuple[int, ...],
     formula: str = "rigorous",
     attitude: str = "yaw_pitch_roll",
@@ -80,7 +81,7 @@ def prior_poses(
     An unknown tilt is taken as nadir, an unknown yaw as the course of the flight line; their standard
     deviations say how little that is worth (COURSE_YAW_SD_DEG, UNKNOWN_YAW_SD_DEG).
 
-    Args: heights_m (n,) ellipsoidal, see `frame_heights_m`.
+    Args: heights_m (n,) ellipsoidal, see `frame_heights_m`; heights_sd_m (n,) their standard deviations.
     """
     frames = survey.frames
     llh = np.array(
@@ -101,8 +102,8 @@ def prior_poses(
     return Poses(
         positions_m=positions,
         rotations=work_from_local @ local,
-        positions_sd_m=np.array(
-            [[f.position.sd_east_m, f.position.sd_north_m, f.position.sd_vertical_m] for f in frames]
+        positions_sd_m=np.column_stack(
+            [[[f.position.sd_east_m, f.position.sd_north_m] for f in frames], heights_sd_m]
         ),
         rotations_sd_rad=np.radians(np.column_stack([sd_tilt, sd_tilt, sd_yaw])),
         velocities_m_per_s=velocities_m_per_s(positions, np.array([or_nan(f.time_s) for f in frames]), lines),

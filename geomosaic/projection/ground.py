@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
+from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 
 Floats = NDArray[np.float64]
+MOST_NODES = 16_000_000
+"""Of any ground: 128 MB. A survey of 40 km x 40 km has nodes every 10 m, one of 4 km x 4 km every metre."""
+_MOST_FLAT_NODES = 250_000
+_FLAT_SPACING_M = 100.0
 _RAY_SAMPLES = 48
 _REFINEMENTS = 30
 
@@ -89,13 +94,33 @@ class GroundSurface:
         return at
 
 
-def flat_ground(
-    work_frame: LocalFrame, height_ellipsoidal_m: float, reach_m: float, spacing_m: float = 100.0
-) -> GroundSurface:
+def node_spacing_m(
+    low_m: ArrayLike, high_m: ArrayLike, wanted_m: float, most_nodes: int = MOST_NODES
+) -> float:
+    """The distance between nodes over a rectangle: as wanted, or as much more as keeps their number down.
+
+    So no ground takes more than most_nodes, however far it has to reach.
+
+    Args: low_m, high_m (2,) corners. Raises: `InputError` where one of them is unknown.
+    """
+    width, height = (np.asarray(high_m, dtype=np.float64) - np.asarray(low_m, dtype=np.float64)).tolist()
+    if not (np.isfinite(width) and np.isfinite(height) and min(width, height) >= 0.0):
+        raise InputError(
+            "the ground's extent is unknown", mend="check the frames' positions, heights and focal lengths"
+        )
+    # (width / s + 2) (height / s + 2) = most_nodes, solved for s: ends and rounding take up to two nodes
+    room, border = most_nodes - 4.0, 2.0 * (width + height)
+    least = (border + np.sqrt(border**2 + 4.0 * room * width * height)) / (2.0 * room)
+    return max(wanted_m, float(least))
+
+
+def flat_ground(work_frame: LocalFrame, height_ellipsoidal_m: float, reach_m: float) -> GroundSurface:
     """The surface of one ellipsoidal height around the work frame's origin, out to reach_m.
 
-    It bends with the Earth; at 100 m between nodes the chord is off by 0.2 mm.
+    It bends with the Earth; the chord between nodes is off by 0.2 mm at 100 m, their distance out to 25 km,
+    and by 7 mm where the survey reaches 150 km.
     """
+    spacing_m = node_spacing_m([-reach_m] * 2, [reach_m] * 2, _FLAT_SPACING_M, _MOST_FLAT_NODES)
     n = int(np.ceil(reach_m / spacing_m)) + 1
     axis = np.arange(-n, n + 1) * spacing_m
     east, north = np.meshgrid(axis, axis)

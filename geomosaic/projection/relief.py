@@ -11,12 +11,11 @@ from scipy.interpolate import RectBivariateSpline
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.survey.dem import HeightRaster
 
 Floats = NDArray[np.float64]
 Places = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
-_MOST_NODES = 2000  # a side: a surface of 32 MB, which every worker is given
 _KNOTS = 17  # a side: between them the Earth bends smoothly, to 1e-6 of a map's unit over 20 km
 _LIFT_M = 100.0
 _BAND = 256
@@ -32,7 +31,7 @@ def relief(
 
     Raises: InputError if the DEM knows no height in the rectangle.
     """
-    spacing_m = max(spacing_m, float(np.max(high_en_m - low_en_m)) / _MOST_NODES)
+    spacing_m = node_spacing_m(low_en_m, high_en_m, spacing_m)
     east = np.arange(low_en_m[0], high_en_m[0] + spacing_m, spacing_m)
     north = np.arange(low_en_m[1], high_en_m[1] + spacing_m, spacing_m)
     known = raster.filled()

@@ -7,9 +7,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.mosaic.compose import AUTO_FEATHER_PX, compose
-from geomosaic.mosaic.grid import auto_gsd_m, output_grid
+from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.seams import SEAMS
 from geomosaic.mosaic.views import frame_views
@@ -29,7 +31,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -58,6 +60,13 @@ class MosaicCompose(Stage):
             le=1000.0,
         )
         resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
+        max_gigapixels: float = param(
+            MAX_GIGAPIXELS,
+            help="largest mosaic; a larger one is refused before the frames are matched",
+            unit="gigapixels",
+            ge=0.001,
+            le=1e6,
+        )
         sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
         memory_mb: int = param(
             1024, help="memory for decoded frames", unit="MB", ge=64, le=1_000_000, affects_output=False
@@ -75,7 +84,13 @@ class MosaicCompose(Stage):
             context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
         ground_pixel_m = inputs["placement"].ground_pixel_m
         gsd_m = auto_gsd_m(ground_pixel_m) if params.gsd_m == "auto" else params.gsd_m
-        grid = output_grid(survey.map_crs, views, gsd_m, names)
+        views, flung = without_flung(views, gsd_m, params.max_gigapixels)
+        for view in flung:
+            used[view.frame] = False
+            moved = adjusted.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
+            away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
+            context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
+        grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
         with ExitStack() as files:
             sources = files.enter_context(context.writing(SOURCES)) if params.sources else None
             raster = files.enter_context(context.writing(RASTER))

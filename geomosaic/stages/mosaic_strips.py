@@ -16,6 +16,8 @@ from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.ccd.scene_rpc import SceneRpc, scene_rpc
 from geomosaic.ccd.virtual_layout import virtual_layout
 from geomosaic.errors import InputError
+from geomosaic.mosaic.estimate import estimate_scene
+from geomosaic.mosaic.grid import MAX_GIGAPIXELS
 from geomosaic.mosaic.strip_blends import BLENDS
 from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.mosaic.window import RESAMPLING
@@ -57,6 +59,14 @@ class MosaicStrips(Stage):
             help="image: joined by the offsets; object: the ideal line by model and DEM; auto: by the method",
             choices=_SPACES,
         )
+        max_gigapixels: float = param(
+            MAX_GIGAPIXELS,
+            help="largest scene; a larger one is refused before offsets are sought",
+            unit="gigapixels",
+            ge=0.001,
+            le=1e6,
+            affects_output=False,
+        )
         threads: int = param(2, help="threads that resample", ge=1, le=64, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
@@ -73,6 +83,13 @@ class MosaicStrips(Stage):
             layout = virtual_layout(geometry, space, params.ends)
         else:
             layout = image_space_layout(geometry, offsets, params.ends)
+        estimate_scene(
+            layout.width_px,
+            layout.height_px,
+            filled_share=1.0,
+            pixel_bytes=2,
+            max_gigapixels=params.max_gigapixels,
+        )
         rpc = scene_rpc(geometry, layout, space)
         with context.writing(RASTER) as path:
             mosaic = compose_strips(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import flight_lines, overlapping_pairs
-from geomosaic.placement.heights import frame_heights_m
+from geomosaic.placement.heights import frame_heights_m, with_missing_heights
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
@@ -29,7 +29,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"placement": Placement}
 
@@ -57,7 +57,15 @@ class PlacementPos(Stage):
         below = survey.work_frame.geodetic_from_enu(
             np.column_stack([level[:, :2], ground.up_at(*level[:, :2].T)])
         )
-        heights_m = frame_heights_m(survey.frames, below[:, 2])
+        told_m = frame_heights_m(survey.frames, below[:, 2])
+        sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
+        heights_m, sd_m = with_missing_heights(told_m, sd_m, below[:, 2])
+        filled = [
+            n for n, a, b in zip(names, told_m, heights_m, strict=True) if np.isnan(a) and np.isfinite(b)
+        ]
+        if filled:
+            text = f"no height of their own: set by the frames before and after ({some(filled)})"
+            context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
         for name, height, floor in zip(names, heights_m, below[:, 2], strict=True):
             if not height > floor:
                 problem = (
@@ -69,7 +77,7 @@ class PlacementPos(Stage):
                     problem, file=name, mend="give heights with --pos, or check the DEM's --dem-offset"
                 )
         lines = flight_lines(level)
-        poses = prior_poses(survey, heights_m, lines, params.formula, params.attitude)
+        poses = prior_poses(survey, heights_m, sd_m, lines, params.formula, params.attitude)
         outlines = [footprint(poses[i], cameras[i], ground) for i in range(len(names))]
         for name, outline in zip(names, outlines, strict=True):
             if np.isnan(outline).any():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,9 +12,11 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.camera.exterior import Poses
+from geomosaic.errors import OutputError
 from geomosaic.export.solved import ground_reason
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.pipeline.stage import Context
+from geomosaic.mosaic.estimate import Estimate, room
+from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -70,3 +74,29 @@ def record_adjusted(
 def vars_of(camera: Any) -> dict[str, Any]:
     """A camera's numbers under their names."""
     return {k: getattr(camera, k) for k in camera.__dataclass_fields__}
+
+
+def params_of(context: Context, stage: type[Stage]) -> Any:
+    """The parameters that the run's recipe gives another stage, or its own defaults where it isn't in it."""
+    steps = context.summary().get("recipe", {}).get("stages", [])
+    given: dict[str, Any] = next((step["params"] for step in steps if step["stage"] == stage.id), {})
+    return stage.Params.model_validate(given)
+
+
+def tell_estimate(context: Context, estimate: Estimate) -> None:
+    """One line and `metrics.estimate`; `OutputError` where the disk hasn't the room for the least of it.
+
+    What an earlier run left there counts as free.
+    """
+    free = shutil.disk_usage(context.run_folder).free
+    before = sum(p.stat().st_size for p in context.run_folder.rglob("*") if p.is_file()) / 1e9
+    free_gb = free / 1e9
+    context.metric("estimate", asdict(estimate) | {"disk_gb": estimate.disk_gb, "disk_free_gb": free_gb})
+    context.tell(estimate.told())
+    if estimate.disk_gb[0] > free_gb + before:
+        raise OutputError(
+            f"no space left on the disk: a mosaic of {estimate.width_px:,} x {estimate.height_px:,} px "
+            f"takes {room(estimate.disk_gb)}, {room((free_gb, free_gb))} are free",
+            file=context.run_folder,
+            mend="free some, choose another output folder or a coarser --gsd",
+        )

@@ -14,6 +14,7 @@ import yaml
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
+from geomosaic.survey.plausible import lens_problem
 
 _MAX_BYTES: Final = 256 << 20
 _DISTORTION: Final = ("k1", "k2", "k3", "p1", "p2")
@@ -83,6 +84,8 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
         raise InputError(f"camera '{name}' has none of {', '.join(readers)}", file=path, mend=_MEND)
     if camera.width_px < 1 or camera.height_px < 1 or camera.focal_length_px <= 0.0:
         raise InputError(f"camera '{name}': size and focal length must be above 0", file=path, mend=_MEND)
+    if problem := lens_problem(camera):
+        raise InputError(f"camera '{name}': {problem}", file=path, mend=f"correct it; {_MEND}")
     return camera
 
 

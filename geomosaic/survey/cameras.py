@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Warn
+from geomosaic.survey.plausible import focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.xmp import number
 
 FILM_DIAGONAL_MM: Final = math.hypot(36.0, 24.0)
@@ -40,13 +44,17 @@ class CameraChoice:
 def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     """A camera for each make, model, size and focal length, from EXIF and XMP.
 
-    Raises: `InputError` naming a frame that doesn't tell its focal length.
+    A frame whose focal length can't be, or not among the others of its make, model and size, takes the one
+    that most of those have.
+
+    Raises: `InputError` naming a frame that doesn't tell its focal length, where no such other does.
     """
+    told = [_told(header) for header in headers]
+    known, wrong = _among_others(headers, told)
     found: dict[str, Camera] = {}
     names: list[str] = []
     warnings: list[Warn] = []
-    for header in headers:
-        camera, source = camera_from_header(header)
+    for camera, source in known:
         if camera.name not in found:
             text = (
                 f"{camera.name}: focal length {camera.focal_length_px:.0f} px "
@@ -59,47 +67,104 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
             camera = replace(camera, name=name)
         found.setdefault(camera.name, camera)
         names.append(camera.name)
+    if any(wrong):
+        files = [h.path.name for h in headers]
+        warnings.append(warn("focal-length-absurd", files, np.array([bool(w) for w in wrong]), wrong))
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
 
 
 def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
-    """A frame's camera and which source told it, the surest first.
+    """A frame's camera and which source told it, the surest first whose focal length can be.
 
     DJI's own calibration in the XMP (`DewarpData`); focal length with the focal plane's resolution;
     focal length with the sensor's width from `SENSOR_WIDTHS_MM`; the 35 mm equivalent, which compares
     diagonals (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
+
+    Raises: `InputError` where none tells a focal length that can be.
     """
+    camera, source, wrong = _told(header)
+    if camera is None:
+        raise _untold(header, wrong)
+    return camera, source
+
+
+def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
+    """The camera that a header tells, by which source, and what it told before that can't be."""
     exif, width, height = header.exif, header.width_px, header.height_px
-    label = " ".join(dict.fromkeys(f"{exif.make} {exif.model}".split())) or "camera"
     mm = exif.focal_length_mm
     zoom = (
         f" {mm:g} mm" if mm else f" {exif.focal_length_35mm:g} mm (35 mm)" if exif.focal_length_35mm else ""
     )
-    name = f"{label} {width} x {height}{zoom}"
+    name = f"{_label(header)} {width} x {height}{zoom}"
     blank = Camera(name, width, height, 1.0, width / 2.0, height / 2.0)
     from_35mm = None
     if exif.focal_length_35mm is not None:
         diagonal = math.hypot(width, height) if width <= 1.55 * height else 1.25 * width
         from_35mm = exif.focal_length_35mm * diagonal / FILM_DIAGONAL_MM
+    wrong = ""
     calibrated = _dji_calibration(header, blank)
     if calibrated is not None and (
         from_35mm is None or abs(calibrated.focal_length_px / from_35mm - 1.0) < 0.15
     ):
-        return calibrated, "dji-dewarp"
+        wrong = lens_problem(calibrated)
+        if not wrong:
+            return calibrated, "dji-dewarp", ""
+        wrong = "DewarpData"
     sensor = SENSOR_WIDTHS_MM.get(exif.model.lower())
     scale = width / exif.width_px if exif.width_px else 1.0
-    if mm is not None and exif.pixels_per_mm is not None:
-        focal, source = mm * exif.pixels_per_mm * scale, "focal-plane"
-    elif mm is not None and sensor is not None:
-        focal, source = mm * width / sensor, "sensor-table"
-    elif from_35mm is not None:
-        focal, source = from_35mm, "exif-35mm"
-    else:
-        raise InputError("the frame doesn't tell its focal length", file=header.path, mend=_GIVE)
-    relative = FOCAL_LENGTH[source].sd_relative
-    if source == "exif-35mm" and exif.focal_length_35mm is not None:
-        relative = math.hypot(relative, 1.0 / math.sqrt(12.0) / exif.focal_length_35mm)
-    return replace(blank, focal_length_px=focal, focal_length_sd_px=relative * focal), source
+    focals = {
+        "focal-plane": None if mm is None or exif.pixels_per_mm is None else mm * exif.pixels_per_mm * scale,
+        "sensor-table": None if mm is None or sensor is None else mm * width / sensor,
+        "exif-35mm": from_35mm,
+    }
+    for source, focal in focals.items():
+        if focal is None:
+            continue
+        if not focal_length_can_be(focal, width, height):
+            wrong = wrong or f"a focal length of {focal:.3g} px (from {source})"
+            continue
+        relative = FOCAL_LENGTH[source].sd_relative
+        if source == "exif-35mm" and exif.focal_length_35mm is not None:
+            relative = math.hypot(relative, 1.0 / math.sqrt(12.0) / exif.focal_length_35mm)
+        return replace(blank, focal_length_px=focal, focal_length_sd_px=relative * focal), source, wrong
+    return None, "", wrong
+
+
+def _label(header: FrameHeader) -> str:
+    """Make and model, each word once."""
+    return " ".join(dict.fromkeys(f"{header.exif.make} {header.exif.model}".split())) or "camera"
+
+
+def _among_others(
+    headers: Sequence[FrameHeader], told: Sequence[tuple[Camera | None, str, str]]
+) -> tuple[list[tuple[Camera, str]], list[str]]:
+    """Each frame's camera and source, and what was told instead that can't be, or is '' where all can."""
+    kinds: dict[tuple[str, int, int], list[int]] = {}
+    for i, header in enumerate(headers):
+        kinds.setdefault((_label(header), header.width_px, header.height_px), []).append(i)
+    known: list[tuple[Camera, str] | None] = [None if c is None else (c, source) for c, source, _ in told]
+    wrong = [w for _, _, w in told]
+    for alike in kinds.values():
+        having = [(i, c.focal_length_px) for i in alike if (c := told[i][0]) is not None]
+        strange = strange_lenses(np.array([focal for _, focal in having]))
+        for (i, focal), is_strange in zip(having, strange, strict=True):
+            if is_strange:
+                known[i], wrong[i] = None, f"a focal length of {focal:.3g} px (from {told[i][1]})"
+        usual = Counter(k for i in alike if (k := known[i]) is not None and not wrong[i]).most_common(1)
+        for i in alike:
+            if wrong[i] and usual:
+                known[i] = usual[0][0]
+    cameras = []
+    for header, camera, problem in zip(headers, known, wrong, strict=True):
+        if camera is None:
+            raise _untold(header, problem)
+        cameras.append(camera)
+    return cameras, wrong
+
+
+def _untold(header: FrameHeader, wrong: str) -> InputError:
+    problem = f"{wrong} can't be" if wrong else "the frame doesn't tell its focal length"
+    return InputError(problem, file=header.path, mend=_GIVE)
 
 
 def _dji_calibration(header: FrameHeader, blank: Camera) -> Camera | None:

@@ -15,7 +15,13 @@ from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Attitude, Position, Warn
 from geomosaic.survey.names import FrameNames, some
-from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position
+from geomosaic.survey.onboard import (
+    UNKNOWN_ATTITUDE,
+    onboard_attitude,
+    onboard_heights,
+    onboard_position,
+)
+from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos import PosFile, PosRow
 
 Floats = NDArray[np.float64]
@@ -43,6 +49,8 @@ def observe(
     position counts; a height or an attitude it doesn't have is the frame's own. Without one, every frame
     needs its own position.
 
+    Heights and attitudes that can't be are taken as not given, see `survey.plausible`.
+
     Raises: `InputError` naming the first frame or line that is wrong, and how many are.
     """
     own = [onboard_position(h.exif, h.xmp or {}) for h in headers]
@@ -66,8 +74,11 @@ def observe(
         rows = [*given]
     _check_extent(headers, positions)
     warnings += _doubts(headers, positions, attitudes)
+    names = [h.path.name for h in headers]
+    kept, high = plausible_positions(names, positions)
+    upright, tilted = plausible_attitudes(names, attitudes, UNKNOWN_ATTITUDE)
     cameras = tuple(None if row is None else row.camera for row in rows)
-    return Observations(tuple(positions), tuple(attitudes), cameras, tuple(warnings))
+    return Observations(kept, upright, cameras, (*warnings, *high, *tilted))
 
 
 def lonlat_of(positions: Sequence[Position]) -> Floats:

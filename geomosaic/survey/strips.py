@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,6 +75,11 @@ class StripGeometry:
     def scene_width_px(self) -> int:
         """Columns of the ideal unbroken line: every CCD less the overlaps."""
         return len(self.ccds) * self.width_px - (len(self.ccds) - 1) * self.overlap_px
+
+    @property
+    def scene_lines(self) -> int:
+        """Lines from the first of a leading strip to the last of a trailing one, nominally."""
+        return max(self.lines) + math.ceil(self.row_separation_lines)
 
 
 def read_geometry(path: Path) -> StripGeometry:

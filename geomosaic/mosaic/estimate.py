@@ -1,0 +1,174 @@
+"""What a mosaic will ask for, told before the work: its size, room on the disk, memory and time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from geomosaic.errors import InputError
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Rate:
+    """What one unit of work takes: least and most, why so, and where it was measured."""
+
+    least: float
+    most: float
+    unit: str
+    reason: str
+    source: str
+
+
+_HERE: Final = "two cores of 2.5 GHz; 18 frames of 9 MP, 20 of 9.7 MP, 24 simulated ones of 1.3 MP"
+KEYPOINTS: Final = Rate(0.4, 1.2, "core s/MP", "SIFT; frames of over 3000 px are halved first", _HERE)
+PAIRS: Final = Rate(0.15, 0.7, "core s/pair", "descriptors compared and checked, up to 6000 a frame", _HERE)
+SOLVE: Final = Rate(0.2, 2.0, "s/frame", "bundle, by how many points and rounds it takes", _HERE)
+COMPOSE: Final = Rate(0.3, 1.2, "core s/MP filled", "every frame that sees a pixel is resampled", _HERE)
+WRITE: Final = Rate(0.2, 0.6, "core s/MP filled", "compression and overviews", _HERE)
+STRIPS: Final = Rate(0.3, 2.0, "s/MP", "from offsets to overviews, by the method", _HERE)
+SCENE_MEMORY: Final = Rate(10e3, 40e3, "bytes/column", "blocks of rows at work, windows of offsets", _HERE)
+PACKED: Final = Rate(0.3, 1.1, "share of the pixels' bytes", "lossless, with a third for overviews", _HERE)
+MEMORY: Final = Rate(0.7, 1.5, "share of the sum", "of decoded frames, windows at work and keypoints", _HERE)
+_LONGEST_MATCHED_PX: Final = 3000
+_SIFT_BYTES_PER_PX: Final = 130.0  # six blurred pictures of four bytes at twice the size, and octaves
+_PROGRAM_BYTES: Final = 250e6  # libraries and buffers of a process
+_WINDOW_BYTES: Final = 100e6  # of a thread that composes
+_PLANNED_BYTES: Final = 600.0  # of a window of 512 x 512 px in the plan
+_MASK_BYTES: Final = 1.0 / 8.0
+_SOURCE_BYTES: Final = 0.05  # frame indices are packed; they change at seams only
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mosaic's size, and the least and the most of what it takes.
+
+    filled_share: of the grid that frames cover; empty parts take neither room nor time. scratch_gb: in
+    RUN/work, besides mosaic_gb for mosaic.tif. gsd_m: None for a scene without a map.
+    """
+
+    width_px: int
+    height_px: int
+    gsd_m: float | None
+    filled_share: float
+    scratch_gb: float
+    mosaic_gb: Range
+    memory_gb: Range
+    minutes: Range
+
+    @property
+    def disk_gb(self) -> Range:
+        """All of it on the disk at once."""
+        least, most = self.mosaic_gb
+        return self.scratch_gb + least, self.scratch_gb + most
+
+    def told(self) -> str:
+        """One line for people."""
+        at = "" if self.gsd_m is None else f" at {self.gsd_m:.3g} m"
+        return (
+            f"the mosaic will have about {self.width_px:,} x {self.height_px:,} px{at} and take "
+            f"{room(self.disk_gb)} on the disk, {room(self.memory_gb)} of memory and {_minutes(self.minutes)}"
+        )
+
+
+def estimate(
+    width_px: int,
+    height_px: int,
+    gsd_m: float | None,
+    *,
+    filled_share: float,
+    pixel_bytes: int,
+    sources: bool = False,
+    memory_bytes: float,
+    core_s: Range,
+    threads: int,
+) -> Estimate:
+    """Of a grid: what its pixels take, besides core_s of work and memory_bytes that come before them."""
+    pixels = float(width_px) * float(height_px)
+    filled = filled_share * pixels
+    raw_gb = filled * pixel_bytes / 1e9
+    scratch = raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
+    memory = (memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
+    return Estimate(
+        width_px=width_px,
+        height_px=height_px,
+        gsd_m=gsd_m,
+        filled_share=filled_share,
+        scratch_gb=scratch,
+        mosaic_gb=(PACKED.least * raw_gb, PACKED.most * raw_gb),
+        memory_gb=(MEMORY.least * memory, MEMORY.most * memory),
+        minutes=(
+            (core_s[0] + (COMPOSE.least + WRITE.least) * filled / 1e6 / threads) / 60.0,
+            (core_s[1] + (COMPOSE.most + WRITE.most) * filled / 1e6 / threads) / 60.0,
+        ),
+    )
+
+
+def estimate_scene(
+    width_px: int, height_px: int, *, filled_share: float, pixel_bytes: int, max_gigapixels: float
+) -> Estimate:
+    """Of a scene of strips; raises `InputError` where it would be larger than max_gigapixels."""
+    gigapixels = width_px * height_px / 1e9
+    if gigapixels > max_gigapixels:
+        raise InputError(
+            f"the scene would have {width_px:,} x {height_px:,} px, {gigapixels:,.3g} gigapixels, "
+            f"more than {max_gigapixels:g}",
+            mend="check the strips' sizes and row_separation_lines, "
+            f"or --set mosaic.strips.max_gigapixels={math.ceil(gigapixels)}",
+        )
+    pixels = filled_share * width_px * height_px
+    scratch = pixels * (4.0 / 3.0 * pixel_bytes + _MASK_BYTES)
+    memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
+    return Estimate(
+        width_px=width_px,
+        height_px=height_px,
+        gsd_m=None,
+        filled_share=filled_share,
+        scratch_gb=scratch / 1e9,
+        mosaic_gb=(PACKED.least * pixels * pixel_bytes / 1e9, PACKED.most * pixels * pixel_bytes / 1e9),
+        memory_gb=(0.5e-9 * memory, (memory + SCENE_MEMORY.most * width_px) / 1e9),
+        minutes=(STRIPS.least * pixels / 60e6, STRIPS.most * pixels / 60e6),
+    )
+
+
+def before_composing(
+    sizes_px: list[tuple[int, int]], pairs: int, workers: int, memory_bytes: float, threads: int
+) -> tuple[Range, float]:
+    """Seconds that matching and adjusting take, least and most, and bytes of memory of the whole run.
+
+    Args: sizes_px: of all frames; memory_bytes: that composing may take for decoded frames.
+    """
+    matched = np.array([float(w) * h for w, h in sizes_px])
+    longest = np.array([max(size) for size in sizes_px])
+    matched /= 4.0 ** np.ceil(np.log2(np.maximum(longest / _LONGEST_MATCHED_PX, 1.0)))
+    s = [
+        (keypoints * matched.sum() / 1e6 + of_pair * pairs) / workers + solve * len(sizes_px)
+        for keypoints, of_pair, solve in (
+            (KEYPOINTS.least, PAIRS.least, SOLVE.least), (KEYPOINTS.most, PAIRS.most, SOLVE.most),
+        )
+    ]  # fmt: skip
+    matching = (workers if workers > 1 else 0) * _PROGRAM_BYTES
+    matching += workers * _SIFT_BYTES_PER_PX * float(matched.max(initial=0.0))
+    return (s[0], s[1]), _PROGRAM_BYTES + matching + memory_bytes + threads * _WINDOW_BYTES
+
+
+def room(range_gb: Range) -> str:
+    """Gigabytes in words, in MB where they are few."""
+    least, most = range_gb
+    return f"{_from_to(range_gb)} GB" if most >= 1.0 else f"{_from_to((1e3 * least, 1e3 * most))} MB"
+
+
+def _from_to(range_: Range) -> str:
+    least, most = (f"{v:.2g}" if v < 10.0 else f"{v:,.0f}" for v in range_)
+    return least if least == most else f"{least} to {most}"
+
+
+def _minutes(range_: Range) -> str:
+    least, most = range_
+    if most < 2.0:
+        return f"{_from_to((60.0 * least, 60.0 * most))} s"
+    return f"{_from_to(range_)} min" if most < 180.0 else f"{_from_to((least / 60.0, most / 60.0))} hours"

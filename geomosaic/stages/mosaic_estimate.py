@@ -1,0 +1,81 @@
+"""How large the mosaic will be, and what it will take, before the first pixel is matched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import shapely
+
+from geomosaic.mosaic.estimate import before_composing, estimate
+from geomosaic.mosaic.frames import decoded_bytes
+from geomosaic.mosaic.grid import auto_gsd_m, output_grid, stretching
+from geomosaic.mosaic.views import frame_views
+from geomosaic.pipeline.stage import Context, Stage
+from geomosaic.placement.model import Placement
+from geomosaic.projection.footprint import footprint
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.telling import params_of, tell_estimate
+from geomosaic.survey.model import Survey
+
+
+class MosaicEstimate(Stage):
+    """Refuses a mosaic that is too large, or that the disk has no room for, and names who stretches it.
+
+    The pixel, the limit and the memory are mosaic.compose's. It runs every time: the disk's room is of today.
+    """
+
+    id = "mosaic.estimate"
+    display_name = "Estimate the mosaic"
+    group = "Mosaic"
+    version = 1
+    cached = False
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
+    outputs: ClassVar[dict[str, type]] = {}
+
+    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+        """From where the frames lie by their positions."""
+        survey: Survey = inputs["survey"]
+        placement: Placement = inputs["placement"]
+        compose = params_of(context, MosaicCompose)
+        names = [f.name for f in survey.frames]
+        cameras = [survey.camera_of(i) for i in range(len(names))]
+        ground = inputs["ground"]
+        views = frame_views(
+            survey.work_frame, survey.map_crs, placement.poses, cameras, [True] * len(names), ground
+        )
+        gsd_m = auto_gsd_m(placement.ground_pixel_m) if compose.gsd_m == "auto" else compose.gsd_m
+        grid = output_grid(survey.map_crs, views, gsd_m, names, compose.max_gigapixels)
+        outlines = [footprint(v.pose, v.camera, ground)[:, :2] for v in views]
+        seen = shapely.union_all(
+            [shapely.convex_hull(shapely.MultiPoint(o[np.isfinite(o).all(axis=1)])) for o in outlines]
+        )
+        first = survey.frames[views[0].frame]
+        memory = min(compose.memory_mb * 2.0**20, float(sum(map(decoded_bytes, survey.frames))))
+        sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
+        core_s, memory = before_composing(
+            sizes_px, len(placement.pairs), context.workers, memory, compose.threads
+        )
+        told = estimate(
+            grid.width_px,
+            grid.height_px,
+            gsd_m,
+            filled_share=min(1.0, float(seen.area) / (grid.width_px * grid.height_px * gsd_m**2)),
+            pixel_bytes=first.bands * np.dtype(first.dtype).itemsize,
+            sources=compose.sources,
+            memory_bytes=memory,
+            core_s=core_s,
+            threads=compose.threads,
+        )
+        if (far := stretching(views, gsd_m)) is not None:
+            view, share = far
+            context.warn(
+                "mosaic-stretched",
+                names[view.frame],
+                f"lies so far out that without it the mosaic would have {100.0 * share:.2g} % of its size; "
+                "check its position and height",
+            )
+        tell_estimate(context, told)
+        return {}
