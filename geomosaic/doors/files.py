@@ -1,4 +1,4 @@
-"""The one way in for a file of text: regular files only, read once, within a budget, their names and texts clean."""
+"""The one way in for files of text: regular ones only, read once, within a budget, names and texts clean."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _KINDS: Final = (
     (stat.S_ISBLK, "a device"),
 )
 _UNSAFE: Final = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
-"""What XML, a terminal or a line can't hold: control characters, turns of the writing's direction, surrogates."""
+"""What XML, a terminal or a line can't hold: controls, turns of the writing's direction, surrogates."""
 
 
 def printable(text: str, keep: str = "") -> str:
-    """A text without what spoils a page, a terminal or a line; such characters become `%1B`, as in web addresses."""
+    """A text without what spoils a page, a terminal or a line; that becomes `%1B`, as in web addresses."""
     return _UNSAFE.sub(lambda m: m[0] if m[0] in keep else f"%{ord(m[0]):02X}", text)
 
 
@@ -69,7 +69,7 @@ def read_bytes(path: Path, most_bytes: int, kind: str, mend: str) -> bytes:
     check_regular(path, mend)
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
-        with open(handle, "rb") as file:
+        with os.fdopen(handle, "rb") as file:
             status = os.fstat(handle)
             readable = stat.S_ISREG(status.st_mode) and status.st_size <= most_bytes
             content = file.read(most_bytes + 1) or b"" if readable else b""

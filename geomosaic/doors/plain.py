@@ -1,4 +1,4 @@
-"""Plain YAML and JSON of strangers: numbers, words, lists and mappings, within budgets of size, depth and count."""
+"""Plain YAML and JSON of strangers: numbers, words, lists and mappings, within budgets of depth and count."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geomosaic.errors import FileError
 MOST_DEPTH: Final = 32
 """Of lists and mappings within each other: a recipe has 6, a reconstruction.json 7."""
 MOST_YAML_NODES: Final = 10_000
-"""Keys and values: the longest that people write, a rig of 100 cameras, has 3,000; this many take a second."""
+"""Keys and values: a rig of 100 cameras, the longest that people write, has 3,000; 10,000 take a second."""
 _MOST_JSON: Final = {b"{": 2_000_000, b"[": 2_000_000, b",": 5_000_000}
 """A reconstruction.json of 600,000 points has 1.8 million lists and mappings; these limits hold 1 GB."""
 _MOST_DIGITS: Final = 30
@@ -146,6 +146,6 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         found: set[str] = set()
-        twice = next(key for key, _ in pairs if key in found or found.add(key))  # type: ignore[func-returns-value]
+        twice = next(key for key, _ in pairs if key in found or found.add(key))
         raise ValueError(f"{shown(twice)} is given twice")
     return mapping

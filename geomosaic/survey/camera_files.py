@@ -11,7 +11,7 @@ from typing import Any, Final
 from geomosaic.camera.interior import Camera
 from geomosaic.doors.files import printable
 from geomosaic.doors.plain import read_json, read_yaml, shown
-from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 
 _MAX_BYTES: Final = {".json": 128 << 20, ".yaml": 256 << 10}  # JSON may be a whole reconstruction

@@ -17,6 +17,7 @@ class FrameNames:
 
     def __init__(self, names: Iterable[str]) -> None:
         self._names = tuple(names)
+        self._exact = frozenset(self._names)
         self._by_name: dict[str, list[str]] = {}
         self._by_stem: dict[str, list[str]] = {}
         for name in self._names:
@@ -26,7 +27,7 @@ class FrameNames:
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
         name = PurePosixPath(text.replace("\\", "/")).name
-        if name in self._names:
+        if name in self._exact:
             return name
         folded = name.casefold()
         stem = _PICTURE.sub("", folded)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.doors.files import read_text
 from geomosaic.doors.plain import read_yaml, shown
-from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.errors import InputError, UnknownNameError
 
 Floats = NDArray[np.float64]
 ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
