@@ -120,7 +120,7 @@ def test_bad_camera_files(tmp_path: Path, content: object, name: str, message: s
 def test_a_misspelt_key_is_named(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'focal_length_px'"):
         read_cameras(written(tmp_path, "width_px: 1\nheight_px: 1\nfocal_lenght_px: 1\n", "c.yaml"))
-    with pytest.raises(FileError, match="there is no such file; see docs/inputs.md"):
+    with pytest.raises(FileError, match=r"there is no such file; see docs/inputs\.md"):
         read_cameras(tmp_path / "none.json")
 
 

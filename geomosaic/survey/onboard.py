@@ -118,7 +118,7 @@ def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
 
 
 def body_from_gimbal(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> Floats:
-    """Body yaw, pitch, roll (degrees, (..., 3)) of gimbal angles; of unknown ones (NaN) only the yaw stays so."""
+    """Body yaw, pitch, roll (degrees, (..., 3)) of a gimbal's; of unknown ones (NaN) the yaw stays so."""
     yaw, pitch, roll = (np.radians(np.asarray(a, dtype=np.float64)) for a in (yaw_deg, pitch_deg, roll_deg))
     rotation = Rotation.from_gimbal(np.nan_to_num(yaw), np.nan_to_num(pitch), np.nan_to_num(roll))
     body = np.degrees(np.stack(rotation.yaw_pitch_roll(), axis=-1))
