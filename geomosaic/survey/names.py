@@ -7,9 +7,15 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
 
 _PICTURE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
+
+
+def frame_name(path: Path) -> str:
+    """What a frame is called everywhere: its file's name, without what spoils a page or a terminal."""
+    return printable(path.name)
 
 
 class FrameNames:
@@ -54,4 +60,4 @@ def some(names: Iterable[str], most: int = 3) -> str:
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     """Sorts DJI_9 before DJI_10."""
     parts = re.split(r"(\d+)", Path(name).name.casefold())
-    return tuple((0, int(p)) if p.isdigit() else (1, p) for p in parts if p)
+    return tuple((0, int(p)) if p.isdecimal() else (1, p) for p in parts if p)

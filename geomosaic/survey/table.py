@@ -66,7 +66,7 @@ class Table:
         return self.cells.get(column) or [None] * len(self.lines)
 
     def numbers(self, column: str) -> Floats:
-        """A column (n,) in degrees or metres, NaN where unknown; `InputError` names the line that has none."""
+        """A column (n,) in degrees or metres, NaN where unknown; `InputError` names a line without one."""
         cells = self.cells.get(column)
         if cells is None:
             return np.full(len(self.lines), np.nan)

@@ -19,7 +19,7 @@ last word."""
 
 _MAX_BYTES: Final = 1 << 20
 _MOST_MARKS: Final = 20_000
-"""Of `<` in a packet: the longest that cameras write has 400, edited pictures with their history some 5,000."""
+"""Of `<` in a packet: the longest that cameras write has 400, a picture edited for long some 5,000."""
 _MOST_PREFIXES: Final = 100
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
