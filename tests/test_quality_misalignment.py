@@ -108,7 +108,8 @@ def test_truth_from_positions_csv(tmp_path):
     [
         (b"frame,lon_deg\na,1\n", "no column 'lat_deg'"),
         (b"frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg\na,1,2,x,0,0,0\n", "line 2"),
-        (b"\xff\xfe\x00\x01", "can't be read"),
+        (b"\xff\xfe\x00\x01", "no column 'frame'"),
+        (b"", "is empty"),
     ],
 )
 def test_bad_truth_files(tmp_path, content, says):

@@ -88,8 +88,8 @@ def test_a_dead_ccd_has_no_path_and_no_lines(folder: Path) -> None:
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "overlap of zero": ({"overlap_px": 0}, "overlap_px is 0; give a whole number of at least 8"),
     "overlap of a few px": ({"overlap_px": 4, "read_px": 6}, "overlap_px is 4; give a whole number of at least 8"),
-    "separation of 400 digits": ({"row_separation_lines": 10**400}, "; give a number from 0 to 1e+09"),
-    "row of 400 digits": ({"ccds": [{"path": "a.tif", "row": 10**400}, PLAIN["ccds"][1]]}, "CCD 1 has row 1000"),
+    "separation of 400 digits": ({"row_separation_lines": 10**400}, "line 12: too large a number"),
+    "row of 400 digits": ({"ccds": [{"path": "a.tif", "row": 10**400}, PLAIN["ccds"][1]]}, "line 3: too large a number"),
     "nodata above the type's": ({"nodata": 70000}, "nodata is 70000; give a whole number from 0 to 65535"),
     "nodata below the type's": ({"nodata": -1}, "nodata is -1; give a whole number from 0 to 65535"),
     "nodata not whole": ({"nodata": 0.5}, "nodata is 0.5; give a whole number from 0 to 65535"),
@@ -109,7 +109,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "all dead": ({"ccds": [{"row": 1}, {"row": 2}]}, "fewer than two strips"),
     "row 3": ({"ccds": [{"path": "a.tif", "row": 3}, PLAIN["ccds"][1]]}, "CCD 1 has row 3"),
     "same row": ({"ccds": [{"path": "a.tif", "row": 1}, PLAIN["ccds"][1]]}, "CCDs 1 and 2 are both in row 1"),
-    "strip twice": ({"ccds": [PLAIN["ccds"][1], {"path": "a.tif", "row": 2}, PLAIN["ccds"][1]]}, "second time"),
+    "strip twice": ({"ccds": [{**PLAIN["ccds"][1]}, {"path": "a.tif", "row": 2}, PLAIN["ccds"][1]]}, "second time"),
     "no such strip": ({"ccds": [{"path": "z.tif", "row": 2}, PLAIN["ccds"][1]]}, "z.tif: there is no such file"),
     "no such DEM": ({"dem": "dem.tif"}, "dem.tif: there is no such file, named as dem"),
     "not a list": ({"ccds": {"a": 1}}, "'ccds' isn't a list"),
@@ -157,7 +157,7 @@ def test_strips_that_don_t_agree_are_named(folder: Path, change: dict[str, Any],
 def test_what_is_no_geometry_is_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "g.yaml"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"g\.yaml: is no"):
+    with pytest.raises(InputError, match=r"g\.yaml: is (no|empty)"):
         read_geometry(path)
 
 
@@ -180,7 +180,9 @@ def test_what_is_no_regular_file_is_named_and_never_read(folder: Path, key: str,
         odd.symlink_to("/dev/zero")
     ccds = PLAIN["ccds"]
     change = {"ccds": [{"path": "odd", "row": 2}, *ccds[1:]]} if key == "path" else {key: "odd"}
-    with pytest.raises(FileError, match=rf"odd: is no regular file, named as {key} in geometry\.yaml"):
+    with pytest.raises(
+        FileError, match=rf"odd: is no regular file but a {kind}, named as {key} in geometry\.yaml"
+    ):
         read_geometry(written(folder, **change))
 
 

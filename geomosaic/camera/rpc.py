@@ -51,7 +51,7 @@ class Rpc:
             rows = [_list(metadata, key) for key in _COEFFICIENTS]
         except KeyError as error:
             raise InputError(f"the RPC has no {error.args[0]}") from error
-        except ValueError as error:
+        except (ValueError, IndexError) as error:
             raise InputError("the RPC holds what is no number") from error
         if any(len(row) != 20 for row in rows):
             raise InputError("the RPC has lists of other than 20 coefficients")

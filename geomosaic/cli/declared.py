@@ -26,14 +26,18 @@ def shown(value: Any) -> str:
 
 def option_values(stage: type[Stage], options: Mapping[str, Any]) -> dict[str, Any]:
     """What the user gave of a stage's parameters, as the recipe reader takes it."""
-    import yaml
+    from geomosaic.doors.plain import plain_yaml
 
     values = {}
     for p in describe_params(stage.Params):
         value = options.get(p.name)
         if value is not None:
             textual = p.is_file or p.type.startswith("text") or p.choices
-            values[p.name] = value if textual or isinstance(value, bool) else yaml.safe_load(value)
+            values[p.name] = (
+                value
+                if textual or isinstance(value, bool)
+                else plain_yaml(value, f"--{p.name.replace('_', '-')}", f"give {p.wanted}")
+            )
     return values
 
 

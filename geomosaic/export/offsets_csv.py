@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.model import LABELS, Floats, PairOffsets
+from geomosaic.doors.files import read_text
 from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.survey.strips import StripGeometry
 
@@ -101,24 +103,17 @@ def _pairs(
 
 def _table(path: Path, geometry: StripGeometry, columns: tuple[str, ...]) -> NDArray[Any]:
     most = _MOST_BYTES_A_ROW * (sum(geometry.lines) + 100)
+    header, _, rows = read_text(path, most, "offsets of these strips", _MEND).partition("\n")
+    names = tuple(name.strip() for name in header.split(","))
+    if not set(columns) <= set(names) or len(set(names)) < len(names):
+        raise FileError(f"hasn't the columns {', '.join(columns)}", file=path, mend=_MEND)
+    kinds = [("label", "U12") if name == "label" else (name, np.float64) for name in columns]
+    places = [names.index(name) for name in columns]
     try:
-        if path.stat().st_size > most:
-            raise FileError("is too large for offsets of these strips", file=path, mend=_MEND)
-        with path.open(encoding="utf-8-sig") as file:
-            names = tuple(name.strip() for name in file.readline(1000).split(","))
-            if not set(columns) <= set(names) or len(set(names)) < len(names):
-                raise FileError(f"hasn't the columns {', '.join(columns)}", file=path, mend=_MEND)
-            kinds = [("label", "U12") if name == "label" else (name, np.float64) for name in columns]
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # of a file without rows
-                places = [names.index(name) for name in columns]
-                table = np.loadtxt(file, kinds, delimiter=",", comments=None, usecols=places, ndmin=1)
-    except FileNotFoundError as error:
-        raise FileError("there is no such file", file=path, mend=_MEND) from error
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path) from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a file without rows
+            file = io.StringIO(rows)
+            table = np.loadtxt(file, kinds, delimiter=",", comments=None, usecols=places, ndmin=1)
     except ValueError as error:
         problem = "isn't a table of offsets: a row is short or holds no numbers"
         raise FileError(problem, file=path, mend=_MEND) from error

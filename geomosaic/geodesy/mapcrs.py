@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pyproj import CRS, Proj, Transformer
+from pyproj import CRS, Geod, Proj, Transformer
 from pyproj.exceptions import CRSError
 
 from geomosaic.errors import InputError
@@ -38,6 +38,21 @@ def map_crs(text: str) -> CRS:
             f"'{text}' is no map projection in metres", mend="give a projected CRS such as EPSG:32632"
         )
     return crs
+
+
+def outside_area_m(crs: CRS, lon_deg: float, lat_deg: float) -> float:
+    """How far a point lies outside a CRS's area of use in metres; 0 inside, or where the area is unknown."""
+    area = crs.area_of_use
+    if area is None:
+        return 0.0
+    width = (area.east - area.west) % 360.0 or 360.0
+    east_of_west = (lon_deg - area.west) % 360.0
+    outside = 0.0 if east_of_west <= width else min(east_of_west - width, 360.0 - east_of_west)
+    lat = min(max(lat_deg, area.south), area.north)
+    if outside == 0.0 and lat == lat_deg:
+        return 0.0
+    lon = lon_deg - outside if east_of_west - width <= 360.0 - east_of_west else lon_deg + outside
+    return float(Geod(ellps="WGS84").inv(lon_deg, lat_deg, lon, lat)[2])
 
 
 @lru_cache(maxsize=32)

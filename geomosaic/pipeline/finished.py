@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import decode, type_name
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.recording.reader import artefact_data, read_recording
 
+_MAX_BYTES = 64 << 20  # names and hashes of 400,000 frames
+
 
 def read_summary(run_folder: Path) -> dict[str, Any]:
     """run.json of a finished run. Raises `FileError` if there is none."""
     path = run_folder / RUN_JSON
-    try:
-        summary = json.loads(path.read_text())
-    except OSError as error:
+    if not path.exists():
         raise FileError(
             f"is no finished run ({RUN_JSON} is missing)", file=run_folder, mend="give a run's folder"
-        ) from error
-    except ValueError as error:
-        raise FileError("is no JSON", file=path, mend="run the recipe again") from error
+        )
+    summary = read_json(path, _MAX_BYTES, "a run's summary", "run the recipe again")
     if not isinstance(summary, dict) or not isinstance(summary.get("artefacts"), dict):
         raise FileError("doesn't describe a run", file=path, mend="run the recipe again")
     return summary

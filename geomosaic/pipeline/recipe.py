@@ -19,6 +19,8 @@ from typing import Any
 
 import yaml
 
+from geomosaic.doors.files import check_name, printable
+from geomosaic.doors.plain import plain_yaml, read_yaml, shown
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.pipeline.params import StageParams, accepts, check_params, file_values
 from geomosaic.pipeline.registry import Registry
@@ -26,7 +28,8 @@ from geomosaic.pipeline.stage import Stage
 
 RUN_JSON = "run.json"
 RECORDING = "run.mcap"
-MAX_RECIPE_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
+_MEND = "see docs/recipes.md"
 _KEYS = ("name", "description", "seed", "stages")
 
 
@@ -65,6 +68,7 @@ class Recipe:
         steps = [step for i, step in enumerate(self.steps) if i not in skip]
         for step in steps:
             for name, path in file_values(step.params).items():
+                check_name(path)
                 if not _exists(path):
                     mend = f"give an existing one for {step.stage.id}.{name}"
                     raise FileError("no such file or folder", file=path, mend=mend)
@@ -102,43 +106,12 @@ def _exists(path: Path) -> bool:
         return False
 
 
-class _Loader(yaml.SafeLoader):
-    """Plain YAML that refuses a key given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        if twice := next((key for key in keys if keys.count(key) > 1), None):
-            raise yaml.constructor.ConstructorError(None, None, f"'{twice}' is given twice", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
-def _load_yaml(text: str, file: str | None) -> Any:
-    try:
-        return yaml.load(text, _Loader)  # noqa: S506  a SafeLoader
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"line {mark.line + 1}: " if mark is not None else ""
-        problem = getattr(error, "problem", None) or str(error)
-        raise InputError(
-            f"{where}this is no YAML ({problem})", file=file, mend="see docs/recipes.md"
-        ) from error
 
 
 def load_recipe(path: Path, registry: Registry, overrides: Iterable[str] = ()) -> Recipe:
     """A recipe file. Paths in it are relative to its folder, those of `overrides` to the current one."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_RECIPE_BYTES + 1)
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise FileError(
-            f"can't be read ({error.strerror})", file=path, mend="give a recipe, such as those in recipes/"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise FileError("is no text in UTF-8", file=path, mend="give a recipe in YAML") from error
-    if len(data) > MAX_RECIPE_BYTES:
-        raise FileError("is larger than 1 MiB", file=path, mend="give a recipe in YAML")
-    return parse_recipe(text, registry, overrides, file=str(path), base=path.absolute().parent)
+    plain = read_yaml(path, _MAX_BYTES, "a recipe", "give a recipe, such as those in recipes/")
+    return recipe_from(plain, registry, overrides, file=str(path), base=path.absolute().parent)
 
 
 def parse_recipe(
@@ -150,7 +123,7 @@ def parse_recipe(
     base: Path | None = None,
 ) -> Recipe:
     """A recipe from YAML, see `recipe_from`."""
-    return recipe_from(_load_yaml(text, file), registry, overrides, file=file, base=base)
+    return recipe_from(plain_yaml(text, file, _MEND), registry, overrides, file=file, base=base)
 
 
 def recipe_from(
@@ -169,12 +142,12 @@ def recipe_from(
     Raises `InputError` and its kin with one line that names the file, the stage and the mend.
     """
     if not isinstance(plain, dict) or not isinstance(plain.get("stages"), list) or not plain["stages"]:
-        raise InputError("has no list 'stages'", file=file, mend="see docs/recipes.md")
+        raise InputError("has no list 'stages'", file=file, mend=_MEND)
     if unknown := [key for key in plain if key not in _KEYS]:
-        raise UnknownNameError("key", str(unknown[0]), _KEYS, file=file)
+        raise UnknownNameError("key", shown(unknown[0]).strip("'"), _KEYS, file=file)
     seed = plain.get("seed", 0)
     if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 1 << 63:
-        raise InputError(f"seed = {seed!r}: must be a whole number from 0", file=file)
+        raise InputError(f"seed = {shown(seed)}: must be a whole number from 0", file=file)
     entries = [_entry(entry, i, file) for i, entry in enumerate(plain["stages"])]
     stages = [registry.get(id, file=file) for id, _ in entries]
     values = [
@@ -188,7 +161,8 @@ def recipe_from(
         for stage, v in zip(stages, values, strict=True)
     )
     check_wiring(stages, given or {}, file)
-    return Recipe(str(plain.get("name", "")), str(plain.get("description", "")), seed, steps, file)
+    name, description = (printable(str(plain.get(key, ""))) for key in ("name", "description"))
+    return Recipe(name, description, seed, steps, file)
 
 
 def _entry(entry: Any, i: int, file: str | None) -> tuple[str, dict[str, Any]]:
@@ -236,7 +210,7 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
                 raise UnknownNameError(
                     f"parameter of stage {id}", name, stage.Params.model_fields, file=f"--set {override}"
                 )
-            value = _load_yaml(text, f"--set {override}")
+            value = plain_yaml(text, f"--set {override}", _MEND)
             as_text = isinstance(value, str | int | float) and not isinstance(value, bool)
             if as_text and (accepts(field.annotation, Path) or accepts(field.annotation, str)):
                 value = text

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
+from geomosaic.doors.files import read_text
 from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.geodesy.local import LocalFrame
 
 _NUMBERS = ("lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg")
+
+_MAX_BYTES: Final = 64 << 20  # 200,000 frames
 
 
 def read_poses(path: Path, names: Sequence[str], work_frame: LocalFrame) -> Poses:
@@ -42,11 +48,11 @@ def read_poses(path: Path, names: Sequence[str], work_frame: LocalFrame) -> Pose
 
 
 def _rows(path: Path) -> dict[str, list[float]]:
+    text = read_text(path, _MAX_BYTES, "a positions.csv", "give a positions.csv")
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            columns, rows = reader.fieldnames or (), list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        columns, rows = reader.fieldnames or (), list(reader)
+    except csv.Error as error:
         raise FileError(f"can't be read: {error}", file=path, mend="give a positions.csv") from error
     missing = [c for c in ("frame", *_NUMBERS) if c not in columns]
     if missing:
@@ -56,7 +62,10 @@ def _rows(path: Path) -> dict[str, list[float]]:
     out = {}
     for line, row in enumerate(rows, start=2):
         try:
-            out[row["frame"]] = [float(row[c]) for c in _NUMBERS]
+            numbers = [float(row[c]) for c in _NUMBERS]
+            if not all(map(math.isfinite, numbers)):
+                raise ValueError("a number isn't finite")
+            out[row["frame"]] = numbers
         except (ValueError, TypeError) as error:
             raise FileError(f"line {line}: {error}", file=path, mend="correct the row") from error
     return out

@@ -15,9 +15,6 @@ from geomosaic.survey.onboard import body_from_gimbal
 from geomosaic.survey.table import Table
 
 Floats = NDArray[np.float64]
-Angles = list[tuple[float | None, float | None, float | None]]
-"""Yaw, pitch and roll of each row in degrees, None where unknown."""
-
 CONVENTIONS: Final = {
     "auto": "per file: by the columns' names; gimbal where the middle pitch lies nearer to -90 than to 0",
     "body": "yaw, pitch, roll of a body; pitch 0 at the nadir, > 0 looking forward; roll > 0 looking left",
@@ -31,11 +28,11 @@ CONVENTIONS: Final = {
 
 def read_angles(
     table: Table, convention: str, projection: MapProjection | None, lonlat: Floats
-) -> tuple[Angles, str, list[Warn]]:
-    """Body angles from true north of a table's rows, where they come from, and what was assumed.
+) -> tuple[Floats, str, list[Warn]]:
+    """Body angles (n, 3) from true north of a table's rows, where they come from, and what was assumed.
 
-    Yaw is from true north in a file of yaw, pitch and roll, whatever its positions' CRS; omega, phi
-    and kappa refer to the axes of the file's positions, so that a grid's convergence is added.
+    NaN where unknown. Yaw is from true north in a file of yaw, pitch and roll, whatever its positions' CRS;
+    omega, phi and kappa refer to the axes of the file's positions, so that a grid's convergence is added.
 
     Args: projection of the file's x and y, None for geographic positions; lonlat (n, 2) degrees.
     """
@@ -51,18 +48,16 @@ def read_angles(
     if convention != "auto" and not has_ypr:
         raise _lacks(table, convention, "yaw, pitch and roll")
     prefix = "gimbal_" if "gimbal_pitch" in has else ""
-    yaw, pitch, roll = (
-        [table.number(row, f"{prefix}{c}") for row in table.rows] for c in ("yaw", "pitch", "roll")
-    )
+    angles = np.column_stack([table.numbers(f"{prefix}{c}") for c in ("yaw", "pitch", "roll")])
     notes: list[Warn] = []
     if convention == "auto":
-        convention, notes = _convention(table, [p for p in pitch if p is not None])
-    angles = list(zip(yaw, pitch, roll, strict=True))
+        convention, notes = _convention(table, angles[:, 1])
     if convention == "gimbal":
-        angles = [(y, p, r) if p is None else body_from_gimbal(y, p, r) for y, p, r in angles]
+        angles = np.where(np.isnan(angles[:, 1:2]), angles, body_from_gimbal(*angles.T))
     elif convention == "positions":
-        angles = [(y, None if p is None else p + 90.0, r) for y, p, r in angles]
-    return [(None if y is None else y % 360.0, p, r) for y, p, r in angles], "pos-yaw-pitch-roll", notes
+        angles[:, 1] += 90.0
+    angles[:, 0] %= 360.0
+    return angles, "pos-yaw-pitch-roll", notes
 
 
 def _lacks(table: Table, convention: str, columns: str) -> InputError:
@@ -73,22 +68,21 @@ def _lacks(table: Table, convention: str, columns: str) -> InputError:
     )
 
 
-def _convention(table: Table, pitches_deg: list[float]) -> tuple[str, list[Warn]]:
+def _convention(table: Table, pitches_deg: Floats) -> tuple[str, list[Warn]]:
     if "gimbal_pitch" in table.factors:
         return "gimbal", []
     if {"moved", "turned"} <= table.factors.keys():
         return "positions", []
-    if not pitches_deg:
+    if np.isnan(pitches_deg).all():
         return "body", []
-    middle = float(np.median(pitches_deg))
+    middle = float(np.nanmedian(pitches_deg))
     convention, nadir = ("gimbal", -90) if abs(middle + 90.0) < 45.0 else ("body", 0)
     text = f"{table.path.name}: the middle pitch is {middle:.1f}: {convention} angles assumed (nadir {nadir})"
     return convention, [Warn("pos-attitude-convention", "", text)]
 
 
-def _from_opk(table: Table, convention: str, projection: MapProjection | None, lonlat: Floats) -> Angles:
-    opk = [[table.number(row, c) for c in ("omega", "phi", "kappa")] for row in table.rows]
-    o, p, k = np.radians(np.array(opk, dtype=np.float64)).T
+def _from_opk(table: Table, convention: str, projection: MapProjection | None, lonlat: Floats) -> Floats:
+    o, p, k = np.radians([table.numbers(c) for c in ("omega", "phi", "kappa")])
     if convention == "phi-omega-kappa":
         rotation = Rotation.from_phi_omega_kappa(p, o, k)
     else:
@@ -96,7 +90,5 @@ def _from_opk(table: Table, convention: str, projection: MapProjection | None, l
     if projection is not None:
         rotation = Rotation(about_z(-projection.grid_convergence_rad(*lonlat.T)) @ rotation.matrix)
     degrees = np.degrees(np.stack(rotation.yaw_pitch_roll(), axis=-1))
-    return [
-        (None, None, None) if np.isnan(a).any() else (float(a[0] % 360.0), float(a[1]), float(a[2]))
-        for a in degrees
-    ]
+    degrees[:, 0] %= 360.0
+    return np.where(np.isnan(degrees).any(axis=1, keepdims=True), np.nan, degrees)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from geomosaic.camera.interior import Camera
-from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.doors.files import printable
+from geomosaic.doors.plain import read_json, read_yaml, shown
+from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
 
-_MAX_BYTES: Final = 256 << 20
+_MAX_BYTES: Final = {".json": 128 << 20, ".yaml": 256 << 10}  # JSON may be a whole reconstruction
 _DISTORTION: Final = ("k1", "k2", "k3", "p1", "p2")
 _OPENSFM_MODELS: Final = frozenset({"perspective", "simple_radial", "radial", "brown"})
 _ORTHORITY_MODELS: Final = frozenset({"pinhole", "brown", "opencv"})
@@ -46,26 +45,13 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
         content = {str(content.get("name") or path.stem): content}
     if not isinstance(content, dict) or not content or not all(isinstance(e, dict) for e in content.values()):
         raise InputError("holds no cameras", file=path, mend=_MEND)
-    return tuple(_camera(str(name), entry, path) for name, entry in content.items())
+    return tuple(_camera(printable(str(name)), entry, path) for name, entry in content.items())
 
 
 def _load(path: Path) -> Any:
-    if path.is_dir():
-        raise FileError("is a folder, no camera file", file=path, mend=_MEND)
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FileError("is too large for a camera file", file=path, mend="is it the right file?")
-        text = path.read_bytes().decode("utf-8-sig")
-        return json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
-    except FileNotFoundError as error:
-        raise FileError("there is no such file", file=path, mend="check --camera") from error
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path) from error
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
-        raise FileError(f"is no valid {kind}", file=path, mend=_MEND) from error
+    if path.suffix.lower() == ".json":
+        return read_json(path, _MAX_BYTES[".json"], "a camera file", _MEND)
+    return read_yaml(path, _MAX_BYTES[".yaml"], "a camera file", _MEND)
 
 
 def _camera(name: str, entry: Entry, path: Path) -> Camera:
@@ -184,7 +170,7 @@ def _getter(name: str, entry: Entry, path: Path) -> Callable[..., float]:
     def get(key: str, default: float | None = None) -> float:
         value = entry.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            problem = "has no" if value is None else f"has {value!r} for"
+            problem = "has no" if value is None else f"has {shown(value)} for"
             raise InputError(f"camera '{name}' {problem} {key}", file=path, mend="give it as a number")
         return float(value)
 

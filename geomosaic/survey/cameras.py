@@ -16,6 +16,7 @@ from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Warn
+from geomosaic.survey.names import frame_name
 from geomosaic.survey.plausible import focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.xmp import number
 
@@ -240,12 +241,12 @@ def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted:
     known = ", ".join(f"{c.name} ({c.width_px} x {c.height_px})" for c in candidates[:5])
     if fitting:
         raise InputError(
-            f"several cameras fit frame {header.path.name} of {size}: {known}",
+            f"several cameras fit frame {frame_name(header.path)} of {size}: {known}",
             file=path,
             mend="name each frame's in the POS file's column 'camera'",
         )
     raise InputError(
-        f"no camera for frame {header.path.name} of {size}: {known}",
+        f"no camera for frame {frame_name(header.path)} of {size}: {known}",
         file=path,
         mend="give a camera file of this frame size, or of a whole multiple's shape",
     )

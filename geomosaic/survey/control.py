@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import CONTROL
@@ -17,7 +18,7 @@ from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
 from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
 from geomosaic.survey.pos import ALIASES as POS_ALIASES
-from geomosaic.survey.table import Aliases, Row, Table, crs_of_line, read_lines, read_table
+from geomosaic.survey.table import Aliases, Table, crs_of_line, read_lines, read_table
 
 ALIASES: Final[Aliases] = {
     "name": ("name", "point", "point_name", "gcp", "gcp_name", "label", "id"),
@@ -36,6 +37,9 @@ ALIASES: Final[Aliases] = {
 
 Floats = NDArray[np.float64]
 _FAR_M: Final = 5000.0
+_MOST_LINES: Final = 200_000
+_MOST_POINTS: Final = 20_000
+"""A point each two minutes for four months of working days, measured in ten pictures each."""
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 
 
@@ -47,7 +51,7 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
 
     Raises: `InputError` naming the file, the line and the mend.
     """
-    lines = read_lines(path)
+    lines = read_lines(path, _MOST_LINES, "measurements")
     if not lines:
         raise InputError("the file of control points is empty", file=path, mend="give a line per measurement")
     crs = crs_of_line(lines[0].text)
@@ -57,41 +61,71 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
         crs = given_crs(path, None)
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "name", "point's name")
-    lonlat, _ = lonlat_of(table, crs)
-    heights, warnings = heights_of(table, crs, lonlat)
-    points: dict[str, ControlPoint] = {}
-    strangers: list[str] = []
-    for row, (lon, lat), height in zip(table.rows, lonlat, heights, strict=True):
-        name = table.text(row, "name") or f"{lon:.8f} {lat:.8f}"
-        if height is None:
+    lonlat, _, warnings = lonlat_of(table, crs)
+    heights, doubts = heights_of(table, crs, lonlat)
+    warnings += doubts
+    places: list[tuple[float, float, float]] = [*map(tuple, np.column_stack([lonlat, heights]).tolist())]
+    named = table.texts("name")
+    names = [name or f"{lon:.8f} {lat:.8f}" for name, (lon, lat, _) in zip(named, places, strict=True)]
+    first: dict[str, int] = {}
+    for i, name in enumerate(names):
+        if math.isnan(heights[i]):
             mend = "give a column height_ellipsoidal_m"
-            raise InputError(f"line {row.line}: point '{name}' has no height", file=path, mend=mend)
-        point = points.get(name) or ControlPoint(
-            name=name,
-            lon_deg=float(lon),
-            lat_deg=float(lat),
-            height_ellipsoidal_m=height,
-            sd_horizontal_m=table.number(row, "sd_horizontal") or CONTROL.sd_horizontal_m,
-            sd_vertical_m=table.number(row, "sd_vertical") or CONTROL.sd_vertical_m,
-            check=_is_check(table, row, name),
-            images=(),
-        )
-        moved = (point.lon_deg, point.lat_deg, point.height_ellipsoidal_m) != (lon, lat, height)
-        if moved:
+            raise InputError(f"line {table.lines[i]}: point '{name}' has no height", file=path, mend=mend)
+        if places[first.setdefault(name, i)] != places[i]:
             mend = "give each point one position"
-            raise InputError(f"line {row.line}: point '{name}' has moved", file=path, mend=mend)
-        image = table.text(row, "image")
-        frame = None if image is None else frames.find(image)
-        if frame is not None:
-            at = (frame, table.required(row, "col"), table.required(row, "row"))
-            point = replace(point, images=(*point.images, at))
-        elif image is not None:
-            strangers.append(image)
-        points[name] = point
+            raise InputError(f"line {table.lines[i]}: point '{name}' has moved", file=path, mend=mend)
+    if len(first) > _MOST_POINTS:
+        problem = f"has {len(first):,} points, more than {_MOST_POINTS:,}"
+        raise InputError(problem, file=path, mend="take the best of them")
+    seen, strangers = _measurements(table, names, frames)
+    sd = [
+        np.where(values > 0.0, values, usual)
+        for values, usual in (
+            (table.numbers("sd_horizontal"), CONTROL.sd_horizontal_m),
+            (table.numbers("sd_vertical"), CONTROL.sd_vertical_m),
+        )
+    ]
+    kinds = table.texts("kind")
+    points = tuple(
+        ControlPoint(
+            name=name,
+            lon_deg=places[i][0],
+            lat_deg=places[i][1],
+            height_ellipsoidal_m=places[i][2],
+            sd_horizontal_m=float(sd[0][i]),
+            sd_vertical_m=float(sd[1][i]),
+            check=_is_check(kinds[i], name, table.lines[i], path),
+            images=tuple(seen.get(name, ())),
+        )
+        for name, i in first.items()
+    )
     if strangers:
         text = f"{path.name}: {len(strangers)} measurements in pictures that aren't here ({some(strangers)})"
         warnings.append(Warn("control-image-missing", "", text))
-    return tuple(points.values()), warnings
+    return points, warnings
+
+
+def _measurements(
+    table: Table, names: Sequence[str], frames: FrameNames
+) -> tuple[dict[str, list[tuple[str, float, float]]], list[str]]:
+    """Where each point was measured, and the pictures that aren't here."""
+    cols, rows = table.numbers("col").tolist(), table.numbers("row").tolist()
+    seen: dict[str, list[tuple[str, float, float]]] = {}
+    strangers: list[str] = []
+    for i, (name, image) in enumerate(zip(names, table.texts("image"), strict=True)):
+        if image is None:
+            continue
+        frame = frames.find(image)
+        if frame is None:
+            strangers.append(image)
+            continue
+        for column, value in (("col", cols[i]), ("row", rows[i])):
+            if math.isnan(value):
+                mend = "fill it in or remove the line"
+                raise InputError(f"line {table.lines[i]}: no {column}", file=table.path, mend=mend)
+        seen.setdefault(name, []).append((frame, cols[i], rows[i]))
+    return seen, strangers
 
 
 def check_control(
@@ -130,9 +164,10 @@ def check_control(
         )
 
 
-def _is_check(table: Table, row: Row, name: str) -> bool:
-    kind = (table.text(row, "kind") or "").lower()
+def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:
+    kind = (kind or "").lower()
     if kind not in ("", "check", "checkpoint", "check point", "control", "gcp"):
-        mend = "write control or check"
-        raise InputError(f"line {row.line}: kind '{kind}' is unknown", file=table.path, mend=mend)
+        raise InputError(
+            f"line {line}: kind {shown(kind)} is unknown", file=path, mend="write control or check"
+        )
     return kind.startswith("check") or (not kind and name.upper().startswith("CHK"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
 from collections.abc import Mapping
@@ -10,11 +9,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any, Final
 
-import exifread
+from geomosaic.doors.files import printable
+from geomosaic.survey.exif_tags import Tags, tags_from_block
 
-Tags = dict[str, str | tuple[float, ...]]
-"""EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
-
+_FLOAT: Final = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_LONGEST_ITEM: Final = 1000
+_FIRST_YEAR: Final = 1900  # earlier: a clock that was never set
 _MM_PER_UNIT: Final = {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001}
 
 
@@ -51,51 +51,23 @@ def exif_from_gdal(items: Mapping[str, str]) -> Exif:
     tags: Tags = {}
     for key, text in items.items():
         name = key.removeprefix("EXIF_")
-        numbers = re.findall(r"\(([-+.\deE]+)\)", text)
-        if numbers and re.fullmatch(r"(\s*\([-+.\deE]+\))+\s*", text):
-            tags[name] = tuple(float(n) for n in numbers)
+        if len(text) > _LONGEST_ITEM:
+            continue
+        if re.fullmatch(rf"(\s*\({_FLOAT}\))+\s*", text):
+            tags[name] = tuple(float(n) for n in re.findall(r"[^()\s]+", text))
         elif re.fullmatch(r"(0x[0-9a-fA-F]{1,2}\s*)+", text):
             tags[name] = tuple(float(int(n, 16)) for n in text.split())
-        elif re.fullmatch(r"-?\d+", text.strip()):
+        elif re.fullmatch(r"-?[0-9]+", text.strip()):
             tags[name] = (float(text),)
         else:
             tags[name] = text
     return _exif(tags)
 
 
-def tags_from_block(block: bytes) -> Tags:
-    """All standard tags of an EXIF block; empty where it is damaged beyond reading."""
-    try:
-        raw = exifread.process_file(
-            io.BytesIO(block), details=False, extract_thumbnail=False, truncate_tags=False
-        )
-    except Exception:  # a stranger's bytes: exifread fails in many ways, and a frame can do without EXIF
-        return {}
-    tags: Tags = {}
-    for key, tag in raw.items():
-        group, _, name = key.partition(" ")
-        if group in ("Image", "EXIF", "GPS") and hasattr(tag, "values"):
-            value = _plain(tag.values)
-            if value is not None:
-                tags[name] = value
-    return tags
-
-
-def _plain(values: Any) -> str | tuple[float, ...] | None:
-    if isinstance(values, str):
-        return values
-    if isinstance(values, bytes):
-        return values.decode("latin-1")
-    try:
-        return tuple(float(v) for v in values)
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-
-
 def _exif(tags: Tags) -> Exif:
     def text(name: str) -> str:
         value = tags.get(name, "")
-        return value.split("\x00")[0].strip() if isinstance(value, str) else ""
+        return printable(value.split("\x00")[0].strip()) if isinstance(value, str) else ""
 
     def number(name: str, positive: bool = True) -> float | None:
         value = tags.get(name)
@@ -143,7 +115,7 @@ def _degrees(value: object, ref: str, negative_ref: str, limit_deg: float) -> fl
 def _time_s(text: Any) -> float | None:
     for name in ("DateTimeOriginal", "DateTimeDigitized", "DateTime"):
         match = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d):(\d\d):(\d\d)", text(name))
-        if match is None:
+        if match is None or int(match[1]) < _FIRST_YEAR:
             continue
         try:
             moment = datetime(*(int(part) for part in match.groups()), tzinfo=UTC)  # type: ignore[misc,arg-type]

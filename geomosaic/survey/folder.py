@@ -7,10 +7,11 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
+from geomosaic.doors.files import check_name
 from geomosaic.doors.raster import MASK, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader
-from geomosaic.survey.names import natural_key
+from geomosaic.survey.names import frame_name, natural_key
 
 _MASK_ENDINGS: Final = ("_mask", ".mask")
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
@@ -30,6 +31,8 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
         files = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: natural_key(p.name))
     except OSError as error:
         raise FileError(f"can't be listed ({error.strerror})", file=folder) from error
+    for path in (folder, *(p for p in files if not p.name.startswith("."))):
+        check_name(path)
     inputs = {p.absolute() for p in other}
     frames = [
         p
@@ -46,6 +49,12 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
             f"holds no JPEG or TIFF frames ({held or 'it is empty'})",
             file=folder,
             mend="give the folder that holds the frames themselves",
+        )
+    alike = Counter(frame_name(p) for p in frames)
+    twice = next((p for p in frames if alike[frame_name(p)] > 1), None)
+    if twice is not None:
+        raise InputError(
+            "its name reads like that of another frame", file=frame_name(twice), mend="rename it"
         )
     return frames
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geomosaic.camera.interior import Camera
+from geomosaic.doors.files import printable
 from geomosaic.geodesy.local import LocalFrame
 
 
@@ -108,6 +109,9 @@ class Warn:
     code: str
     frame: str
     text: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", printable(self.text))
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,15 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
 
 _PICTURE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
+
+
+def frame_name(path: Path) -> str:
+    """What a frame is called everywhere: its file's name, without what spoils a page or a terminal."""
+    return printable(path.name)
 
 
 class FrameNames:
@@ -17,6 +23,7 @@ class FrameNames:
 
     def __init__(self, names: Iterable[str]) -> None:
         self._names = tuple(names)
+        self._exact = frozenset(self._names)
         self._by_name: dict[str, list[str]] = {}
         self._by_stem: dict[str, list[str]] = {}
         for name in self._names:
@@ -26,7 +33,7 @@ class FrameNames:
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
         name = PurePosixPath(text.replace("\\", "/")).name
-        if name in self._names:
+        if name in self._exact:
             return name
         folded = name.casefold()
         stem = _PICTURE.sub("", folded)
@@ -53,4 +60,4 @@ def some(names: Iterable[str], most: int = 3) -> str:
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     """Sorts DJI_9 before DJI_10."""
     parts = re.split(r"(\d+)", Path(name).name.casefold())
-    return tuple((0, int(p)) if p.isdigit() else (1, p) for p in parts if p)
+    return tuple((0, int(p)) if p.isdecimal() else (1, p) for p in parts if p)

@@ -14,7 +14,7 @@ from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Attitude, Position, Warn
-from geomosaic.survey.names import FrameNames, some
+from geomosaic.survey.names import FrameNames, frame_name, some
 from geomosaic.survey.onboard import (
     UNKNOWN_ATTITUDE,
     onboard_attitude,
@@ -89,7 +89,7 @@ def lonlat_of(positions: Sequence[Position]) -> Floats:
 
 
 def _matched(headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str]) -> list[PosRow]:
-    names = FrameNames([*(h.path.name for h in headers), *left_out])
+    names = FrameNames([*(frame_name(h.path) for h in headers), *left_out])
     rows: dict[str, PosRow] = {}
     for row in pos.rows:
         try:
@@ -109,14 +109,14 @@ def _matched(headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[st
                 mend="remove one of them",
             )
         rows[frame] = row
-    lacking = [h.path.name for h in headers if h.path.name not in rows]
+    lacking = [frame_name(h.path) for h in headers if frame_name(h.path) not in rows]
     if lacking:
         raise InputError(
             f"no line for {len(lacking)} of {len(headers)} frames: {some(lacking)}",
             file=pos.path,
             mend="add them, or take these frames out of the folder",
         )
-    return [rows[h.path.name] for h in headers]
+    return [rows[frame_name(h.path)] for h in headers]
 
 
 def _position(row: PosRow, own: Position | None) -> Position:
@@ -162,7 +162,7 @@ def _against_exif(
     headers: Sequence[FrameHeader], own: Sequence[Position | None], rows: Sequence[PosRow], pos: PosFile
 ) -> list[Warn]:
     """Swapped columns, and positions far from where the frames say they were."""
-    both = [(r, p, h.path.name) for r, p, h in zip(rows, own, headers, strict=True) if p is not None]
+    both = [(r, p, frame_name(h.path)) for r, p, h in zip(rows, own, headers, strict=True) if p is not None]
     if not both:
         return []
     given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
@@ -204,7 +204,7 @@ def _doubts(
     headers: Sequence[FrameHeader], positions: Sequence[Position], attitudes: Sequence[Attitude]
 ) -> list[Warn]:
     """What is assumed or doubtful, once each for all frames it concerns."""
-    names = [h.path.name for h in headers]
+    names = [frame_name(h.path) for h in headers]
     heights = [onboard_heights(h.exif, h.xmp or {}) for h in headers]
     from_exif = [
         p.height_ellipsoidal_m == h.height_m and p.source != "pos"

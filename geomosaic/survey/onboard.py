@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.camera.rotation import Rotation
 from geomosaic.survey.accuracy import ATTITUDE, POSITION, RTK_SD_FLOOR_M
@@ -12,6 +14,7 @@ from geomosaic.survey.exif import Exif
 from geomosaic.survey.model import Attitude, Position
 from geomosaic.survey.xmp import Xmp, number
 
+Floats = NDArray[np.float64]
 _NONE = ATTITUDE["none"]
 UNKNOWN_ATTITUDE = Attitude(None, None, None, _NONE.sd_yaw_deg, _NONE.sd_tilt_deg, "none")
 
@@ -114,17 +117,19 @@ def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
     return UNKNOWN_ATTITUDE
 
 
-def body_from_gimbal(
-    yaw_deg: float | None, pitch_deg: float, roll_deg: float | None
-) -> tuple[float | None, float, float]:
-    """Body yaw, pitch, roll (degrees) of gimbal angles; yaw stays unknown where it is."""
-    angles = np.radians([yaw_deg or 0.0, pitch_deg, roll_deg or 0.0])
-    yaw, pitch, roll = (float(np.degrees(a)) for a in Rotation.from_gimbal(*angles).yaw_pitch_roll())
-    return (None if yaw_deg is None else yaw % 360.0), pitch, roll
+def body_from_gimbal(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> Floats:
+    """Body yaw, pitch, roll (degrees, (..., 3)) of a gimbal's; of unknown ones (NaN) the yaw stays so."""
+    yaw, pitch, roll = (np.radians(np.asarray(a, dtype=np.float64)) for a in (yaw_deg, pitch_deg, roll_deg))
+    rotation = Rotation.from_gimbal(np.nan_to_num(yaw), np.nan_to_num(pitch), np.nan_to_num(roll))
+    body = np.degrees(np.stack(rotation.yaw_pitch_roll(), axis=-1))
+    body[..., 0] = np.where(np.isnan(yaw), np.nan, body[..., 0] % 360.0)
+    return np.asarray(body)
 
 
 def _from_gimbal(yaw: float | None, pitch: float, roll: float | None, source: str) -> Attitude:
-    return _attitude(*body_from_gimbal(yaw, pitch, roll), source)
+    known = [math.nan if angle is None else angle for angle in (yaw, pitch, roll)]
+    turned, *tilts = (float(angle) for angle in body_from_gimbal(*known))
+    return _attitude(None if yaw is None else turned, tilts[0], tilts[1], source)
 
 
 def _attitude(yaw: float | None, pitch: float | None, roll: float | None, source: str) -> Attitude:

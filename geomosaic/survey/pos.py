@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.errors import InputError
 from geomosaic.survey.attitude import read_angles
 from geomosaic.survey.model import Warn
+from geomosaic.survey.names import some
 from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
-from geomosaic.survey.table import Aliases, Row, Table, column_of, crs_of_line, read_lines, read_table, split
+from geomosaic.survey.table import Aliases, Table, column_of, crs_of_line, read_lines, read_table, split
 
 ALIASES: Final[Aliases] = {
     "frame": (
@@ -67,6 +69,9 @@ ALIASES: Final[Aliases] = {
 }  # fmt: skip
 """Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
 
+Floats = NDArray[np.float64]
+_MOST_LINES: Final = 200_000
+"""A frame each second for two days and nights; the largest blocks that are flown have some 50,000."""
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
 
@@ -112,42 +117,47 @@ def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "
     notes: list[Warn] = []
     table, file_crs = _table(path, crs, notes)
     if table.unknown_columns:
-        unused = ", ".join(table.unknown_columns)
+        unused = some(table.unknown_columns, 20)
         notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
-    lonlat, projection = lonlat_of(table, file_crs)
+    lonlat, projection, outside = lonlat_of(table, file_crs)
     heights, doubts = heights_of(table, file_crs, lonlat)
     angles, source, assumed = read_angles(table, attitude_convention, projection, lonlat)
-    rows = []
-    for i, row in enumerate(table.rows):
-        name = table.text(row, "frame")
-        if name is None:
-            raise InputError(f"line {row.line}: no frame name", file=path, mend="fill it in or remove it")
-        yaw, pitch, roll = angles[i]
-        rows.append(
-            PosRow(
-                name=name,
-                line=row.line,
-                lon_deg=float(lonlat[i, 0]),
-                lat_deg=float(lonlat[i, 1]),
-                height_ellipsoidal_m=heights[i],
-                height_above_ground_m=table.number(row, "height_above_ground"),
-                yaw_deg=yaw,
-                pitch_deg=pitch,
-                roll_deg=roll,
-                sd_east_m=_sd(table, row, "sd_horizontal", "sd_e"),
-                sd_north_m=_sd(table, row, "sd_horizontal", "sd_n"),
-                sd_vertical_m=_sd(table, row, "sd_vertical"),
-                sd_yaw_deg=_sd(table, row, "sd_yaw"),
-                sd_tilt_deg=_sd(table, row, "sd_tilt", "sd_omega", "sd_phi"),
-                camera=table.text(row, "camera"),
-                attitude_source=source,
-            )
+    names, lines = table.texts("frame"), table.lines
+    if None in names:
+        line = lines[names.index(None)]
+        raise InputError(f"line {line}: no frame name", file=path, mend="fill it in or remove it")
+    known: dict[str, Floats] = {
+        "height_ellipsoidal_m": heights,
+        "height_above_ground_m": table.numbers("height_above_ground"),
+        "yaw_deg": angles[:, 0],
+        "pitch_deg": angles[:, 1],
+        "roll_deg": angles[:, 2],
+        "sd_east_m": _sd(table, "sd_horizontal", "sd_e"),
+        "sd_north_m": _sd(table, "sd_horizontal", "sd_n"),
+        "sd_vertical_m": _sd(table, "sd_vertical"),
+        "sd_yaw_deg": _sd(table, "sd_yaw"),
+        "sd_tilt_deg": _sd(table, "sd_tilt", "sd_omega", "sd_phi"),
+    }
+    columns = [[None if v != v else v for v in values.tolist()] for values in known.values()]
+    rows = [
+        PosRow(
+            str(name),
+            line,
+            lon,
+            lat,
+            camera=camera,
+            attitude_source=source,
+            **dict(zip(known, row, strict=True)),
         )
-    return PosFile(path, tuple(rows), (*notes, *doubts, *assumed))
+        for name, line, (lon, lat), camera, row in zip(
+            names, lines, lonlat.tolist(), table.texts("camera"), zip(*columns, strict=True), strict=True
+        )
+    ]
+    return PosFile(path, tuple(rows), (*notes, *outside, *doubts, *assumed))
 
 
 def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS | None]:
-    lines = read_lines(path)
+    lines = read_lines(path, _MOST_LINES, "lines of frames")
     if not lines:
         raise InputError("the POS file is empty", file=path, mend="give a header line and a line per frame")
     first = lines[0]
@@ -177,23 +187,22 @@ def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS |
 
 def _without_empty_angles(table: Table, notes: list[Warn]) -> Table:
     """geo.txt writes unknown angles as zeros."""
-    angles = [table.number(row, column) for row in table.rows for column in ("yaw", "pitch", "roll")]
-    if any(angles) or all(a is None for a in angles):
+    drop = ("yaw", "pitch", "roll")
+    angles = np.stack([table.numbers(column) for column in drop])
+    if np.isnan(angles).all() or (np.nan_to_num(angles) != 0.0).any():
         return table
     notes.append(Warn("pos-attitude-empty", "", f"{table.path.name}: all angles are 0, taken as unknown"))
-    drop = ("yaw", "pitch", "roll")
-    rows = tuple(replace(r, texts={c: t for c, t in r.texts.items() if c not in drop}) for r in table.rows)
-    return replace(table, rows=rows)
+    return replace(table, cells={c: cells for c, cells in table.cells.items() if c not in drop})
 
 
-def _sd(table: Table, row: Row, whole: str, *parts: str) -> float | None:
+def _sd(table: Table, whole: str, *parts: str) -> Floats:
     """A standard deviation, or the root mean square of its parts; 0 stands for unknown."""
-    values = [table.number(row, whole)] if whole in table.factors else [table.number(row, p) for p in parts]
-    if not values or any(v is None for v in values):
-        return None
-    known = [v for v in values if v is not None]
-    if min(known) < 0.0:
+    columns = parts if parts and whole not in table.factors else (whole,)
+    values = np.stack([table.numbers(c) for c in columns])
+    if (values < 0.0).any():
+        line = table.lines[int(np.argmax((values < 0.0).any(axis=0)))]
         raise InputError(
-            f"line {row.line}: a standard deviation of {min(known):g}", file=table.path, mend="correct it"
+            f"line {line}: a standard deviation of {np.nanmin(values):g}", file=table.path, mend="correct it"
         )
-    return float(np.sqrt(np.mean(np.square(known)))) or None
+    sd = np.sqrt(np.mean(np.square(values), axis=0))
+    return np.where(sd == 0.0, np.nan, sd)

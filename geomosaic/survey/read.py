@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
@@ -17,8 +19,9 @@ from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Frame, Position, Survey, Warn
-from geomosaic.survey.names import FrameNames, natural_key
+from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
 from geomosaic.survey.observations import lonlat_of, observe
+from geomosaic.survey.places import check_area
 from geomosaic.survey.pos import read_pos
 from geomosaic.survey.usable import Inspect, inspect_all, usable
 
@@ -48,7 +51,7 @@ def check_survey_files(
     if dem is not None:
         check_dem(dem)
     if gcp is not None:
-        read_control(gcp, FrameNames(file.name for file in files))
+        read_control(gcp, FrameNames(frame_name(file) for file in files))
 
 
 def read_survey(
@@ -79,11 +82,12 @@ def read_survey(
     frames in all, and what is being done.
     Raises: `InputError` and `FileError`, one line that names the file and the mend.
     """
-    wanted_crs = None if crs == "auto" else map_crs(crs).to_string()
+    wanted_crs = None if crs == "auto" else map_crs(crs)
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
     table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
     cameras = None if camera is None else read_cameras(camera)
     found = usable(files, inspect, mask_damaged=damaged == "mask", progress=progress)
+    _check_alike(found.headers)
     headers, by_time = _in_order(found.headers)
     observed = observe(headers, table, [out.name for out in found.left_out])
     if cameras is None or camera is None:
@@ -91,22 +95,23 @@ def read_survey(
     else:
         choice = cameras_from_file(headers, cameras, camera, observed.cameras)
     lonlat = lonlat_of(observed.positions)
-    names = [h.path.name for h in headers]
+    names = [frame_name(h.path) for h in headers]
     elevation, heights = None, np.array([])
     dem_warnings: list[Warn] = []
     if dem is not None:
         elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, names, lonlat)
     control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
     if gcp is not None:
-        sizes = {h.path.name: (h.width_px, h.height_px) for h in headers}
+        sizes = {frame_name(h.path): (h.width_px, h.height_px) for h in headers}
         check_control(gcp, control, lonlat, sizes)
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
     work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, heights))
+    outside = [] if wanted_crs is None else check_area(wanted_crs, lon, work_frame.lat_deg, "the frames")
     sidecars = masks(headers)
     frames = tuple(
         Frame(
-            name=h.path.name,
+            name=frame_name(h.path),
             path=str(h.path),
             width_px=h.width_px,
             height_px=h.height_px,
@@ -129,13 +134,14 @@ def read_survey(
         frames=frames,
         cameras=choice.cameras,
         work_frame=work_frame,
-        map_crs=wanted_crs or utm_crs(work_frame.lon_deg, work_frame.lat_deg),
+        map_crs=utm_crs(lon, work_frame.lat_deg) if wanted_crs is None else wanted_crs.to_string(),
         elevation=elevation,
         control=control,
         left_out=found.left_out,
         warnings=(
             *found.warnings,
             *order,
+            *outside,
             *observed.warnings,
             *choice.warnings,
             *dem_warnings,
@@ -144,11 +150,32 @@ def read_survey(
     )
 
 
+def _check_alike(headers: Sequence[FrameHeader]) -> None:
+    """`InputError` naming the odd frames where not all have the same bands and type: no mosaic holds both."""
+    kinds = Counter((h.bands, h.dtype) for h in headers)
+    if len(kinds) == 1:
+        return
+    usual = kinds.most_common(1)[0][0]
+    odd = [h for h in headers if (h.bands, h.dtype) != usual]
+    few = f" ({len(odd)} such: {some(h.path.name for h in odd)})" if len(odd) > 1 else ""
+    raise InputError(
+        f"has {_kind(odd[0].bands, odd[0].dtype)}, {kinds[usual]} other frames have {_kind(*usual)}{few}",
+        file=odd[0].path,
+        mend="convert it, or take it out of the folder",
+    )
+
+
+def _kind(bands: int, dtype: str) -> str:
+    return f"{bands} band{'s' if bands > 1 else ''} of {dtype}"
+
+
 def _in_order(headers: Sequence[FrameHeader]) -> tuple[list[FrameHeader], bool]:
-    times = {h.path.name: h.exif.time_s for h in headers}
+    times = {frame_name(h.path): h.exif.time_s for h in headers}
     if any(t is None for t in times.values()):
-        return sorted(headers, key=lambda h: natural_key(h.path.name)), False
-    return sorted(headers, key=lambda h: (times[h.path.name] or 0.0, natural_key(h.path.name))), True
+        return sorted(headers, key=lambda h: natural_key(frame_name(h.path))), False
+    return sorted(
+        headers, key=lambda h: (times[frame_name(h.path)] or 0.0, natural_key(frame_name(h.path)))
+    ), True
 
 
 def _ground_height_m(positions: Sequence[Position], dem_heights_m: Floats) -> float:

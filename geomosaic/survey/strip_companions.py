@@ -9,12 +9,13 @@ import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import Rpc, parse_rpc
+from geomosaic.doors.files import check_regular, decoded, read_bytes
 from geomosaic.doors.raster import Purpose, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.elevation import check_dem
-from geomosaic.survey.strip_model import check_regular, read_model
+from geomosaic.survey.strip_model import read_model
 
 _MAX_BYTES: Final = 1 << 20
 _MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
@@ -31,10 +32,10 @@ def read_rpc(path: Path) -> Rpc:
     """
     check_regular(path, _MEND)
     try:
-        with path.open("rb") as file:
-            content = file.read(_MAX_BYTES + 1)
-        if len(content) <= _MAX_BYTES and b"LINE_OFF" in content and b"\0" not in content:
-            return parse_rpc(content.decode("utf-8-sig"))
+        if path.stat().st_size <= _MAX_BYTES:
+            content = read_bytes(path, _MAX_BYTES, "an RPC", _MEND)
+            if b"LINE_OFF" in content and b"\0" not in content:
+                return parse_rpc(decoded(content, path, _MEND))
         with open_raster(path, _RPC) as raster:
             return Rpc.from_metadata(raster.tags(ns="RPC"))
     except FileError:

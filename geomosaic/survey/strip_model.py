@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import csv
 import io
-import reprlib
-import stat
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.doors.files import read_text
+from geomosaic.doors.plain import read_yaml, shown
+from geomosaic.errors import InputError, UnknownNameError
 
 Floats = NDArray[np.float64]
 ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
 ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
 _LOOK_KEYS: Final = ("forward_tan", "right_tan")
-_MOST_BYTES: Final = {"model": 64 << 10, "table": 256 << 20}
-_LONGEST_PATH: Final = 255  # shown whole
+_MOST_BYTES: Final = {"model": 64 << 10, "table": 64 << 20}  # a table of 200 s at 3 kHz has 60 MB
 _MEND: Final = "see docs/simulation.md for the model's form"
-_SHORT: Final = reprlib.Repr()
-_SHORT.maxstring = 60
 
 
 def read_model(path: Path) -> Pushbroom:
@@ -86,62 +82,6 @@ def _entry(path: Path) -> dict[str, Any]:
     return entry
 
 
-class _PlainLoader(yaml.SafeLoader):
-    """YAML without merge keys, whose nesting could make a small file endless."""
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        if any(key.tag == "tag:yaml.org,2002:merge" for key, _ in node.value):
-            raise yaml.constructor.ConstructorError(None, None, "merge keys aren't read", node.start_mark)
-
-
-def read_yaml(path: Path, most_bytes: int, kind: str, mend: str) -> Any:
-    """What a YAML file holds; raises as `read_bytes` does, and `FileError` for what is no plain YAML."""
-    content = read_bytes(path, most_bytes, kind, mend)
-    try:
-        return yaml.load(content.decode("utf-8-sig"), _PlainLoader)  # noqa: S506  a SafeLoader
-    except (ValueError, KeyError, TypeError, yaml.YAMLError, RecursionError) as error:
-        raise FileError("is no valid YAML", file=path, mend=mend) from error
-
-
-def check_regular(path: Path, mend: str, named: str = "") -> None:
-    """`FileError` for what is missing, or no regular file: a folder, a device or a pipe, which may never end.
-
-    Args: named says in the message where the path stands.
-    """
-    text = str(path)
-    file = text if len(text) <= _LONGEST_PATH else f"{text[:_LONGEST_PATH]}..."
-    try:
-        regular = stat.S_ISREG(path.stat().st_mode)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise FileError(f"there is no such file{named}", file=file, mend=mend) from error
-    except OSError as error:
-        raise FileError(f"can't be read ({error.strerror}){named}", file=file, mend=mend) from error
-    if not regular:
-        raise FileError(f"is no regular file{named}", file=file, mend=mend)
-
-
-def read_bytes(path: Path, most_bytes: int, kind: str, mend: str) -> bytes:
-    """A regular file's content; `FileError` where it is larger than most_bytes, or can't be read."""
-    check_regular(path, mend)
-    try:
-        with path.open("rb") as file:
-            content = file.read(most_bytes + 1)
-    except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path) from error
-    if len(content) > most_bytes:
-        problem = f"is too large for {kind}: more than {most_bytes >> 10} kB"
-        raise FileError(problem, file=path, mend="is it the right file?")
-    return content
-
-
-def shown(value: object) -> str:
-    """A value out of a file as a message shows it: short, whatever it is."""
-    try:
-        return _SHORT.repr(value)[:80]
-    except ValueError:  # an integer of more digits than Python prints
-        return "too large a number"
-
-
 def _numbers(value: Any, count: int, what: str, path: Path) -> Floats:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
@@ -163,17 +103,15 @@ def _table_path(model: Path, name: Any) -> Path:
 
 def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
     path = _table_path(model, name)
-    content = read_bytes(path, _MOST_BYTES["table"], "a model's table", _MEND)
-    try:
-        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))
-    except (ValueError, csv.Error) as error:
-        raise FileError("is no table of text", file=path, mend=_MEND) from error
-    if not rows or tuple(cell.strip() for cell in rows[0]) != columns:
+    first, _, rest = read_text(path, _MOST_BYTES["table"], "a model's table", _MEND).partition("\n")
+    if tuple(cell.strip() for cell in first.split(",")) != columns:
         raise InputError(f"its first line isn't {','.join(columns)}", file=path, mend=_MEND)
     try:
-        table = np.array([[float(cell) for cell in row] for row in rows[1:] if row], dtype=np.float64)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a file without rows
+            table = np.loadtxt(io.StringIO(rest), delimiter=",", comments=None, quotechar='"', ndmin=2)
     except ValueError as error:
-        raise InputError("holds what is no number", file=path, mend=_MEND) from error
+        raise InputError("holds what is no number, or a line is short", file=path, mend=_MEND) from error
     if table.ndim != 2 or table.shape[1] != len(columns) or len(table) < 4 or not np.isfinite(table).all():
         raise InputError(
             f"isn't a table of at least four lines of {len(columns)} numbers", file=path, mend=_MEND

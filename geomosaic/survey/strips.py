@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from geomosaic.doors.files import check_regular
+from geomosaic.doors.plain import read_yaml, shown
 from geomosaic.doors.raster import STRIP, open_raster
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
-from geomosaic.survey.strip_model import check_regular, read_yaml, shown
 
 _MAX_BYTES: Final = 64 << 10  # a list of 1 MB takes YAML half a minute
 _MOST_CCDS: Final = 64

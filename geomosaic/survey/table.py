@@ -5,20 +5,27 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geomosaic.doors.files import decoded, read_bytes
+from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
 
+Floats = NDArray[np.float64]
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
 
 _MAX_BYTES: Final = 64 << 20
+_LONGEST_LINE: Final = 20_000
+_MOST_COLUMNS: Final = 500
 _UNITS: Final = {
     **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
     **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
@@ -38,53 +45,58 @@ _OTHER_KINDS: Final = (
     (rb"\xff\xd8\xff|II\*\x00|MM\x00\*|\x89PNG", "a picture"),
 )
 _UNKNOWN: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--"})
-_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of a table: its number in the file and its texts by column."""
-
-    line: int
-    texts: Mapping[str, str]
+_NUMBER: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns that were known (with the factor to degrees or metres), those that weren't, and rows."""
+    """Columns that were known (with the factor to degrees or metres), those that weren't, and rows.
+
+    lines: each row's line in the file. cells: each known column's texts, None where unknown.
+    """
 
     path: Path
     factors: Mapping[str, float]
     unknown_columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    lines: tuple[int, ...]
+    cells: Mapping[str, Sequence[str | None]]
 
-    def text(self, row: Row, column: str) -> str | None:
-        """A text, None where the column or its content is missing."""
-        value = row.texts.get(column, "").strip()
-        return None if value.lower() in _UNKNOWN else value
+    def texts(self, column: str) -> Sequence[str | None]:
+        """A column's texts, None where the column or its content is missing."""
+        return self.cells.get(column) or [None] * len(self.lines)
 
-    def number(self, row: Row, column: str) -> float | None:
-        """A number in degrees or metres, None where unknown; `InputError` naming the line if it is none."""
-        value = self.text(row, column)
-        if value is None:
-            return None
-        plain = value.replace(",", ".") if value.count(",") == 1 and "." not in value else value
-        if not _NUMBER.fullmatch(plain) or not math.isfinite(float(plain)):
-            raise InputError(
-                f"line {row.line}: '{value}' is no number for {column}",
-                file=self.path,
-                mend="write decimal numbers such as -12.5; leave the field empty where nothing is known",
+    def numbers(self, column: str) -> Floats:
+        """A column (n,) in degrees or metres, NaN where unknown; `InputError` names a line without one."""
+        cells = self.cells.get(column)
+        if cells is None:
+            return np.full(len(self.lines), np.nan)
+        values = []
+        for i, text in enumerate(cells):
+            if text is None:
+                values.append(math.nan)
+                continue
+            plain = (
+                text.replace(",", ".") if "," in text and text.count(",") == 1 and "." not in text else text
             )
-        return float(plain) * self.factors[column]
+            value = float(plain) if _NUMBER.fullmatch(plain) else math.inf
+            if not math.isfinite(value):
+                raise InputError(
+                    f"line {self.lines[i]}: {shown(text)} is no number for {column}",
+                    file=self.path,
+                    mend="write decimal numbers such as -12.5; leave the field empty where nothing is known",
+                )
+            values.append(value)
+        return np.array(values) * self.factors[column]
 
-    def required(self, row: Row, column: str) -> float:
-        """A number that must be there."""
-        value = self.number(row, column)
-        if value is None:
+    def required(self, column: str) -> Floats:
+        """A column (n,) of numbers that must all be there."""
+        values = self.numbers(column)
+        if np.isnan(values).any():
+            line = self.lines[int(np.argmax(np.isnan(values)))]
             raise InputError(
-                f"line {row.line}: no {column}", file=self.path, mend="fill it in or remove the line"
+                f"line {line}: no {column}", file=self.path, mend="fill it in or remove the line"
             )
-        return value
+        return values
 
 
 @dataclass(frozen=True)
@@ -96,35 +108,26 @@ class Line:
     comment: bool
 
 
-def read_lines(path: Path) -> list[Line]:
-    """Lines with content of a text file: UTF-8 or UTF-16 with or without a mark, else Latin-1.
+def read_lines(path: Path, most: int, item: str) -> list[Line]:
+    """Lines with content of a text file, in any of the encodings of `doors.files.read_text`.
 
+    Args: most: lines at all; item: what a line is of, as in `lines of frames`.
     Raises: `FileError`, saying what it is instead of a table.
     """
-    if path.is_dir():
-        raise FileError("is a folder, no table", file=path, mend=_WANTED)
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FileError("is too large for a table (64 MB)", file=path, mend="is it the right file?")
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise FileError("there is no such file", file=path, mend="check the path") from error
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path) from error
-    if kind := _other_kind(data[:4096]):
+    content = read_bytes(path, _MAX_BYTES, "a table", _WANTED)
+    if kind := _other_kind(content[:4096]):
         raise FileError(f"is {kind}, no table", file=path, mend=_WANTED)
-    try:
-        text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    if "\x00" in text:
-        raise FileError("is no text file", file=path, mend=_WANTED)
+    found = decoded(content, path, _WANTED).splitlines()
+    if len(found) > most:
+        problem = f"has {len(found):,} lines, more than {most:,} {item}"
+        raise FileError(problem, file=path, mend="is it the right file?")
     lines = []
-    for number, raw in enumerate(text.splitlines(), start=1):
+    for number, raw in enumerate(found, start=1):
+        if len(raw) > _LONGEST_LINE:
+            problem = f"line {number} has {len(raw):,} characters"
+            raise FileError(problem, file=path, mend="give a line per item, of at most 20,000 characters")
         stripped = raw.strip()
-        bare = re.sub(r"^(#+|//+)\s*", "", stripped)
+        bare = stripped.lstrip("/" if stripped.startswith("//") else "#").lstrip()
         if bare:
             lines.append(Line(number, bare, bare != stripped))
     return lines
@@ -157,6 +160,9 @@ def split(text: str, like: str) -> list[str]:
     """Fields of a line, separated as the line `like` is: semicolon, tab, comma, or blanks."""
     separator = next((s for s in ";\t," if s in like), " ")
     quote = "'" if like.lstrip().startswith("'") else '"'
+    if quote not in text:
+        fields = text.split(separator)
+        return [f.strip() for f in fields] if separator != " " else [f for f in fields if f]
     try:
         fields = next(csv.reader([text], delimiter=separator, quotechar=quote, skipinitialspace=True))
     except (csv.Error, StopIteration):
@@ -169,7 +175,7 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
 
     A unit stands in brackets or parentheses, or at the name's end: `Yaw [degrees]`, `omega_rad`.
     """
-    match = re.fullmatch(r"([^\[(]*)[\[(]([^\])]*)[\])]?\s*", name)
+    match = re.fullmatch(r"([^\[(]*)[\[(]([^\])]*)[\])]?", name.rstrip())
     stem, unit = (match[1], _plain(match[2])) if match else (name, "")
     stem = _plain(stem)
     by_name = {alias: column for column, names in aliases.items() for alias in names}
@@ -180,7 +186,7 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
         return None, 1.0
     if unit and unit not in _UNITS:
         raise InputError(
-            f"column '{name}' has the unknown unit '{unit}'",
+            f"column {shown(name)} has the unknown unit {shown(unit)}",
             file=path,
             mend=f"known: {', '.join(sorted(_UNITS))}",
         )
@@ -201,7 +207,11 @@ def read_table(
             raise InputError("the table is empty", file=path, mend="give a header line and a line per item")
         header, lines = lines[0], lines[1:]
         like, known = header.text, []
-        for name in split(header.text, like):
+        names = split(header.text, like)
+        if len(names) > _MOST_COLUMNS:
+            problem = f"line {header.number} names {len(names):,} columns"
+            raise InputError(problem, file=path, mend=f"give at most {_MOST_COLUMNS}")
+        for name in names:
             column, factor = column_of(name, aliases, path)
             if column is not None and column in factors:
                 raise InputError(f"two columns for {column}", file=path, mend=f"rename or remove '{name}'")
@@ -214,7 +224,7 @@ def read_table(
         like = next((line.text for line in lines if not line.comment), "")
         known = [*columns]
         factors = dict.fromkeys(columns, 1.0)
-    rows = []
+    numbers, rows = [], []
     for line in lines:
         if line.comment:
             continue
@@ -227,11 +237,16 @@ def read_table(
                 file=path,
                 mend="with decimal commas, separate the fields by semicolons",
             )
-        texts = {c: f for c, f in zip(known, fields, strict=False) if c is not None}
-        rows.append(Row(line.number, texts))
+        numbers.append(line.number)
+        rows.append(fields)
     if not rows:
         raise InputError("the table has a header and no lines", file=path, mend="give a line per item")
-    return Table(path, factors, tuple(unknown), tuple(rows))
+    cells = {
+        column: [None if i >= len(row) or row[i].lower() in _UNKNOWN else row[i] for row in rows]
+        for i, column in enumerate(known)
+        if column is not None
+    }
+    return Table(path, factors, tuple(unknown), tuple(numbers), cells)
 
 
 def _plain(name: str) -> str:

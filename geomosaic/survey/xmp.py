@@ -10,15 +10,21 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
+from geomosaic.doors.files import printable
+
 Xmp = dict[str, str]
 """Texts by `room:Name`, whatever prefix the file uses: rooms are `drone-dji`, `drone-parrot`,
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
 _MAX_BYTES: Final = 1 << 20
-_PACKET: Final = re.compile(
-    rb"<(\w+:)?xmpmeta\b.*?</(\w+:)?xmpmeta\s*>|<rdf:RDF\b.*?</rdf:RDF\s*>", re.DOTALL
-)
+_MOST_MARKS: Final = 20_000
+"""Of `<` in a packet: the longest that cameras write has 400, a picture edited for long some 5,000."""
+_MOST_PREFIXES: Final = 100
+_OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
+_LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
+_NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
+_LONGEST_NUMBER: Final = 80
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
 
@@ -28,27 +34,41 @@ def parse_xmp(data: bytes) -> Xmp | None:
     Simple properties count, written as attributes or as elements; of a list the first item. Prefixes
     that the packet uses but never declares (seen in drones' firmware) are declared for it.
     """
-    match = _PACKET.search(data[:_MAX_BYTES])
-    if match is None:
+    packet = _packet(data[:_MAX_BYTES])
+    if packet is None:
         return {}
+    if packet.count(b"<") > _MOST_MARKS or _LONG_NAMESPACE.search(packet):
+        return None
     try:
-        root = fromstring(_declared(match[0]), forbid_dtd=True)
+        root = fromstring(_declared(packet), forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError, LookupError):
         return None
     found: Xmp = {}
     for description in root.iter(f"{{{_RDF}}}Description"):
         for name, value in description.attrib.items():
-            found.setdefault(_flat(name), value.strip())
+            found.setdefault(_flat(name), printable(value.strip()))
         for child in description:
             found.setdefault(_flat(child.tag), _text(child))
     return found
 
 
+def _packet(data: bytes) -> bytes | None:
+    """From the first opening mark to its end mark; each is looked for once, whatever else stands there."""
+    for opening in _OPENINGS:
+        if start := opening.search(data):
+            end = data.find(b"</" + start[1], start.end())
+            close = data.find(b">", end)
+            if min(end, close) > 0:
+                return data[start.start() : close + 1]
+    return None
+
+
 def number(xmp: Xmp, *names: str) -> float | None:
     """The first of some properties that is a finite number (`+12.5`, or a fraction `25/2`)."""
     for name in names:
-        match = re.fullmatch(r"([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)(?:/(\d+))?", xmp.get(name, ""))
-        if match and (match[2] is None or int(match[2])):
+        text = xmp.get(name, "")
+        match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST_NUMBER else None
+        if match and float(match[2] or 1):
             value = float(match[1]) / float(match[2] or 1)
             if math.isfinite(value):
                 return value
@@ -57,6 +77,8 @@ def number(xmp: Xmp, *names: str) -> float | None:
 
 def _declared(packet: bytes) -> bytes:
     used = set(re.findall(rb"[<\s]([A-Za-z][\w.-]*):[A-Za-z][\w.-]*(?=[\s=>/])", packet))
+    if len(used) > _MOST_PREFIXES:
+        raise ValueError("too many prefixes")
     missing = {p for p in used if p not in (b"xml", b"xmlns") and b"xmlns:" + p + b"=" not in packet}
     known = {b"rdf": _RDF.encode(), b"x": b"adobe:ns:meta/"}
     extra = b"".join(b' xmlns:%s="%s"' % (p, known.get(p, b"urn:" + p)) for p in sorted(missing))
@@ -80,4 +102,4 @@ def _flat(name: str) -> str:
 
 def _text(element: Element) -> str:
     item = next(element.iter(f"{{{_RDF}}}li"), element)
-    return (item.text or "").strip()
+    return printable((item.text or "").strip())

@@ -1,0 +1,80 @@
+"""The tags of an EXIF block (CIPA DC-008, TIFF 6.0) that tell of camera, place and time."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+Tags = dict[str, str | tuple[float, ...]]
+"""EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
+
+_MAIN: Final = {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS"}
+_EXIF: Final = {
+    0x9003: "DateTimeOriginal", 0x9004: "DateTimeDigitized",
+    0x9010: "OffsetTime", 0x9011: "OffsetTimeOriginal", 0x9012: "OffsetTimeDigitized",
+    0x9290: "SubSecTime", 0x9291: "SubSecTimeOriginal", 0x9292: "SubSecTimeDigitized",
+    0x920A: "FocalLength", 0xA002: "PixelXDimension", 0xA003: "PixelYDimension",
+    0xA20E: "FocalPlaneXResolution", 0xA210: "FocalPlaneResolutionUnit", 0xA405: "FocalLengthIn35mmFilm",
+}  # fmt: skip
+_GPS: Final = {
+    1: "GPSLatitudeRef", 2: "GPSLatitude", 3: "GPSLongitudeRef", 4: "GPSLongitude",
+    5: "GPSAltitudeRef", 6: "GPSAltitude",
+}  # fmt: skip
+_KINDS: Final = {
+    1: "u1", 2: "text", 3: "u2", 4: "u4", 5: "u4", 7: "u1", 8: "i2", 9: "i4", 10: "i4", 11: "f4", 12: "f8",
+}  # fmt: skip
+_RATIONALS: Final = (5, 10)
+_MOST_ENTRIES: Final = 1000  # of a directory; cameras write some 60
+_LONGEST_BYTES: Final = 1000  # of a value; the longest wanted is a camera's name
+
+
+def tags_from_block(block: bytes) -> Tags:
+    """The tags of use here, without those that are damaged; empty where the block is no EXIF.
+
+    Three directories are read, each once: no loop of pointers, no count and no length makes it long.
+    """
+    order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]))
+    if order is None or len(block) < 8:
+        return {}
+    tags = _directory(block, struct.unpack_from(f"{order}I", block, 4)[0], order, _MAIN)
+    for pointer, names in (("Exif", _EXIF), ("GPS", _GPS)):
+        at = tags.pop(pointer, None)
+        if isinstance(at, tuple) and len(at) == 1 and at[0] >= 0.0:
+            tags |= _directory(block, int(at[0]), order, names)
+    return tags
+
+
+def _directory(block: bytes, at: int, order: str, names: Mapping[int, str]) -> Tags:
+    found: Tags = {}
+    if at + 2 > len(block):
+        return found
+    entries = min(struct.unpack_from(f"{order}H", block, at)[0], _MOST_ENTRIES, (len(block) - at - 2) // 12)
+    for entry in range(at + 2, at + 2 + 12 * entries, 12):
+        number, kind, count = struct.unpack_from(f"{order}HHI", block, entry)
+        if number not in names or kind not in _KINDS:
+            continue
+        size = count * (1 if kind == 2 else int(_KINDS[kind][1])) * (2 if kind in _RATIONALS else 1)
+        start = entry + 8 if size <= 4 else struct.unpack_from(f"{order}I", block, entry + 8)[0]
+        if 0 < size <= _LONGEST_BYTES and start + size <= len(block):
+            value = _value(bytes(block[start : start + size]), kind, order)
+            if value is not None:
+                found[names[number]] = value
+    return found
+
+
+def _value(data: bytes, kind: int, order: str) -> str | tuple[float, ...] | None:
+    if kind == 2:
+        try:
+            return data.decode()
+        except UnicodeDecodeError:
+            return data.decode("latin-1")
+    numbers = np.frombuffer(data, dtype=f"{order}{_KINDS[kind]}").astype(np.float64)
+    if kind in _RATIONALS:
+        above, below = numbers[::2], numbers[1::2]
+        if (below == 0.0).any():
+            return None
+        numbers = above / below
+    return tuple(numbers.tolist())
