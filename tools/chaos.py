@@ -1,34 +1,33 @@
 """Hits runs at random moments, runs the same command again, and asks for the result of a run left in peace.
 
-Blows: kill -9, Ctrl-C, TERM, a full disk, a dead worker, inputs changed or removed, one to three in a row; frames
-and strips; one worker, two, and Dask. After them the command runs undisturbed over the inputs as they then are:
-its result must be that of a fresh run over these, or a refusal in one line. OUT/chaos.json and OUT/chaos.md.
+Blows: kill -9, Ctrl-C, TERM, a full disk, a dead worker, inputs changed or removed, one to three in a row;
+frames and strips; one worker, two, and Dask. After them the command runs undisturbed over the inputs as they
+then are: its result must be that of a fresh run over these, or a refusal in one line.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import signal
 import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from random import Random
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from chaos_world import CHANGES, Disk, Ended, Running, change, result_of
-from fuzz_base import make_base
+from chaos_changes import CHANGES, change
+from chaos_world import Ended, Running, Trial, World, result_of
 from trial_box import changes, snapshot
 from trial_tables import write_tables
 
 BLOWS = {
-    "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "change": 4, "change later": 2, "none": 1,
+    "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "change": 4, "change later": 2,
+    "none": 1,
 }  # fmt: skip
 """By weight; `change` strikes while the run reads, `change later` between two runs."""
 STOP_S = 3.0
@@ -38,87 +37,6 @@ STOPPED = {
     "term": (143, 130, -signal.SIGTERM, 0),
     "kill": (-signal.SIGKILL, 0),
 }
-
-
-@dataclass
-class Trial:
-    """One trial's plan and outcome."""
-
-    number: int
-    what: str
-    team: str
-    method: str
-    blows: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    ended: str = ""
-    words: str = ""
-
-
-class World:
-    """Inputs, disk, the references of every state of the inputs, and the Dask cluster."""
-
-    def __init__(self, folder: Path, seed: int) -> None:
-        self.folder, self.seed = folder, seed
-        make_base(folder / "base", seed)
-        for name in ("tiffs",):
-            shutil.rmtree(folder / "base" / name)
-        self.inputs = folder / "in"
-        self.disk = Disk(folder / "disk")
-        self.run = self.disk.folder / "run"
-        self.references: dict[str, tuple[int, dict[str, str], str]] = {}
-        self.length_s: dict[str, float] = {}
-        self.used_kb: dict[str, int] = {}
-        self._cluster: Any = None
-
-    def restore(self, what: str) -> None:
-        """The inputs as they were at first; nothing on the disk."""
-        shutil.rmtree(self.inputs, ignore_errors=True)
-        shutil.copytree(self.folder / "base" / {"frames": "survey"}.get(what, what), self.inputs)
-        self.disk.clear()
-
-    def command(self, trial: Trial, run: Path) -> list[str]:
-        """The command of a trial; the same for each of its runs."""
-        if trial.what == "strips":
-            words = ["strips", str(self.inputs / "geometry.yaml")]
-        else:
-            words = ["mosaic", str(self.inputs / "frames"), "--adjust", trial.method]
-            words += ["--pos", str(self.inputs / "pos.csv"), "--camera", str(self.inputs / "cameras.json")]
-        team = ["--dask", self.cluster()] if trial.team == "dask" else ["--workers", trial.team]
-        return [*words, "-o", str(run), "--fixed-time", *team]
-
-    def cluster(self) -> str:
-        """The address of a Dask cluster of two workers."""
-        if self._cluster is None:
-            from distributed import LocalCluster
-
-            self._cluster = LocalCluster(
-                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-            )
-        return str(self._cluster.scheduler_address)
-
-    def dask_workers(self) -> list[int]:
-        """Process ids of the cluster's workers."""
-        return [n.pid for n in self._cluster.workers.values() if n.pid] if self._cluster is not None else []
-
-    def reference(self, trial: Trial, state: str) -> tuple[int, dict[str, str], str]:
-        """Exit code and result of a fresh run over the inputs as they are now."""
-        key = f"{trial.what} {trial.method} {state}"
-        if key not in self.references:
-            fresh = self.disk.folder / "fresh"
-            alone = Trial(0, trial.what, "1", trial.method)
-            started, used = time.monotonic(), self.disk.used_kb()
-            ended = Running(self.command(alone, fresh), self.folder / "fresh.log").end(started)
-            self.length_s.setdefault(f"{trial.what} {trial.method}", ended.seconds)
-            self.used_kb.setdefault(trial.what, self.disk.used_kb() - used)
-            self.references[key] = (ended.code, result_of(fresh), ended.last)
-            shutil.rmtree(fresh, ignore_errors=True)
-        return self.references[key]
-
-    def close(self) -> None:
-        if self._cluster is not None:
-            self._cluster.close()
-        self.disk.close()
 
 
 def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) -> None:
@@ -259,7 +177,8 @@ def tell(trials: list[Trial], seed: int, seconds: float, out: Path, own_disk: bo
         blows = Counter(b.split(" at ")[0].split(":")[0].split(" ->")[0] for t in those for b in t.blows)
         bad = Counter(p for t in those for p in set(t.problems))
         row = {
-            "runs of": name, "trials": len(those), "blows": sum(blows.values()), **{b: blows[b] for b in BLOWS},
+            "runs of": name, "trials": len(those), "blows": sum(blows.values()),
+            **{b: blows[b] for b in BLOWS},
             "dask": sum(t.team == "dask" for t in those),
             "equal": sum(not t.problems and t.ended != "refused" for t in those),
             "refused": sum(not t.problems and t.ended == "refused" for t in those),
@@ -285,15 +204,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--trial", type=int, help="this one only")
     parser.add_argument("--minutes", type=float, help="stop after so long, wherever it stands")
-    parser.add_argument(
-        "--method", action="append", help="of adjusting frames; may be repeated [bundle, least_squares]"
-    )
+    parser.add_argument("--method", action="append", help="of adjusting frames [bundle, least_squares]")
     parser.add_argument("--no-dask", action="store_true", help="local workers only")
     parser.add_argument("--out", type=Path, default=Path("out/chaos"))
     asked = parser.parse_args(argv)
     out: Path = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
     methods = tuple(asked.method or ("bundle", "least_squares", "least_squares"))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background: runs inherit it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the disk is unmounted at every end
     trials: list[Trial] = []
     started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="geomosaic-chaos-") as folder:

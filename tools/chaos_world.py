@@ -10,16 +10,14 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
-from random import Random
 from typing import Any
 
-import cv2
-import numpy as np
 import rasterio
+from fuzz_base import make_base
 
 DISK_MB = 256
 LONGEST_S = 180.0
@@ -129,95 +127,6 @@ class Disk:
             subprocess.run(["umount", str(self.folder)], check=True)
 
 
-def _kept_time(path: Path, keep: bool, write: Callable[[], object]) -> None:
-    """Writes; if asked, the time of change is put back."""
-    before = path.stat()
-    write()
-    if keep:
-        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-
-
-def _other_digit(path: Path, mark: str, rng: Random, keep: bool) -> None:
-    """Another digit in the same place of a number in a text file, its size kept."""
-    text = path.read_text()
-    start = text.index(mark) + len(mark)
-    at = start + rng.choice([i for i, c in enumerate(text[start : start + 40]) if c.isdigit()][-3:])
-    digit = rng.choice([d for d in "0123456789" if d != text[at]])
-    _kept_time(path, keep, lambda: path.write_text(text[:at] + digit + text[at + 1 :]))
-
-
-def _inverted_jpeg(path: Path, keep: bool) -> None:
-    """The picture inverted, its tags kept; also its size, if asked, by bytes behind its end."""
-    old = path.read_bytes()
-    picture = 255 - cv2.imdecode(np.frombuffer(old, np.uint8), cv2.IMREAD_COLOR)
-    for quality in range(92, 20, -4):
-        new = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
-        at = old.index(b"\xff\xdb")
-        whole = old[:at] + new[new.index(b"\xff\xdb") :]
-        if not keep or len(whole) <= len(old):
-            break
-    whole += bytes(max(0, len(old) - len(whole))) if keep else b""
-    _kept_time(path, keep, lambda: path.write_bytes(whole))
-
-
-def _mask(path: Path) -> None:
-    picture = np.full((240, 320), 255, np.uint8)
-    picture[100:140, 120:200] = 0
-    path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-
-
-def _darker_strip(path: Path, keep: bool) -> None:
-    def write() -> None:
-        with rasterio.open(path, "r+") as file:
-            pixels = file.read()
-            pixels[:, 300:340] = pixels[:, 300:340] * 0.8
-            file.write(pixels)
-
-    _kept_time(path, keep, write)
-
-
-def change(inputs: Path, name: str, rng: Random) -> str:
-    """Changes an input as `name` says: what was done, the same words for the same change."""
-    keep = rng.random() < 0.5
-    told = f"{name}{', time kept' if keep else ''}"
-    match name:
-        case "pixels":
-            frame = rng.choice(sorted((inputs / "frames").glob("*.jpg")))
-            _inverted_jpeg(frame, keep)
-            return f"{told} {frame.name}"
-        case "positions":
-            _other_digit(inputs / "pos.csv", rng.choice(("F0001.jpg,11.29", "F0002.jpg,11.29")), rng, keep)
-        case "camera":
-            _other_digit(inputs / "cameras.json", '"focal_x": 1.5', rng, keep)
-        case "mask":
-            frame = rng.choice(sorted((inputs / "frames").glob("*.jpg")))
-            _mask(frame.with_name(f"{frame.stem}_mask.png"))
-            return f"{name} {frame.name}"
-        case "strip":
-            strip = rng.choice(sorted(inputs.glob("ccd*.tif")))
-            _darker_strip(strip, keep)
-            return f"{told} {strip.name}"
-        case "attitude":
-            lines = (inputs / "model_attitude.csv").read_text().splitlines()
-            _other_digit(inputs / "model_attitude.csv", lines[len(lines) // 2][:8], rng, keep)
-        case "geometry":
-            text = (inputs / "geometry.yaml").read_text()
-            new = text.replace("ground_pixel_m: 2.0", "ground_pixel_m: 2.1")
-            _kept_time(inputs / "geometry.yaml", keep, lambda: (inputs / "geometry.yaml").write_text(new))
-        case "removed":
-            files = sorted([*inputs.glob("frames/*.jpg"), *inputs.glob("ccd*.tif"), *inputs.glob("pos.csv")])
-            gone = rng.choice(files)
-            gone.unlink()
-            return f"{name} {gone.name}"
-    return told
-
-
-CHANGES = {
-    "frames": ("pixels", "pixels", "positions", "camera", "mask", "removed"),
-    "strips": ("strip", "attitude", "geometry", "removed"),
-}
-
-
 def result_of(run: Path) -> dict[str, str]:
     """Fingerprints of what a run's result is, by name; what is missing is not there."""
     found: dict[str, str] = {}
@@ -249,3 +158,84 @@ def _tables(path: Path) -> dict[str, list[Any]]:
         ]
         names = [n for n in names if not n.startswith(("rtree_", "sqlite_", "gpkg_"))]
         return {n: [list(row) for row in file.execute(f'select * from "{n}"')] for n in names}
+
+
+@dataclass
+class Trial:
+    """One trial's plan and outcome."""
+
+    number: int
+    what: str
+    team: str
+    method: str
+    blows: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    ended: str = ""
+    words: str = ""
+
+
+class World:
+    """Inputs, disk, the references of every state of the inputs, and the Dask cluster."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self.folder, self.seed = folder, seed
+        make_base(folder / "base", seed)
+        for name in ("tiffs",):
+            shutil.rmtree(folder / "base" / name)
+        self.inputs = folder / "in"
+        self.disk = Disk(folder / "disk")
+        self.run = self.disk.folder / "run"
+        self.references: dict[str, tuple[int, dict[str, str], str]] = {}
+        self.length_s: dict[str, float] = {}
+        self.used_kb: dict[str, int] = {}
+        self._cluster: Any = None
+
+    def restore(self, what: str) -> None:
+        """The inputs as they were at first; nothing on the disk."""
+        shutil.rmtree(self.inputs, ignore_errors=True)
+        shutil.copytree(self.folder / "base" / {"frames": "survey"}.get(what, what), self.inputs)
+        self.disk.clear()
+
+    def command(self, trial: Trial, run: Path) -> list[str]:
+        """The command of a trial; the same for each of its runs."""
+        if trial.what == "strips":
+            words = ["strips", str(self.inputs / "geometry.yaml")]
+        else:
+            words = ["mosaic", str(self.inputs / "frames"), "--adjust", trial.method]
+            words += ["--pos", str(self.inputs / "pos.csv"), "--camera", str(self.inputs / "cameras.json")]
+        team = ["--dask", self.cluster()] if trial.team == "dask" else ["--workers", trial.team]
+        return [*words, "-o", str(run), "--fixed-time", *team]
+
+    def cluster(self) -> str:
+        """The address of a Dask cluster of two workers."""
+        if self._cluster is None:
+            from distributed import LocalCluster
+
+            self._cluster = LocalCluster(
+                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+            )
+        return str(self._cluster.scheduler_address)
+
+    def dask_workers(self) -> list[int]:
+        """Process ids of the cluster's workers."""
+        return [n.pid for n in self._cluster.workers.values() if n.pid] if self._cluster is not None else []
+
+    def reference(self, trial: Trial, state: str) -> tuple[int, dict[str, str], str]:
+        """Exit code and result of a fresh run over the inputs as they are now."""
+        key = f"{trial.what} {trial.method} {state}"
+        if key not in self.references:
+            fresh = self.disk.folder / "fresh"
+            alone = Trial(0, trial.what, "1", trial.method)
+            started, used = time.monotonic(), self.disk.used_kb()
+            ended = Running(self.command(alone, fresh), self.folder / "fresh.log").end(started)
+            self.length_s.setdefault(f"{trial.what} {trial.method}", ended.seconds)
+            self.used_kb.setdefault(trial.what, self.disk.used_kb() - used)
+            self.references[key] = (ended.code, result_of(fresh), ended.last)
+            shutil.rmtree(fresh, ignore_errors=True)
+        return self.references[key]
+
+    def close(self) -> None:
+        if self._cluster is not None:
+            self._cluster.close()
+        self.disk.close()

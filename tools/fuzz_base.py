@@ -81,7 +81,7 @@ def make_base(folder: Path, seed: int) -> None:
 
 
 def people(folder: Path) -> None:
-    """Files of other people: a raster and a text that nothing may change, and that no stranger's file may show."""
+    """Files of other people: nothing may change them, and no stranger's file may show them."""
     secret = np.full((3, 40, 40), 137, np.uint8)
     secret[:, ::2, 1::2] = 61
     options = {"driver": "GTiff", "width": 40, "height": 40, "count": 3, "dtype": "uint8"}

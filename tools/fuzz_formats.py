@@ -1,4 +1,4 @@
-"""Spoiling by structure what is binary: tags of TIFF and EXIF, segments of JPEG, chunks of PNG, messages of MCAP."""
+"""Spoiling by structure what is binary: TIFF and EXIF tags, JPEG segments, PNG chunks, MCAP messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import struct
 import zipfile
 from random import Random
 
-from fuzz_mutations import LENGTHS, Mutate, Nasty, a_json, an_xml, repeated, some_bytes
+from fuzz_mutations import LENGTHS, Mutate, Nasty, repeated, some_bytes
+from fuzz_trees import a_json, an_xml
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer

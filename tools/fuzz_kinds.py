@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 from random import Random
 
@@ -37,6 +38,12 @@ FILE_SHARE = 0.05
 WHOLE_SHARE = 0.05
 """Share of a survey's cases that go through the whole mosaic."""
 
+_RASTER = (
+    "<VRTDataset rasterXSize='40' rasterYSize='40'>"
+    "<VRTRasterBand dataType='Byte' band='1'><SimpleSource>"
+    "<SourceFilename>{0}</SourceFilename></SimpleSource>"
+    "</VRTRasterBand></VRTDataset>"
+)
 Commands = Sequence[Sequence[str]]
 
 
@@ -174,7 +181,6 @@ def _by_name(file: str) -> Mutate:
     return structures.get(Path(name).suffix, some_bytes)
 
 
-_S = "in/"
 KINDS = {
     kind.name: kind
     for kind in (
@@ -224,9 +230,17 @@ KINDS = {
         Kind("strip", 3, "strips", ("in/ccd*.tif",), _by_name, _strips, "strips"),
         Kind("recording", 10, "recorded", ("in/rec/run.mcap",), _by_name, _recording, ""),
         Kind("cache", 10, "run", ("out/work/**/*",), _by_name, _again, "same"),
+        Kind("forged", 6, "run", ("out/work/*/*/*.artefact", "out/work/*/*.tif"), _by_name, _again, ""),
         Kind("run", 8, "run", ("out/*",), _by_name, _finished, ""),
     )
 }
+
+
+def _forge(box: Path, name: str, old: bytes, new: bytes) -> None:
+    """Puts the spoiled file's hash into the cache's entry, as a stranger who knows the format would."""
+    marks = [blake2b(data, digest_size=20).hexdigest().encode() for data in (old, new)]
+    for entry in (box / "out" / "work").glob("*/*/entry.json"):
+        entry.write_bytes(entry.read_bytes().replace(*marks))
 
 
 def spoil(kind: Kind, box: Path, rng: Random, nasty: Nasty) -> tuple[str, str]:
@@ -239,10 +253,15 @@ def spoil(kind: Kind, box: Path, rng: Random, nasty: Nasty) -> tuple[str, str]:
     if rng.random() < FILE_SHARE:
         return name, spoil_the_file(path, rng, nasty)
     data, done = path.read_bytes(), []
+    old = data
     mutate = kind.how(name)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data, what = mutate(data, rng, nasty)
         done.append(what)
+    if kind.name == "forged":
+        if path.suffix == ".tif" and rng.random() < 0.5:
+            data, done = _RASTER.format(box / "beside" / "secret.tif").encode(), ["a VRT of people's file"]
+        _forge(box, name, old, data)
     path.write_bytes(data)
     return name, ", then ".join(done)
 

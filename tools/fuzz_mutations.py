@@ -1,16 +1,12 @@
-"""How files are spoiled: bytes, tokens, tables, trees, and the file itself. All by the generator handed in."""
+"""How files are spoiled: bytes, tokens, tables, and the file itself; by the generator handed in."""
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from typing import Any
-
-import yaml
 
 Mutate = Callable[[bytes, Random, "Nasty"], tuple[bytes, str]]
 """Bytes in, bytes and what was done to them out."""
@@ -44,8 +40,10 @@ class Nasty:
         self.box = box
         url = f"http://127.0.0.1:{port}/a.tif"
         self.paths = (
-            *("../../../../../../etc/passwd", "/etc/passwd", "/dev/zero", "/proc/self/mem", "/dev/stdin", "/"),
-            *(f"/vsicurl/{url}", "/vsis3/bucket/a.tif", url, f"ftp://127.0.0.1:{port}/a", f"WMS:{url}"),
+            *("../../../../../../etc/passwd", "/etc/passwd", "/dev/zero", "/proc/self/mem", "/dev/stdin"),
+            "/",
+            *(f"/vsicurl/{url}", "/vsis3/bucket/a.tif", url, f"ftp://127.0.0.1:{port}/a"),
+            f"WMS:{url}",
             *(str(box / "beside" / "secret.tif"), "../beside/secret.tif", "../beside/secret.txt", "/vsimem/a"),
             *("/vsizip/a.zip/b.tif", f"<GDAL_WMS><Service name='TMS'><ServerUrl>{url}</ServerUrl></Service>"
               "<DataWindow><SizeX>64</SizeX><SizeY>64</SizeY></DataWindow></GDAL_WMS>"),
@@ -55,8 +53,10 @@ class Nasty:
             f"</VRTRasterBand></VRTDataset>",
         )  # fmt: skip
         self.words = (
-            *self.paths, "\x1b[31mred", "\0", "%s%n%x", "{{7*7}}", "A" * 70_000, "\u202etxt", "\ud7ff", "é\u0301",
-            "EPSG:4326", "EPSG:999999", "EPSG:32760", "null", "true", "-", "#", "'", '"', ";", "\r", "\t", "=1+1",
+            *self.paths, "\x1b[31mred", "\0", "%s%n%x", "{{7*7}}", "A" * 70_000, "\u202etxt",
+            "\ud7ff", "é\u0301",
+            "EPSG:4326", "EPSG:999999", "EPSG:32760", "null", "true", "-", "#", "'", '"', ";", "\r", "\t",
+            "=1+1",
             "!!python/object/apply:os.system ['touch owned']", "!!bool foo", '!!int ""', "&a [*a]", "<<: *a",
             "<!ENTITY a 'b'>", "&lol;", "]]>", "<x:xmpmeta ", "\\u0000", "[" * 5000, "{" * 5000, "0o777",
         )  # fmt: skip
@@ -131,7 +131,7 @@ def some_text(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
         case 7:
             count = rng.choice((1, 1, 5, 100_000))
             return b"".join(
-                lines[:at] + [repeated(lines[at], count)] + lines[at:]
+                [*lines[:at], repeated(lines[at], count), *lines[at:]]
             ), f"line {at + 1} {count} times more"
         case 8:
             rng.shuffle(lines)
@@ -200,101 +200,6 @@ def a_table(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
             what = f"line {r} with {count} cells"
             rows[r] = (rows[r] * count)[: count + 1] if sum(map(len, rows[r])) < 10_000 else rows[r]
     return comma.join([]) + b"\n".join(comma.join(row) for row in rows) + b"\n", what
-
-
-def a_json(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
-    """A leaf, a key or a branch of a tree in JSON."""
-    try:
-        tree = json.loads(data)
-    except ValueError:
-        return some_text(data, rng, nasty)
-    if rng.random() < 0.35:
-        return some_text(data, rng, nasty)
-    what, tree = _spoiled(tree, rng, nasty)
-    return json.dumps(tree, ensure_ascii=rng.random() < 0.5).encode(errors="replace"), what
-
-
-def a_yaml(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
-    """The same in YAML, and what only YAML has: aliases, merge keys, tags."""
-    kind = rng.random()
-    if kind < 0.3:
-        return some_text(data, rng, nasty)
-    if kind < 0.5:
-        bomb = rng.choice(
-            (
-                "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
-                    f"{n}: &{n} [{','.join([f'*{p}'] * 9)}]\n" for p, n in zip("abcdefgh", "bcdefghi", strict=True)
-                ),
-                "a: &a [*a]\n", "? [[[[1]]]]\n: 2\n", "<<: [{a: 1}, {a: 2}]\n", "!!python/object/new:os.system [true]\n",
-                "".join(f"k{i}: {i}\n" for i in range(70_000)), "b: !!bool foo\n", 'i: !!int ""\n',
-                "t: 2001-99-99\n", "- " * 4000 + "\n", "m: &m {<<: *m}\n", "f: !!float 9" + "9" * 5000 + "\n",
-                "s: !!set {a, b}\n", "o: !!omap [a: 1]\n", "b: !!binary ////\n", "x: 0b1" + "0" * 2000 + "\n",
-            )
-        )  # fmt: skip
-        out = data + bomb.encode() if rng.random() < 0.7 else bomb.encode() + data
-        return out, f"YAML {bomb[:40]!r} added"
-    try:
-        tree = yaml.safe_load(data)
-    except yaml.YAMLError:
-        return some_text(data, rng, nasty)
-    what, tree = _spoiled(tree, rng, nasty)
-    return yaml.safe_dump(tree, allow_unicode=True, sort_keys=False).encode(errors="replace"), what
-
-
-def _spoiled(tree: Any, rng: Random, nasty: Nasty) -> tuple[str, Any]:
-    """A tree with one node spoiled, and what was done."""
-    places: list[tuple[Any, Any]] = []
-
-    def walk(node: Any) -> None:
-        keys = node.keys() if isinstance(node, dict) else range(len(node)) if isinstance(node, list) else ()
-        for key in keys:
-            places.append((node, key))
-            walk(node[key])
-
-    walk(tree)
-    if not places:
-        return "as text", nasty.word(rng).decode(errors="replace")
-    node, key = rng.choice(places)
-    old, where = node[key], f"{key!r}"
-    new: Any = rng.choice(
-        (
-            None, True, [], {}, "", [old], {"a": old}, -1, 0, 10**401, 1e308, -1e308, 2**63, 5e-324,
-            float("nan"), float("inf"), nasty.word(rng).decode(errors="replace"),
-            nasty.number(rng).decode(), [old] * (300 if len(str(old)) < 10_000 else 1), rng.choice(nasty.paths),
-            old * rng.choice((-1, 10, 0.1, 1000)) if isinstance(old, float) else old,
-        )
-    )  # fmt: skip
-    match rng.randrange(5):
-        case 0 if isinstance(node, dict):
-            node[nasty.word(rng).decode(errors="replace")] = node.pop(key)
-            return f"{where} under another name", tree
-        case 1:
-            del node[key]
-            return f"{where} taken out", tree
-        case 2 if isinstance(node, list):
-            node.insert(key, old)
-            return f"{where} twice", tree
-        case _:
-            node[key] = new
-            return f"{where} = {str(new)[:40]!r}", tree
-
-
-def an_xml(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
-    """Entities, depth, repeats; else as text."""
-    start = data.find(b"<")
-    if start < 0 or rng.random() < 0.6:
-        return some_text(data, rng, nasty)
-    url = nasty.paths[8]
-    doctypes: Sequence[bytes] = (
-        b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
-        f'<!DOCTYPE a SYSTEM "{url}">'.encode(errors="replace"),
-        b'<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "' + b"&a;" * 99 + b'"><!ENTITY c "' + b"&b;" * 99 + b'">]>',
-        b"<x:xmpmeta " * 1000, b"<a>" * 20_000, b"<![CDATA[" + b"]" * 9000, b"<!--" + b"-" * 9000,
-        b'<?xml version="1.0" encoding="utf-7"?>', b"\xef\xbb\xbf", b"<a " + b'b="c" ' * 9000 + b"/>",
-    )  # fmt: skip
-    new = rng.choice(doctypes)
-    at = start if rng.random() < 0.6 else rng.randrange(start, len(data))
-    return data[:at] + new + data[at:], f"XML {new[:40]!r} at {at}"
 
 
 def spoil_the_file(path: Path, rng: Random, nasty: Nasty) -> str:

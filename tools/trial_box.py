@@ -1,4 +1,4 @@
-"""A box for one command of geomosaic: forked, limited in memory and time, its files and connections watched."""
+"""A box for one command of geomosaic: its memory and time limited, its files and connections watched."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ import socket
 import stat
 import struct
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -36,7 +38,7 @@ _CHANGES = {
 }  # fmt: skip
 """Python's audit events by which files change: where the path and its folder's descriptor stand."""
 
-_HARMLESS = {"uname"}  # what `platform` asks of the system
+_HARMLESS = {"uname", sys.executable}  # what `platform` asks; gdal2tiles, which is this Python
 
 Snapshot = dict[str, tuple[object, ...]]
 
@@ -74,7 +76,7 @@ def snapshot(folder: Path, without: Sequence[str] = ()) -> Snapshot:
                 found[name] = ("folder", stat.S_IMODE(said.st_mode))
                 walk(Path(entry.path), f"{name}/")
             elif stat.S_ISLNK(kind):
-                found[name] = ("link", os.readlink(entry.path))
+                found[name] = ("link", str(Path(entry.path).readlink()))
             elif stat.S_ISREG(kind):
                 large = said.st_size > _HASHED_BYTES
                 data = b"" if large else Path(entry.path).read_bytes()
@@ -102,7 +104,7 @@ class Box:
         self.folder = folder
         self.closed = _leave_the_network()
         self.listener = socket.socket()
-        self.listener.bind(("127.0.0.1", 0))
+        self.listener.bind(("127.0.0.1", 48619 if self.closed else 0))
         self.listener.listen(64)
         self.listener.setblocking(False)
         self.port: int = self.listener.getsockname()[1]
@@ -140,10 +142,8 @@ class Box:
                 break
         _, status, usage = os.wait4(pid, 0)
         os.close(handle)
-        try:
+        with suppress(ProcessLookupError):
             os.killpg(pid, signal.SIGKILL)  # whatever it may have started
-        except ProcessLookupError:
-            pass
         texts = [log.read_bytes()[:200_000].decode(errors="replace") for log in logs]
         return Ended(
             tuple(argv),
@@ -167,6 +167,7 @@ def _become(box: Box, argv: Sequence[str], logs: Sequence[Path], seconds: float,
         os.chdir(box.path("cwd"))
         os.environ["HOME"] = str(box.path("home"))
         os.environ["TMPDIR"] = str(box.path("tmp"))
+        tempfile.tempdir = None
         os.environ["GEOMOSAIC_TRACEBACK"] = "1" if details else "0"
         nowhere = os.open(os.devnull, os.O_RDONLY)
         streams = [os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600) for log in logs]
@@ -204,17 +205,19 @@ def _watcher(fd: int, allowed: Sequence[Path]) -> Callable[[str, tuple[object, .
 
     def name_in(path: object, folder: object) -> str:
         """Where a name lies, its own link not followed."""
-        base = os.readlink(f"/proc/self/fd/{folder}") if isinstance(folder, int) and folder >= 0 else ""
-        whole = os.path.join(base, os.fsdecode(path))  # type: ignore[arg-type]  # noqa: PTH118
-        return os.path.join(os.path.realpath(os.path.dirname(whole)), os.path.basename(whole))  # noqa: PTH
+        base = Path(f"/proc/self/fd/{folder}" if isinstance(folder, int) and folder >= 0 else "")
+        whole = base.resolve() / os.fsdecode(path)  # type: ignore[arg-type]
+        return str(whole.parent.resolve() / whole.name)
 
     def line_of(event: str, args: tuple[object, ...]) -> str:
         if event in _PROGRAMS or event in _NETWORK:
-            return "" if event == "subprocess.Popen" and args[0] in _HARMLESS else f"{event} {args!r}"
+            return "" if args[0] in _HARMLESS else f"{event} {args!r}"
         if event == "open":
             path, mode, flags = args
             written = isinstance(flags, int) and flags & _WRITES and isinstance(path, str | bytes)
-            if not written or (mode is None and not os.path.isabs(path)):  # beside a folder's descriptor
+            if not written or (
+                mode is None and not Path(os.fsdecode(path)).is_absolute()
+            ):  # beside a folder's descriptor
                 return ""
             return "" if inside(os.path.realpath(os.fsdecode(path))) else f"open for writing {path!r}"
         for at, folder in _CHANGES.get(event, ()):
