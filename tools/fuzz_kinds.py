@@ -21,17 +21,8 @@ from fuzz_formats import (
     tiff_tags,
     xmp_packet,
 )
-from fuzz_mutations import (
-    Mutate,
-    Nasty,
-    a_json,
-    a_table,
-    a_yaml,
-    an_xml,
-    some_bytes,
-    some_text,
-    spoil_the_file,
-)
+from fuzz_mutations import Mutate, Nasty, a_table, some_bytes, some_text, spoil_the_file
+from fuzz_trees import a_json, a_yaml, an_xml
 
 FILE_SHARE = 0.05
 """Share of the cases in which something else stands in the file's place: a link, a pipe, a folder."""

@@ -106,7 +106,7 @@ def result_of(out: Path, judge: str) -> Result:
 
 
 def _leaves(value: Any, name: str) -> Iterator[tuple[str, float | str]]:
-    """Numbers and words of an artefact by name; arrays by shape, mean and a weighted one; no paths, no hashes."""
+    """Numbers and words of an artefact by name; arrays by shape and two means; no paths, no hashes."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         for f in dataclasses.fields(value):
             if f.name not in ("warnings", "path", "valid_mask"):
