@@ -44,7 +44,8 @@ class Nasty:
             "/",
             *(f"/vsicurl/{url}", "/vsis3/bucket/a.tif", url, f"ftp://127.0.0.1:{port}/a"),
             f"WMS:{url}",
-            *(str(box / "beside" / "secret.tif"), "../beside/secret.tif", "../beside/secret.txt", "/vsimem/a"),
+            *(str(box / "beside" / "secret.tif"), "../beside/secret.tif", "../beside/secret.txt"),
+            "/vsimem/a",
             *("/vsizip/a.zip/b.tif", f"<GDAL_WMS><Service name='TMS'><ServerUrl>{url}</ServerUrl>"
               "</Service><DataWindow><SizeX>64</SizeX><SizeY>64</SizeY></DataWindow></GDAL_WMS>"),
             *(f"PG:host=127.0.0.1 port={port} dbname=a", "a" * 300, "", ".", "..", "~/x", "$HOME", "con:\\x"),
