@@ -10,12 +10,14 @@ from typing import Any
 import yaml
 from fuzz_mutations import Nasty, some_text
 
+_LARGE_BYTES = 200_000
+
 
 def a_json(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
     """A leaf, a key or a branch of a tree in JSON."""
     try:
         tree = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return some_text(data, rng, nasty)
     if rng.random() < 0.35:
         return some_text(data, rng, nasty)
@@ -26,7 +28,7 @@ def a_json(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
 def a_yaml(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
     """The same in YAML, and what only YAML has: aliases, merge keys, tags."""
     kind = rng.random()
-    if kind < 0.3 or b": &a" in data:  # a bomb is in it already: not for us to open
+    if kind < 0.3 or b": &a" in data or len(data) > _LARGE_BYTES:  # a bomb already: not for us to open
         return some_text(data, rng, nasty)
     if kind < 0.5:
         bomb = rng.choice(
@@ -46,7 +48,7 @@ def a_yaml(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
         return out, f"YAML {bomb[:40]!r} added"
     try:
         tree = yaml.safe_load(data)
-    except yaml.YAMLError:
+    except Exception:  # whatever an earlier spoiling makes of the loader
         return some_text(data, rng, nasty)
     what, tree = _spoiled(tree, rng, nasty)
     return yaml.safe_dump(tree, allow_unicode=True, sort_keys=False).encode(errors="replace"), what
