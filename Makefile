@@ -6,6 +6,9 @@ IMAGES ?=
 OUT ?= out/demo
 WORKERS ?= 2
 DATA ?= ../shared
+SEED ?= 1
+CASES ?= 10000
+TRIALS ?= 200
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -60,6 +63,12 @@ bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object spa
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
 	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
 
+fuzz: setup ## 10,000 spoiled files of every kind through the commands (about 2 hours); CASES=n SEED=n
+	$(PY) tools/fuzz.py --cases $(CASES) --seed $(SEED) --out out/fuzz
+
+chaos: setup ## 200 runs killed, stopped, starved and their inputs changed (about 40 minutes); TRIALS=n SEED=n
+	$(PY) tools/chaos.py --trials $(TRIALS) --seed $(SEED) --out out/chaos
+
 format: setup ## rewrite the code's layout
 	.venv/bin/ruff check --fix geomosaic tests tools
 	.venv/bin/ruff format geomosaic tests tools
@@ -67,4 +76,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-oracle bench-strips bench-real format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean

@@ -1,0 +1,237 @@
+"""Hits runs at random moments, runs the same command again, and asks for the result of a run left in peace.
+
+Blows: kill -9, Ctrl-C, TERM, a full disk, a dead worker, inputs changed or removed, one to three in a row;
+frames and strips; one worker, two, and Dask. After them the command runs undisturbed over the inputs as they
+then are: its result must be that of a fresh run over these, or a refusal in one line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+from random import Random
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from chaos_changes import CHANGES, change
+from chaos_world import Ended, Running, Trial, World, result_of
+from trial_box import changes, snapshot
+from trial_tables import write_tables
+
+BLOWS = {
+    "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "change": 4, "change later": 2,
+    "none": 1,
+}  # fmt: skip
+"""By weight; `change` strikes while the run reads, `change later` between two runs."""
+STOP_S = 3.0
+"""Within so long a run that was asked to stop has ended."""
+STOPPED = {
+    "ctrl-c": (130, -signal.SIGINT, 0),
+    "term": (143, 130, -signal.SIGTERM, 0),
+    "kill": (-signal.SIGKILL, 0),
+}
+
+
+def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) -> None:
+    """One run of the command, hit once; its inputs' changes go into `done`."""
+    length_s = world.length_s[f"{trial.what} {trial.method}"]
+    if blow == "full disk":
+        world.disk.resize(world.disk.used_kb() + 40 + rng.randrange(world.used_kb[trial.what]))
+    running = Running(world.command(trial, world.run), world.folder / "run.log")
+    wait_s = rng.uniform(0.02, 1.05) * length_s
+    detail = ""
+    struck = time.monotonic()
+    if blow not in ("full disk", "change later", "none"):
+        running.wait(wait_s)
+        struck = time.monotonic()
+        detail = f" at {wait_s:.2f} s"
+    if blow == "kill":
+        running.process.kill()
+    elif blow == "ctrl-c" and running.process.poll() is None:
+        os.killpg(running.process.pid, signal.SIGINT)
+    elif blow == "term":
+        running.process.terminate()
+    elif blow == "dead worker":
+        workers = world.dask_workers() if trial.team == "dask" else running.children()
+        if workers:
+            try:
+                os.kill(rng.choice(workers), signal.SIGKILL)
+            except ProcessLookupError:
+                detail += " (gone)"
+    elif blow == "change":
+        done.append(change(world.inputs, rng.choice(CHANGES[trial.what]), rng))
+        detail += f": {done[-1]}"
+    ended = running.end(struck)
+    world.disk.large()
+    if blow == "change later":
+        done.append(change(world.inputs, rng.choice(CHANGES[trial.what]), rng))
+        detail = f": {done[-1]}"
+    trial.blows.append(f"{blow}{detail} -> {ended.code} in {ended.seconds:.1f} s")
+    judge_blow(trial, blow, ended)
+
+
+def judge_blow(trial: Trial, blow: str, ended: Ended) -> None:
+    """What a run that was hit must not do."""
+    before = len(trial.problems)
+    if "Traceback (most recent call last)" in ended.err and blow != "kill":
+        trial.problems.append(f"traceback after {blow}")
+    if "a fault of geomosaic" in ended.err:
+        trial.problems.append(f"fault after {blow}")
+    if ended.hung:
+        trial.problems.append(f"hang after {blow}")
+    if ended.orphans:
+        trial.problems.append(f"orphans after {blow}")
+    if blow in STOPPED:
+        if ended.code not in STOPPED[blow] and not ended.hung:
+            # a run that ended by itself at that moment, with a refusal of changed inputs, is none of ours
+            refused = ended.code == 2 and any("removed" in b or "camera" in b for b in trial.blows)
+            if not refused:
+                trial.problems.append(f"exit {ended.code} after {blow}")
+        if blow != "kill":
+            trial.seconds[blow] = max(trial.seconds.get(blow, 0.0), ended.seconds)
+            if ended.seconds > STOP_S:
+                trial.problems.append(f"slow after {blow}")
+    elif ended.code not in (0, 1, 2):
+        trial.problems.append(f"exit {ended.code} after {blow}")
+    if len(trial.problems) > before:
+        trial.words += f"[{blow}] {ended.err[-1500:]}\n"
+
+
+def one_trial(world: World, number: int, methods: tuple[str, ...], dask: bool) -> Trial:
+    """Blows, then a run in peace, then the comparison."""
+    rng = Random(f"{world.seed} chaos {number}")
+    what = "frames" if rng.random() < 0.6 else "strips"
+    team = rng.choice(("1", "2", "2", "dask") if dask and what == "frames" else ("1", "2"))
+    trial = Trial(number, what, team, rng.choice(methods) if what == "frames" else "")
+    allowed = {
+        b: w
+        for b, w in BLOWS.items()
+        if (b != "dead worker" or team != "1") and (b != "full disk" or world.disk.own)
+    }
+    blows = rng.choices(list(allowed), list(allowed.values()), k=rng.choice((1, 1, 2, 3)))
+    world.restore(what)
+    world.reference(trial, "")
+    done: list[str] = []
+    mine: dict[Path, bytes] = {}
+    for blow in blows:
+        strike(world, trial, blow, rng, done)
+        _put_own_files(world.run, mine)
+    state = "; ".join(done) + "".join(f" {n}" for n in snapshot_marks(world.inputs, done))
+    code, wanted, refusal = world.reference(trial, state)
+    given = snapshot(world.inputs)
+    running = Running(world.command(trial, world.run), world.folder / "run.log")
+    ended = running.end(time.monotonic())
+    trial.ended = f"exit {ended.code}, wanted {code}"
+    judge_blow(trial, "none", ended)
+    if ended.code == 0 and code == 0:
+        found = result_of(world.run)
+        other = sorted(n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n))
+        if other:
+            trial.problems.append("another result")
+            trial.words += f"[result] differs: {', '.join(other)}\n"
+    elif ended.code != code or ended.code != 2:
+        trial.problems.append("another end")
+        trial.words += f"[end] {ended.last} / fresh: {refusal}\n"
+    else:
+        trial.ended = "refused"
+    if lost := [p.name for p, data in mine.items() if not p.is_file() or p.read_bytes() != data]:
+        trial.problems.append("people's files lost")
+        trial.words += f"[people's] {', '.join(lost)}\n"
+    if spoiled := changes(given, snapshot(world.inputs)):
+        trial.problems.append("inputs touched")
+        trial.words += f"[inputs] {', '.join(spoiled)}\n"
+    return trial
+
+
+def snapshot_marks(inputs: Path, done: list[str]) -> list[str]:
+    """The contents of changed inputs: equal words of two changes may stand for other digits."""
+    return [f"{n}={mark[-1]}" for n, mark in snapshot(inputs).items() if mark[0] == "file"] if done else []
+
+
+def _put_own_files(run: Path, mine: dict[Path, bytes]) -> None:
+    """People's files, into a run folder that is one already, into its work folder, and beside it."""
+    places = [run.with_name("beside.txt")]
+    if run.is_dir() and any(run.iterdir()):
+        places += [
+            run / "my notes.txt",
+            *([run / "work" / "my notes.txt"] if (run / "work").is_dir() else []),
+        ]
+    for path in places:
+        if path not in mine:
+            mine[path] = f"people's own {path.name}\n".encode()
+            path.write_bytes(mine[path])
+
+
+def tell(trials: list[Trial], seed: int, seconds: float, out: Path, own_disk: bool) -> None:
+    """Counts by what was run and by blow, the worst times, the failures."""
+    rows = []
+    for name in ("frames", "strips", "all"):
+        those = [t for t in trials if name in (t.what, "all")]
+        blows = Counter(b.split(" at ")[0].split(":")[0].split(" ->")[0] for t in those for b in t.blows)
+        bad = Counter(p for t in those for p in set(t.problems))
+        row = {
+            "runs of": name, "trials": len(those), "blows": sum(blows.values()),
+            **{b: blows[b] for b in BLOWS},
+            "dask": sum(t.team == "dask" for t in those),
+            "equal": sum(not t.problems and t.ended != "refused" for t in those),
+            "refused": sum(not t.problems and t.ended == "refused" for t in those),
+            "failed": sum(bool(t.problems) for t in those),
+            "ctrl-c worst s": round(max((t.seconds.get("ctrl-c", 0.0) for t in those), default=0.0), 2),
+            "term worst s": round(max((t.seconds.get("term", 0.0) for t in those), default=0.0), 2),
+        }  # fmt: skip
+        rows.append(row | dict.fromkeys(sorted({p for t in trials for p in t.problems}), 0) | dict(bad))
+    facts = {"seed": seed, "trials": len(trials), "seconds": round(seconds), "own disk": own_disk}
+    listed = [
+        f"trial {t.number} ({t.what}, {t.team}): {', '.join(t.problems)}: {'; '.join(t.blows)}; {t.ended}"
+        for t in trials if t.problems
+    ]  # fmt: skip
+    write_tables(out / "chaos", "Runs that were hit", facts, rows, listed, [asdict(t) for t in trials])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs the trials; 1 if any failed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--trials", type=int, default=200)
+    parser.add_argument("--trial", type=int, help="this one only")
+    parser.add_argument("--minutes", type=float, help="stop after so long, wherever it stands")
+    parser.add_argument("--method", action="append", help="of adjusting frames [bundle, least_squares]")
+    parser.add_argument("--no-dask", action="store_true", help="local workers only")
+    parser.add_argument("--out", type=Path, default=Path("out/chaos"))
+    asked = parser.parse_args(argv)
+    out: Path = asked.out.absolute()
+    out.mkdir(parents=True, exist_ok=True)
+    methods = tuple(asked.method or ("bundle", "least_squares", "least_squares"))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background: runs inherit it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the disk is unmounted at every end
+    trials: list[Trial] = []
+    started = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="geomosaic-chaos-") as folder:
+        world = World(Path(folder), asked.seed)
+        try:
+            for number in range(asked.trials) if asked.trial is None else [asked.trial]:
+                trials.append(trial := one_trial(world, number, methods, not asked.no_dask))
+                if trial.problems or asked.trial is not None:
+                    print(
+                        f"trial {number}: {', '.join(trial.problems)}: {trial.blows}\n{trial.words}",
+                        flush=True,
+                    )
+                if asked.minutes is not None and time.monotonic() - started > 60 * asked.minutes:
+                    break
+        finally:
+            world.close()
+    tell(trials, asked.seed, time.monotonic() - started, out, world.disk.own)
+    return int(any(t.problems for t in trials))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

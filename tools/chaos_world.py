@@ -1,0 +1,241 @@
+"""The world of a chaos trial: inputs that can be changed, a disk that can be full, runs that can be hit."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import rasterio
+from fuzz_base import make_base
+
+DISK_MB = 256
+LONGEST_S = 180.0
+_VOLATILE = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages", "versions")
+"""What run.json says of the clock and the way, not of the result."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended: exit code (a signal negative), its words, seconds from the blow to the end."""
+
+    code: int
+    err: str
+    seconds: float
+    hung: bool
+    orphans: int
+
+    @property
+    def last(self) -> str:
+        return (self.err.strip().splitlines() or [""])[-1]
+
+
+class Running:
+    """A command of geomosaic in a session of its own."""
+
+    def __init__(self, argv: list[str], log: Path) -> None:
+        self.log = log
+        with log.open("wb") as out:
+            program = str(Path(sys.executable).with_name("geomosaic"))
+            self.process = subprocess.Popen(
+                [program, *argv], stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
+            )
+
+    def wait(self, seconds: float) -> bool:
+        """Whether it ended within so long."""
+        try:
+            self.process.wait(max(seconds, 0.0))
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def children(self) -> list[int]:
+        """Its worker processes."""
+        return [pid for pid, parent, _ in processes() if parent == self.process.pid]
+
+    def end(self, struck: float) -> Ended:
+        """Waits for the end; a run that has none is ended."""
+        hung = not self.wait(LONGEST_S)
+        seconds = time.monotonic() - struck
+        deadline = time.monotonic() + 5.0
+        while (left := self._left()) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        for pid in (*left, *([self.process.pid] if hung else [])):
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        code = self.process.wait()
+        return Ended(code, self.log.read_bytes().decode(errors="replace"), seconds, hung, len(left))
+
+    def _left(self) -> list[int]:
+        """What lives on of its session after it."""
+        return [p for p, _, session in processes() if session == self.process.pid and p != self.process.pid]
+
+
+def processes() -> Iterator[tuple[int, int, int]]:
+    """(id, parent, session) of the living processes of this machine."""
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                words = (folder / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if words[0] != "Z":
+                yield int(folder.name), int(words[1]), int(words[3])
+
+
+class Disk:
+    """The run folder's disk: a small file system of its own where that is allowed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True)
+        options = ["-t", "tmpfs", "-o", f"size={DISK_MB}m", "tmpfs", str(folder)]
+        self.own = (
+            os.geteuid() == 0 and subprocess.run(["mount", *options], capture_output=True).returncode == 0
+        )
+
+    def used_kb(self) -> int:
+        told = os.statvfs(self.folder)
+        return (told.f_blocks - told.f_bfree) * told.f_frsize // 1024
+
+    def resize(self, kb: int) -> None:
+        subprocess.run(["mount", "-o", f"remount,size={kb}k", str(self.folder)], check=True)
+
+    def large(self) -> None:
+        if self.own:
+            self.resize(DISK_MB * 1024)
+
+    def clear(self) -> None:
+        self.large()
+        for path in self.folder.iterdir():
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+
+    def close(self) -> None:
+        if self.own:
+            subprocess.run(["umount", str(self.folder)], check=True)
+
+
+def result_of(run: Path) -> dict[str, str]:
+    """Fingerprints of what a run's result is, by name; what is missing is not there."""
+    found: dict[str, str] = {}
+    for name in ("positions.csv", "offsets.csv", "mosaic_RPC.TXT"):
+        if (run / name).exists():
+            found[name] = _hash((run / name).read_bytes())
+    if (run / "mosaic.tif").exists():
+        with rasterio.open(run / "mosaic.tif") as file:
+            found["mosaic.tif"] = _hash(file.read().tobytes() + f"{file.crs} {file.transform}".encode())
+    if (run / "layers.gpkg").exists():
+        found["layers.gpkg"] = _hash(json.dumps(_tables(run / "layers.gpkg"), default=repr).encode())
+    if (run / "run.json").exists():
+        told = json.loads((run / "run.json").read_text())
+        for name, value in told.items():
+            if name not in _VOLATILE:
+                found[f"run.json {name}"] = _hash(json.dumps(value, sort_keys=True).encode())
+    return found
+
+
+def _hash(data: bytes) -> str:
+    return blake2b(data, digest_size=16).hexdigest()
+
+
+def _tables(path: Path) -> dict[str, list[Any]]:
+    """All rows of a GeoPackage but the time of its last change."""
+    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as file:
+        names = [
+            r[0] for r in file.execute("select name from sqlite_master where type = 'table' order by name")
+        ]
+        names = [n for n in names if not n.startswith(("rtree_", "sqlite_", "gpkg_"))]
+        return {n: [list(row) for row in file.execute(f'select * from "{n}"')] for n in names}
+
+
+@dataclass
+class Trial:
+    """One trial's plan and outcome."""
+
+    number: int
+    what: str
+    team: str
+    method: str
+    blows: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    ended: str = ""
+    words: str = ""
+
+
+class World:
+    """Inputs, disk, the references of every state of the inputs, and the Dask cluster."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self.folder, self.seed = folder, seed
+        make_base(folder / "base", seed)
+        for name in ("tiffs",):
+            shutil.rmtree(folder / "base" / name)
+        self.inputs = folder / "in"
+        self.disk = Disk(folder / "disk")
+        self.run = self.disk.folder / "run"
+        self.references: dict[str, tuple[int, dict[str, str], str]] = {}
+        self.length_s: dict[str, float] = {}
+        self.used_kb: dict[str, int] = {}
+        self._cluster: Any = None
+
+    def restore(self, what: str) -> None:
+        """The inputs as they were at first; nothing on the disk."""
+        shutil.rmtree(self.inputs, ignore_errors=True)
+        shutil.copytree(self.folder / "base" / {"frames": "survey"}.get(what, what), self.inputs)
+        self.disk.clear()
+
+    def command(self, trial: Trial, run: Path) -> list[str]:
+        """The command of a trial; the same for each of its runs."""
+        if trial.what == "strips":
+            words = ["strips", str(self.inputs / "geometry.yaml")]
+        else:
+            words = ["mosaic", str(self.inputs / "frames"), "--adjust", trial.method]
+            words += ["--pos", str(self.inputs / "pos.csv"), "--camera", str(self.inputs / "cameras.json")]
+        team = ["--dask", self.cluster()] if trial.team == "dask" else ["--workers", trial.team]
+        return [*words, "-o", str(run), "--fixed-time", *team]
+
+    def cluster(self) -> str:
+        """The address of a Dask cluster of two workers."""
+        if self._cluster is None:
+            from distributed import LocalCluster
+
+            self._cluster = LocalCluster(
+                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+            )
+        return str(self._cluster.scheduler_address)
+
+    def dask_workers(self) -> list[int]:
+        """Process ids of the cluster's workers."""
+        return [n.pid for n in self._cluster.workers.values() if n.pid] if self._cluster is not None else []
+
+    def reference(self, trial: Trial, state: str) -> tuple[int, dict[str, str], str]:
+        """Exit code and result of a fresh run over the inputs as they are now."""
+        key = f"{trial.what} {trial.method} {state}"
+        if key not in self.references:
+            fresh = self.disk.folder / "fresh"
+            alone = Trial(0, trial.what, "1", trial.method)
+            started, used = time.monotonic(), self.disk.used_kb()
+            ended = Running(self.command(alone, fresh), self.folder / "fresh.log").end(started)
+            self.length_s.setdefault(f"{trial.what} {trial.method}", ended.seconds)
+            self.used_kb.setdefault(trial.what, self.disk.used_kb() - used)
+            self.references[key] = (ended.code, result_of(fresh), ended.last)
+            shutil.rmtree(fresh, ignore_errors=True)
+        return self.references[key]
+
+    def close(self) -> None:
+        if self._cluster is not None:
+            self._cluster.close()
+        self.disk.close()
