@@ -181,7 +181,7 @@ def test_the_report_needs_nothing_beside_it(run: Path) -> None:
 def test_the_recording_is_read_by_others(run: Path) -> None:
     recording = read_recording(run / "run.mcap")
     assert [s.stage_id for s in recording.stages][:2] == ["survey.read", "projection.ground"]
-    assert all(s.finished for s in recording.stages) and len(recording.stages) == 10
+    assert all(s.finished for s in recording.stages) and len(recording.stages) == 11
     chunk = pytest.importorskip("rerun.chunk", reason="Rerun isn't installed")
     paths = {c.entity_path for c in chunk.McapReader(run / "run.mcap").stream()}
     assert {"/images/mosaic", "/log"} <= paths

@@ -13,8 +13,8 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 
 Floats = NDArray[np.float64]
-MOST_NODES = 16_000_000
-"""Of any ground: 128 MB. A survey of 40 km x 40 km has nodes every 10 m, one of 4 km x 4 km every metre."""
+MOST_NODES = 4_000_000
+"""Of any ground: 32 MB, which every worker is given. A survey of 2 km x 2 km may have a node every metre."""
 _MOST_FLAT_NODES = 250_000
 _FLAT_SPACING_M = 100.0
 _RAY_SAMPLES = 48
