@@ -92,7 +92,7 @@ class _PlainLoader(yaml.SafeLoader):
                 raise _refused("a key is a list or a mapping", key)
             if key.tag == "tag:yaml.org,2002:merge":
                 raise _refused("merge keys (<<) aren't read", key)
-            name = self.construct_object(key)  # type: ignore[no-untyped-call]
+            name = self.construct_object(key)
             if name in found:
                 raise _refused(f"'{shown(key.value)[1:-1]}' is given twice", key)
             found.add(name)
@@ -145,7 +145,7 @@ def _no_number(text: str) -> float:
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
-        found: set[str] = set()
-        twice = next(key for key, _ in pairs if key in found or found.add(key))
+        names = [key for key, _ in pairs]
+        twice = next(name for i, name in enumerate(names) if name in names[:i])
         raise ValueError(f"{shown(twice)} is given twice")
     return mapping
