@@ -20,6 +20,7 @@ from osgeo import gdal
 from rasterio.env import set_gdal_config
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from geomosaic.doors.files import check_regular
 from geomosaic.doors.references import check_sidecars, check_sources
 from geomosaic.errors import FileError
 
@@ -124,15 +125,15 @@ def reading(path: Path, problem: str = "can't be read whole", mend: str = _AGAIN
 def _regular(path: Path, purpose: Purpose) -> Path:
     """The absolute path of a regular file; what looks like one but opens something else is refused."""
     named = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
-    if str(path).startswith("/vsi") or "\0" in str(path):
+    if str(path).startswith("/vsi"):
         raise FileError("is no path of a file on this machine", file=named, mend=purpose.mend)
     try:
-        kind = path.stat().st_mode
-    except OSError as error:
+        folder = stat.S_ISDIR(path.stat().st_mode)
+    except (OSError, ValueError) as error:
         raise FileError(purpose.missing[0], file=named, mend=purpose.missing[1]) from error
-    if not stat.S_ISREG(kind):
-        problem = purpose.problem if stat.S_ISDIR(kind) else "is no regular file"
-        raise FileError(problem, file=named, mend=purpose.mend)
+    if folder:
+        raise FileError(purpose.problem, file=named, mend=purpose.mend)
+    check_regular(path, purpose.mend)
     return path.absolute()
 
 
