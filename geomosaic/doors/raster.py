@@ -52,12 +52,13 @@ class Purpose:
 
 
 _PLAIN: Final = ("GTiff", "AAIGrid", "HFA", "ENVI", "EHdr", "GPKG", "VRT")
+NO_SIDECARS: Final = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 FRAME: Final = Purpose(("GTiff",), "is no readable TIFF file", "copy it again, or take it out of the folder")
 MASK: Final = Purpose(("PNG", "GTiff"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
 STRIP: Final = Purpose(("GTiff",), "is no raster that GDAL reads", "give a strip such as a GeoTIFF")
 OWN: Final = Purpose(("GTiff",), "can't be read as a raster", "run the recipe again")
 DEM: Final = Purpose(
-    (*_PLAIN, "AIG", "SRTMHGT", "DTED", "USGSDEM"),
+    (*_PLAIN, "SRTMHGT", "DTED", "USGSDEM"),
     "is no raster that GDAL reads",
     "give a DEM such as a GeoTIFF",
     sidecars=True,
@@ -86,7 +87,7 @@ def open_raster(path: Path, purpose: Purpose) -> Raster:
     if purpose.sidecars:
         check_sidecars(path)
     else:
-        options = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
+        options = NO_SIDECARS
     try:
         with warnings.catch_warnings(), rasterio.Env(**options):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
