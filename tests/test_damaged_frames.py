@@ -13,6 +13,7 @@ import rasterio
 from small_surveys import mosaic, small_survey, summary, warned
 
 from geomosaic.errors import FileError
+from geomosaic.quality.positions import read_poses
 from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.damage import wholeness
 from geomosaic.survey.jpeg import parse_structure
@@ -173,6 +174,9 @@ def test_the_rest_is_mosaicked_and_the_damaged_are_named(
         rows = list(csv.DictReader(file))
     assert [r["frame"] for r in rows if r["status"] == "left_out"] == ["F0002.jpg", "F0005.jpg", "notes.jpg"]
     assert all(v == "" for r in rows[3:] for k, v in r.items() if k not in ("frame", "status"))
+    again = read_survey(frames, pos=run / "positions.csv", camera=line.camera)
+    assert len(again.frames) == 3 == len(again.left_out)
+    assert len(read_poses(run / "positions.csv", [f.name for f in again.frames], again.work_frame)) == 3
 
 
 def test_the_part_above_the_damage_is_used_if_asked(line: SimulatedSurvey, frames: Path) -> None:

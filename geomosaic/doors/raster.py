@@ -20,6 +20,7 @@ from osgeo import gdal
 from rasterio.env import set_gdal_config
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from geomosaic.doors.files import check_regular
 from geomosaic.doors.references import check_sidecars, check_sources
 from geomosaic.errors import FileError
 
@@ -51,12 +52,13 @@ class Purpose:
 
 
 _PLAIN: Final = ("GTiff", "AAIGrid", "HFA", "ENVI", "EHdr", "GPKG", "VRT")
+NO_SIDECARS: Final = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 FRAME: Final = Purpose(("GTiff",), "is no readable TIFF file", "copy it again, or take it out of the folder")
 MASK: Final = Purpose(("PNG", "GTiff"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
 STRIP: Final = Purpose(("GTiff",), "is no raster that GDAL reads", "give a strip such as a GeoTIFF")
 OWN: Final = Purpose(("GTiff",), "can't be read as a raster", "run the recipe again")
 DEM: Final = Purpose(
-    (*_PLAIN, "AIG", "SRTMHGT", "DTED", "USGSDEM"),
+    (*_PLAIN, "SRTMHGT", "DTED", "USGSDEM"),
     "is no raster that GDAL reads",
     "give a DEM such as a GeoTIFF",
     sidecars=True,
@@ -85,7 +87,7 @@ def open_raster(path: Path, purpose: Purpose) -> Raster:
     if purpose.sidecars:
         check_sidecars(path)
     else:
-        options = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
+        options = NO_SIDECARS
     try:
         with warnings.catch_warnings(), rasterio.Env(**options):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -124,15 +126,15 @@ def reading(path: Path, problem: str = "can't be read whole", mend: str = _AGAIN
 def _regular(path: Path, purpose: Purpose) -> Path:
     """The absolute path of a regular file; what looks like one but opens something else is refused."""
     named = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
-    if str(path).startswith("/vsi") or "\0" in str(path):
+    if str(path).startswith("/vsi"):
         raise FileError("is no path of a file on this machine", file=named, mend=purpose.mend)
     try:
-        kind = path.stat().st_mode
-    except OSError as error:
+        folder = stat.S_ISDIR(path.stat().st_mode)
+    except (OSError, ValueError) as error:
         raise FileError(purpose.missing[0], file=named, mend=purpose.missing[1]) from error
-    if not stat.S_ISREG(kind):
-        problem = purpose.problem if stat.S_ISDIR(kind) else "is no regular file"
-        raise FileError(problem, file=named, mend=purpose.mend)
+    if folder:
+        raise FileError(purpose.problem, file=named, mend=purpose.mend)
+    check_regular(path, purpose.mend)
     return path.absolute()
 
 

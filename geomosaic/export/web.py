@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ import numpy as np
 from osgeo import gdal
 from rasterio.warp import transform_bounds
 
-from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
+from geomosaic.doors.raster import NO_SIDECARS, OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
 from geomosaic.mosaic.gdal_failures import gdal_failures
 
@@ -122,7 +123,13 @@ def _write_shown(mosaic_file: Path, out: Path) -> None:
 
 def _run(command: Sequence[str], check_cancelled: Callable[[], None] | None) -> None:
     """Runs a program to its end, looking every half second whether to stop it. Raises `OSError`."""
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as running:  # noqa: S603
+    with subprocess.Popen(  # noqa: S603
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **NO_SIDECARS},
+    ) as running:
         try:
             while True:
                 try:

@@ -61,6 +61,8 @@ def _rows(path: Path) -> dict[str, list[float]]:
         )
     out = {}
     for line, row in enumerate(rows, start=2):
+        if row.get("status") == "left_out":
+            continue
         try:
             numbers = [float(row[c]) for c in _NUMBERS]
             if not all(map(math.isfinite, numbers)):

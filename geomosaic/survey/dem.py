@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from rasterio import Env
 from rasterio.enums import Resampling
 from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
@@ -18,7 +19,8 @@ from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_MOST_PIXELS: Final = 3000  # a side: 72 MB of heights
+_MOST_PIXELS: Final = 2000  # a side: as many as the ground gets nodes
+_CACHE_MB: Final = 64  # of blocks; by itself GDAL holds a twentieth of the memory
 _AROUND: Final = 32  # pixels beside the window, by which those in it are judged
 _METRES: Final = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
 
@@ -109,12 +111,12 @@ def read_heights(
 ) -> HeightRaster:
     """The DEM's first band inside bounds (west, south, east, north in its own CRS), a pixel wider.
 
-    It is read reduced to pixels of at least `finest` (CRS units), and to 3000 pixels a side. Scale and
+    It is read reduced to pixels of at least `finest` (CRS units), and to 2000 pixels a side. Scale and
     offset of the band are applied, and values that can't be heights are unknown.
     Raises: FileError if nothing of the DEM lies inside the bounds, or it can't be read.
     """
     path = Path(elevation.path)
-    with open_raster(path, DEM) as source, reading(path):
+    with Env(GDAL_CACHEMAX=_CACHE_MB), open_raster(path, DEM) as source, reading(path):
         check_grid(source, path)
         wanted = _window(source, bounds, (1, 1))
         if wanted is None:
@@ -130,11 +132,9 @@ def read_heights(
         reduced = shape != sides
         heights = _read(source, window, shape, Resampling.average if reduced else Resampling.nearest)
         bad = outliers(heights + elevation.offset_m, reduced)
-        if reduced:  # means would mix what is no height into what is one
-            sample = _read(source, window, shape, Resampling.nearest)
-            bad_sample = outliers(sample + elevation.offset_m, reduced)
-            if bad.any() or bad_sample.any():
-                heights, bad = sample, bad_sample
+        if reduced and bad.any():  # the means hold mixtures of what is a height and what is none
+            heights = _read(source, window, shape, Resampling.nearest)
+            bad = outliers(heights + elevation.offset_m, reduced)
         rows, step_y = _part(window.row_off, window.height, wanted.row_off, wanted.height, shape[0])
         cols, step_x = _part(window.col_off, window.width, wanted.col_off, wanted.width, shape[1])
         heights, bad = heights[rows, cols], bad[rows, cols]

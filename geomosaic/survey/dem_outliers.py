@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 _LAND_M: Final = (
     -600.0,
@@ -31,9 +32,9 @@ def outliers(height_m: Floats, mixed: bool = False) -> Flags:
     step as there is none elsewhere; pixels far off nearly all of those around them. mixed: the neighbours
     of fills are mixtures of both, and go too.
     """
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         bad = (height_m < _LAND_M[0]) | (height_m > _LAND_M[1])
-    left = np.where(bad, np.nan, height_m)
+        left = np.where(bad, np.nan, height_m).astype(np.float32)
     for lowest in (True, False):
         for _ in range(_MOST_FILLS):
             fill = _fill(left, lowest)
@@ -48,7 +49,7 @@ def outliers(height_m: Floats, mixed: bool = False) -> Flags:
     return bad | _spikes(left)
 
 
-def _fill(height_m: Floats, lowest: bool) -> Flags | None:
+def _fill(height_m: Floats32, lowest: bool) -> Flags | None:
     """Where the lowest (highest) value is, if it stands in many pixels and is a fill."""
     known = np.isfinite(height_m)
     if not known.any():
@@ -76,13 +77,13 @@ def _both(flags: Flags, axis: int) -> Flags:
     return np.asarray(flags[1:] & flags[:-1] if axis == 0 else flags[:, 1:] & flags[:, :-1])
 
 
-def _spikes(height_m: Floats) -> Flags:
+def _spikes(height_m: Floats32) -> Flags:
     """Pixels that at most two of the eight around them come near to; unknown ones count as near."""
     if min(height_m.shape) < 3:
         return np.zeros(height_m.shape, dtype=bool)
     around = np.pad(height_m, 1, mode="reflect")
     rows, cols = height_m.shape
-    first, second, third = (np.full(height_m.shape, np.inf) for _ in range(3))
+    first, second, third = (np.full(height_m.shape, np.inf, np.float32) for _ in range(3))
     for row in range(3):
         for col in range(3):
             if (row, col) != (1, 1):

@@ -169,7 +169,7 @@ def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS |
     if "frame" in names or len({n for n in names if n}) > 1:
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")
-        return table, file_crs
+        return table.without("status", "left_out"), file_crs
     data = [line for line in lines if not line.comment]
     count = len(split(data[0].text, data[0].text)) if data else 0
     if count not in (3, 4, 6):

@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -87,6 +87,12 @@ class Table:
                 )
             values.append(value)
         return np.array(values) * self.factors[column]
+
+    def without(self, column: str, text: str) -> Table:
+        """The table without the rows whose column holds this text."""
+        kept = [i for i, value in enumerate(self.texts(column)) if value != text]
+        cells = {name: [texts[i] for i in kept] for name, texts in self.cells.items()}
+        return replace(self, lines=tuple(self.lines[i] for i in kept), cells=cells)
 
     def required(self, column: str) -> Floats:
         """A column (n,) of numbers that must all be there."""
