@@ -162,7 +162,6 @@ def test_the_estimate_is_told_and_comes_true(
     raster = run / "work" / "mosaic.compose" / "mosaic.tif"
     taken = sum(p.stat().st_size for p in (raster, run / "mosaic.tif", run / "sources.tif")) / 1e9
     assert 0.5 * least < taken < 2.0 * most, "tiles of 512 px make small mosaics uneven"
-    assert estimate["disk_free_gb"] > 1.0
     assert not [
         w for w in summary(run)["warnings"] if "absurd" in w["code"] or w["code"].startswith("mosaic-")
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import stat
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
@@ -88,10 +89,10 @@ def tell_estimate(context: Context, estimate: Estimate) -> None:
 
     What an earlier run left there counts as free.
     """
-    free = shutil.disk_usage(context.run_folder).free
-    before = sum(p.stat().st_size for p in context.run_folder.rglob("*") if p.is_file()) / 1e9
-    free_gb = free / 1e9
-    context.metric("estimate", asdict(estimate) | {"disk_gb": estimate.disk_gb, "disk_free_gb": free_gb})
+    left = [p.lstat() for p in context.run_folder.rglob("*")]
+    before = sum(s.st_size for s in left if stat.S_ISREG(s.st_mode)) / 1e9
+    free_gb = shutil.disk_usage(context.run_folder).free / 1e9
+    context.metric("estimate", asdict(estimate) | {"disk_gb": estimate.disk_gb})
     context.tell(estimate.told())
     if estimate.disk_gb[0] > free_gb + before:
         raise OutputError(
