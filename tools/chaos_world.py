@@ -124,7 +124,7 @@ class Disk:
 
     def close(self) -> None:
         if self.own:
-            subprocess.run(["umount", str(self.folder)], check=True)
+            subprocess.run(["umount", "--lazy", str(self.folder)], check=True)  # a worker may hold a file
 
 
 def result_of(run: Path) -> dict[str, str]:

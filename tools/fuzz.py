@@ -31,7 +31,7 @@ COLUMNS = (
     *(
         "accepted",
         "refused",
-        "not solvable",
+        "exit 1",
         "traceback",
         "fault",
         "crash",
@@ -57,7 +57,7 @@ def plan(cases: int, only: str | None) -> list[tuple[str, int]]:
 def columns_of(case: Case) -> Iterator[str]:
     """The columns of the table a case counts in."""
     if not case.problems:
-        yield {0: "accepted", 1: "not solvable", 2: "refused"}.get(case.code, "exit code")
+        yield {0: "accepted", 1: "exit 1", 2: "refused"}.get(case.code, "exit code")
     yield from case.problems
     if case.grade in ("warned", "small", "gross"):
         yield f"differs, {case.grade}"

@@ -184,7 +184,7 @@ KINDS = {
             _by_name,
             _camera,
         ),
-        Kind("recipe", 8, "survey", ("in/short.yaml",), _by_name, _recipe),
+        Kind("recipe", 8, "survey", ("in/short.yaml",), _by_name, _recipe, ""),
         Kind("control", 6, "survey", ("in/gcp_list.txt", "in/gcp.csv"), _by_name, _control),
         Kind(
             "dem",

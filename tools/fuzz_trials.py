@@ -115,10 +115,10 @@ class Trials:
         own = ("out", "tmp")
         before = snapshot(self.box.folder, own)
         mine_before = self._own_notes()
-        self._mark_unread()
         found: list[str] = []
         shown = False
         for argv in commands:
+            self._mark_unread()
             ended = self.box.run(argv, HANG_S)
             shown = shown or self._was_read()
             changed = changes(before, snapshot(self.box.folder, own))
