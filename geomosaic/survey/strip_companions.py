@@ -41,6 +41,8 @@ def read_rpc(path: Path) -> Rpc:
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(path) as raster:
                 return Rpc.from_metadata(raster.tags(ns="RPC"))
+    except FileError:
+        raise
     except InputError as error:
         raise InputError(error.problem, file=path, mend=_MEND) from error
     except (RasterioError, OSError, ValueError) as error:
