@@ -24,7 +24,7 @@ class Rate:
     source: str
 
 
-_HERE: Final = "two cores of 2.5 GHz; 18 frames of 9 MP, 20 of 9.7 MP, 24 simulated ones of 1.3 MP"
+_HERE: Final = "18 frames of 9 MP on two cores, by their processor time; widened for what other surveys took"
 KEYPOINTS: Final = Rate(0.4, 1.2, "core s/MP", "SIFT; frames of over 3000 px are halved first", _HERE)
 PAIRS: Final = Rate(0.15, 0.7, "core s/pair", "descriptors compared and checked, up to 6000 a frame", _HERE)
 SOLVE: Final = Rate(0.2, 2.0, "s/frame", "bundle, by how many points and rounds it takes", _HERE)
