@@ -151,7 +151,8 @@ def _parts(name: str, value: Any, depth: int = 3) -> dict[str, str]:
     """The parts of a tree by name, so that a difference says where it is."""
     if isinstance(value, dict) and depth:
         return {n: m for k, v in value.items() for n, m in _parts(f"{name}.{k}", v, depth - 1).items()}
-    return {name: json.dumps(value, sort_keys=True)[:200]}
+    text = json.dumps(value, sort_keys=True)
+    return {name: text if len(text) < 200 else f"{text[:100]}... {_hash(text.encode())}"}
 
 
 def _hash(data: bytes) -> str:
