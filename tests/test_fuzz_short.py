@@ -18,22 +18,22 @@ from fuzz_trees import a_json, a_yaml, an_xml  # noqa: E402
 from fuzz_verdict import Result, difference  # noqa: E402
 from trial_box import changes, snapshot  # noqa: E402
 
-CASES = 36
+CASES = 18
 
 
 def test_spoiled_files_are_refused_or_read_and_nothing_else_happens(tmp_path: Path) -> None:
-    """Two cases of each kind, each in a process of its own, through the real commands."""
+    """A case of each kind or two, each in a process of its own, through the real commands."""
     words = ["--cases", str(CASES), "--seed", "8", "--out", str(tmp_path / "fuzz")]
     done = subprocess.run(
         [sys.executable, str(TOOLS / "fuzz.py"), *words], capture_output=True, text=True, timeout=300
     )
     told = json.loads((tmp_path / "fuzz" / "fuzz.json").read_text())
     assert done.returncode == 0, done.stdout + done.stderr
-    assert told["cases"] >= CASES - 9
+    assert told["cases"] >= CASES - 3
     whole = told["table"][-1]
     assert whole["kind"] == "all"
-    assert whole["accepted"] > 3
-    assert whole["refused"] > 3
+    assert whole["accepted"] > 1
+    assert whole["refused"] > 1
 
 
 def test_a_seed_makes_the_same_case_again(tmp_path: Path) -> None:

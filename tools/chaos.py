@@ -135,7 +135,8 @@ def one_trial(world: World, number: int, methods: tuple[str, ...], dask: bool) -
         other = sorted(n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n))
         if other:
             trial.problems.append("another result")
-            trial.words += f"[result] differs: {', '.join(other)}\n"
+            each = [f"{n}: {wanted.get(n)} -> {found.get(n)}" for n in other]
+            trial.words += f"[result] {'; '.join(each)}"[:2000] + "\n"
     elif ended.code != code or ended.code != 2:
         trial.problems.append("another end")
         trial.words += f"[end] {ended.last} / fresh: {refusal}\n"

@@ -140,10 +140,19 @@ def result_of(run: Path) -> dict[str, str]:
         found["layers.gpkg"] = _hash(json.dumps(_tables(run / "layers.gpkg"), default=repr).encode())
     if (run / "run.json").exists():
         told = json.loads((run / "run.json").read_text())
+        told.get("metrics", {}).get("estimate", {}).pop("disk_free_gb", None)  # of the disk, not the result
         for name, value in told.items():
             if name not in _VOLATILE:
-                found[f"run.json {name}"] = _hash(json.dumps(value, sort_keys=True).encode())
+                found.update(_parts(f"run.json {name}", value))
     return found
+
+
+def _parts(name: str, value: Any, depth: int = 3) -> dict[str, str]:
+    """The parts of a tree by name, so that a difference says where it is."""
+    if isinstance(value, dict) and depth:
+        return {n: m for k, v in value.items() for n, m in _parts(f"{name}.{k}", v, depth - 1).items()}
+    text = json.dumps(value, sort_keys=True)
+    return {name: text if len(text) < 200 else f"{text[:100]}... {_hash(text.encode())}"}
 
 
 def _hash(data: bytes) -> str:

@@ -22,7 +22,7 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.strips import StripGeometry
 
 HANG_S = 60.0
-_NO_MEMORY = re.compile(r"MemoryError|bad_alloc|nable to allocate|ut of memory|annot allocate", re.IGNORECASE)
+_NO_MEMORY = re.compile(r"MemoryError|bad_alloc|nable to allocate|ut of memory")
 _USUAL = re.compile(r"geomosaic: |warning: |\[\d+/\d+\] ")
 _LEFT = re.compile(r"^\..*\.(part|old)")
 
