@@ -191,6 +191,12 @@ def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position])
     """No survey reaches so far: `InputError` naming the frame that lies farthest out."""
     lonlat = lonlat_of(positions)
     away = _distances_m(lonlat, np.broadcast_to(np.median(lonlat, axis=0), lonlat.shape))
+    if len(lonlat) > 1 and (lonlat == lonlat[0]).all():
+        raise InputError(
+            f"all {len(lonlat)} frames have the same position {lonlat[0, 0]:.7f}, {lonlat[0, 1]:.7f} deg",
+            file=headers[0].path.parent,
+            mend="give a POS file with their own positions (--pos)",
+        )
     i = int(np.argmax(away))
     if away[i] > _TOO_FAR_M:
         raise InputError(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from geomosaic.doors.files import printable, read_text
+from geomosaic.doors.files import read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
@@ -52,10 +52,12 @@ def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path |
     away_m = outside_area_m(crs, lon_deg, lat_deg)
     if away_m == 0.0:
         return []
-    assert crs.area_of_use is not None
+    area = crs.area_of_use
+    assert area is not None
+    reach = f"{area.west:g} to {area.east:g}, {area.south:g} to {area.north:g} deg"
     problem = (
         f"{what} ({lon_deg:.3f}, {lat_deg:.3f} deg) lie {away_m / 1000.0:,.0f} km outside the area of "
-        f"{crs.name} ({printable(crs.area_of_use.name or 'unnamed')[:80]})"
+        f"{crs.name} ({reach})"
     )
     if away_m > _FAR_OUTSIDE_M:
         raise InputError(problem, file=file, mend="give the coordinate reference system that belongs to them")
