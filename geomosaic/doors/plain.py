@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import reprlib
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -92,7 +93,7 @@ class _PlainLoader(yaml.SafeLoader):
                 raise _refused("a key is a list or a mapping", key)
             if key.tag == "tag:yaml.org,2002:merge":
                 raise _refused("merge keys (<<) aren't read", key)
-            name = self.construct_object(key)  # type: ignore[no-untyped-call]
+            name = self.construct_object(key)
             if name in found:
                 raise _refused(f"'{shown(key.value)[1:-1]}' is given twice", key)
             found.add(name)
@@ -145,7 +146,6 @@ def _no_number(text: str) -> float:
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
-        found: set[str] = set()
-        twice = next(key for key, _ in pairs if key in found or found.add(key))
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"{shown(twice)} is given twice")
     return mapping

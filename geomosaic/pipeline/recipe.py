@@ -106,8 +106,6 @@ def _exists(path: Path) -> bool:
         return False
 
 
-
-
 def load_recipe(path: Path, registry: Registry, overrides: Iterable[str] = ()) -> Recipe:
     """A recipe file. Paths in it are relative to its folder, those of `overrides` to the current one."""
     plain = read_yaml(path, _MAX_BYTES, "a recipe", "give a recipe, such as those in recipes/")
