@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import reprlib
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -145,7 +146,6 @@ def _no_number(text: str) -> float:
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
-        names = [key for key, _ in pairs]
-        twice = next(name for i, name in enumerate(names) if name in names[:i])
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"{shown(twice)} is given twice")
     return mapping
