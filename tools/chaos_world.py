@@ -140,7 +140,7 @@ def result_of(run: Path) -> dict[str, str]:
         found["layers.gpkg"] = _hash(json.dumps(_tables(run / "layers.gpkg"), default=repr).encode())
     if (run / "run.json").exists():
         told = json.loads((run / "run.json").read_text())
-        told.get("metrics", {}).get("estimate", {}).pop("disk_free_gb", None)  # of the disk, not the result
+        told.get("metrics", {}).pop("estimate", None)  # of the machine and its workers, not of the result
         for name, value in told.items():
             if name not in _VOLATILE:
                 found.update(_parts(f"run.json {name}", value))
