@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+from osgeo import gdal
 from small_surveys import geomosaic, mosaic, small_survey, summary
 from test_pipeline_runner import ALL, Toys, toys  # noqa: F401
 from test_pipeline_toy import Numbers
@@ -127,6 +128,26 @@ def test_an_edit_that_keeps_size_and_time_is_found(toys: Toys, monkeypatch: pyte
     assert (numbers.stat().st_size, numbers.stat().st_mtime_ns) == (before.st_size, before.st_mtime_ns)
     toys.run()
     assert toys.done() == ["read", "power", "item 1", "item 2", "item 3", "item 5", "sum", "write", "tell"]
+
+
+def test_a_vrt_stands_for_its_sources(tmp_path: Path) -> None:
+    """The VRT itself stays as it is when a tile of the DEM is corrected."""
+    shape = {"width": 8, "height": 8, "count": 1, "dtype": "float32", "crs": "EPSG:32632"}
+    (tmp_path / "tiles").mkdir()
+    tile = tmp_path / "tiles" / "a.tif"
+    with rasterio.open(
+        tile, "w", driver="GTiff", transform=rasterio.Affine(1, 0, 5e5, 0, -1, 5e6), **shape
+    ) as out:
+        out.write(np.zeros((1, 8, 8), np.float32))
+    gdal.BuildVRT(str(tmp_path / "dem.vrt"), [str(tile)]).FlushCache()
+    (tmp_path / "dem.hdr").write_text("x")
+    (tmp_path / "other.vrt").write_text("x")
+    first = FileHashes().manifest(tmp_path / "dem.vrt")
+    assert list(first) == ["dem.hdr", "dem.vrt", str(tile)]
+    with rasterio.open(tile, "r+") as out:
+        out.write(np.ones((1, 8, 8), np.float32))
+    second = FileHashes().manifest(tmp_path / "dem.vrt")
+    assert {name for name in first if first[name] != second[name]} == {str(tile)}
 
 
 def test_a_file_that_was_just_written_is_hashed_again(tmp_path: Path) -> None:

@@ -65,10 +65,18 @@ def check_sidecars(path: Path) -> None:
             _check_plain(file, (b"EHFA",))
 
 
-def check_sources(path: Path, check_file: Callable[[Path], None]) -> None:
+def sources_of(path: Path) -> list[Path]:
+    """The files that a VRT is made of, those of the VRTs among them too; of any other file none.
+
+    Raises: `FileError` as `check_sources` does.
+    """
+    return check_sources(path, lambda _: None)
+
+
+def check_sources(path: Path, check_file: Callable[[Path], None]) -> list[Path]:
     """Looks at every source of a VRT, of the VRTs among them too; any other file is passed over.
 
-    check_file raises for a source that isn't a VRT and is no raster either. Raises: `FileError` for a source
+    check_file raises for a source that isn't a VRT and is no raster either. Returns the sources. Raises: `FileError` for a source
     that isn't there or isn't local, VRTs in themselves or more than four deep, more than 10,000 sources,
     anything but mosaics and warps.
     """
@@ -92,6 +100,7 @@ def check_sources(path: Path, check_file: Callable[[Path], None]) -> None:
                 waiting.append((source, depth + 1))
         if len(seen) > _MOST_SOURCES:
             raise FileError(f"has more than {_MOST_SOURCES:,} sources", file=path, mend=_VRT_MEND)
+    return sorted(seen - {path})
 
 
 _checked: set[tuple[Path, tuple[int, ...]]] = set()

@@ -59,7 +59,8 @@ class Given:
         for entry in self.manifest().values():
             place = Path(str(entry["path"]))
             for name, mark in entry["files"].items():
-                path = (place if place.is_dir() else place.parent) / PurePath(name).name
+                within = name if PurePath(name).is_absolute() else PurePath(name).name
+                path = (place if place.is_dir() else place.parent) / within
                 if path.is_file():
                     yield path, str(mark)
 

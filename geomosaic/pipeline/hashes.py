@@ -11,14 +11,13 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
+from geomosaic.doors.references import sources_of
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import fingerprint_of_json
 
 _CHUNK_BYTES = 1 << 20
 _MOST_MEMORY_BYTES = 64 << 20
-_SIDECARS = (".prj", ".tfw", ".jgw", ".wld")
-_APPENDED = (".aux.xml", ".msk", ".ovr")
 SETTLED_NS = 2_000_000_000
 """A file changed so shortly before it was hashed could change again without another time of change: 2 s is
 the coarsest clock of a file system in use (FAT). Git's index has the same rule ("racily clean")."""
@@ -104,18 +103,19 @@ class FileHashes:
     def manifest(self, path: Path, progress: Callable[[int, int], None] | None = None) -> dict[str, str]:
         """Names and hashes of what a file parameter stands for.
 
-        A file stands for itself and its sidecars (`.prj`, world files, `.aux.xml`, `.msk`, `.ovr`), a folder
-        for the files directly inside that aren't hidden.
+        A file stands for itself, the files beside it of the same stem (`.prj`, world files, `.hdr`,
+        `.aux.xml`, `.ovr`), and the sources of a VRT by their full paths; a folder for the files directly
+        inside that aren't hidden.
         """
         if path.is_dir():
             found = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
         else:
-            beside = [path.with_suffix(s) for s in _SIDECARS]
-            beside += [path.with_name(path.name + s) for s in _APPENDED]
-            found = [path, *(p for p in beside if p != path and p.is_file())]
+            beside = (p for p in path.parent.iterdir() if p.name.startswith(f"{path.stem}.") and p.is_file())
+            found = [*sorted({path, *beside}), *sources_of(path.absolute())]
+        near = path if path.is_dir() else path.parent
         hashes = {}
         for i, file in enumerate(found):
-            hashes[file.name] = self.of_input(file)
+            hashes[file.name if file.parent == near else str(file)] = self.of_input(file)
             if progress:
                 progress(i + 1, len(found))
         return hashes
