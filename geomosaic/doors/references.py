@@ -76,9 +76,10 @@ def sources_of(path: Path) -> list[Path]:
 def check_sources(path: Path, check_file: Callable[[Path], None]) -> list[Path]:
     """Looks at every source of a VRT, of the VRTs among them too; any other file is passed over.
 
-    check_file raises for a source that isn't a VRT and is no raster either. Returns the sources. Raises: `FileError` for a source
-    that isn't there or isn't local, VRTs in themselves or more than four deep, more than 10,000 sources,
-    anything but mosaics and warps.
+    check_file raises for a source that isn't a VRT and is no raster either. Returns the sources.
+
+    Raises: `FileError` for a source that isn't there or isn't local, VRTs in themselves or more than four
+    deep, more than 10,000 sources, anything but mosaics and warps.
     """
     waiting, seen = [(path, 0)], {path}
     while waiting:
