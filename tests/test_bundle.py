@@ -181,5 +181,8 @@ def test_a_block_of_the_wrong_size_is_named() -> None:
         assert [w.code for w in warnings] == codes
     stated = re.match(r"the block is (\S+) % larger .*\(standard deviation (\S+) %\)", warnings[0].text)
     assert stated and [float(v) for v in stated.groups()] == pytest.approx([2.0, 0.03], abs=0.06)
+    alike = replace(poses, positions_m=np.tile(poses.positions_m.mean(axis=0), (len(poses), 1)))
+    told = doubtful_positions(replace(flown.block, poses=alike), flown.truth, every)
+    assert "scale-doubtful" not in [w.code for w in told]
     away = replace(poses, positions_m=poses.positions_m + [1.0, -2.0, 0.0])
     assert [w.code for w in doubtful_positions(flown.block, away, every)] == ["positions-shifted"]

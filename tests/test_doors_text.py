@@ -543,11 +543,9 @@ def test_a_crs_of_another_continent(flight: Path, capsys: pytest.CaptureFixture[
         read_pos(pos, crs="EPSG:27700")
 
 
-def test_frames_of_one_and_the_same_position_are_refused(
-    flight: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_of_one_and_the_same_position_are_told(flight: Path) -> None:
     pos = flight / "pos.csv"
     names = [frame.name for frame in sorted((flight / "frames").iterdir())]
     pos.write_text("frame,lon,lat,h_ell\n" + "".join(f"{n},11.3,48.1,570\n" for n in names))
-    assert mosaic(flight / "frames", flight / "run", "--pos", pos) == 2
-    assert "all 4 frames have the same position 11.3000000, 48.1000000 deg" in capsys.readouterr().err
+    survey = read_survey(flight / "frames", pos=pos, camera=flight / "cameras.json")
+    assert [w.frame for w in survey.warnings if w.code == "positions-all-alike"] == [""]

@@ -14,6 +14,7 @@ from geomosaic.survey.model import Warn
 
 _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
+_SAME_PLACE_M = 1e-3  # positions given alike say nothing of the scale
 _SCALE_IN_DOUBT = 4.0
 _SHIFT_IN_DOUBT = 5.0
 _DRIFTS = 3.0
@@ -70,7 +71,8 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
     given, found = block.poses.positions_m[seen, :2], poses.positions_m[seen, :2]
     stated_m = float(np.median(stated[:, :2]))
     extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
-    if len(seen) < 3 or extent_m == 0.0:
+    told_apart = len(seen) >= 3 and bool(np.ptp(given, axis=0).max() > _SAME_PLACE_M)
+    if extent_m == 0.0 or not told_apart:
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift

@@ -191,12 +191,6 @@ def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position])
     """No survey reaches so far: `InputError` naming the frame that lies farthest out."""
     lonlat = lonlat_of(positions)
     away = _distances_m(lonlat, np.broadcast_to(np.median(lonlat, axis=0), lonlat.shape))
-    if len(lonlat) > 1 and (lonlat == lonlat[0]).all():
-        raise InputError(
-            f"all {len(lonlat)} frames have the same position {lonlat[0, 0]:.7f}, {lonlat[0, 1]:.7f} deg",
-            file=headers[0].path.parent,
-            mend="give a POS file with their own positions (--pos)",
-        )
     i = int(np.argmax(away))
     if away[i] > _TOO_FAR_M:
         raise InputError(
@@ -255,6 +249,10 @@ def _doubts(
         "picture-edited": (
             ["viewer" in (h.xmp or {}).get("xap:CreatorTool", "").lower() for h in headers],
             "saved by a picture viewer after the flight: may have been turned",
+        ),
+        "positions-all-alike": (
+            [len(lonlat) > 1 and bool((lonlat == lonlat[0]).all())] * len(lonlat),
+            "all frames have the same position: only their overlaps tell how they lie to each other",
         ),
         "position-far-away": (
             [*(away > np.maximum(5000.0, 20.0 * np.median(away)))],
