@@ -165,3 +165,13 @@ def test_other_files_and_types_are_refused(tmp_path: Path) -> None:
     write_jpeg(path, picture(48, 30))
     with pytest.raises(FileError, match="has changed"):
         read_pixels(before)
+
+
+def test_a_path_that_counts_from_the_current_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A survey out of a stranger's cache may name what lies where the user happens to be."""
+    monkeypatch.chdir(tmp_path)
+    write_jpeg(tmp_path / "a.jpg", np.zeros((48, 96, 3), np.uint8), exif_block(Orientation=1))
+    with pytest.raises(FileError, match=r"^a\.jpg: is no full path"):
+        read_pixels(frame(Path("a.jpg")))

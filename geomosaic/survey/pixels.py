@@ -47,6 +47,9 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     if reduction not in _REDUCED:
         raise ValueError(f"reduction is one of {sorted(_REDUCED)}, not {reduction}")
     path = Path(frame.path)
+    for named in filter(None, (frame.path, frame.valid_mask)):
+        if not Path(named).is_absolute():  # in the current folder lies what nobody named
+            raise FileError("is no full path", file=named, mend="run the recipe again from its first stage")
     if path.suffix.lower() in JPEG_SUFFIXES:
         pixels, valid = _decode_jpeg(path, frame, reduction), None
     else:
