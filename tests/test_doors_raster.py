@@ -377,6 +377,27 @@ def test_tiffs_that_ask_for_too_much(tmp_path: Path) -> None:
     )  # fmt: skip
 
 
+def test_a_header_that_does_not_fit_its_pixels(tmp_path: Path) -> None:
+    """Eight bits said to be one, a tag of another type."""
+    path = tmp_path / "a.tif"
+    cv2.imwrite(str(path), np.full((20, 30), 5, np.uint8), [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+    whole = path.read_bytes()
+    assert read_header(path).width_px == 30
+    directory = int.from_bytes(whole[4:8], "little")
+    entries = {
+        int.from_bytes(whole[at : at + 2], "little"): at
+        for at in range(directory + 2, directory + 2 + 12 * whole[directory], 12)
+    }
+    for tag, at, value, words in (
+        (258, 8, 1, "header is damaged"), (273, 2, 77, "readable|missing|trunc"),
+    ):  # fmt: skip
+        spoiled = bytearray(whole)
+        spoiled[entries[tag] + at : entries[tag] + at + 2] = value.to_bytes(2, "little")
+        path.write_bytes(spoiled)
+        with pytest.raises(FileError, match=words):
+            read_header(path)
+
+
 def test_millions_of_blocks_are_looked_at_by_share(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     side = 16 * 64

@@ -95,7 +95,7 @@ class Trials:
         self._new_box(kind)
         commands = kind.commands(self.box.folder, file, rng)
         rng.setstate(state)
-        key = f"{kind.template} {commands}"
+        key = f"{kind.name} {commands}"
         if key not in self.bases:
             ended = [self.box.run(argv, 5 * HANG_S) for argv in commands]
             whole = ended[-1].code == 0 and self.box.path("out").is_dir()

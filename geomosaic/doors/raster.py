@@ -17,6 +17,7 @@ from typing import Any, Final, TypeAlias
 
 import rasterio
 from osgeo import gdal
+from rasterio._err import CPLE_BaseError
 from rasterio.env import set_gdal_config
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
@@ -52,6 +53,7 @@ class Purpose:
 
 
 _PLAIN: Final = ("GTiff", "AAIGrid", "HFA", "ENVI", "EHdr", "GPKG", "VRT")
+_FAILURES: Final = (RasterioError, CPLE_BaseError, OSError, MemoryError)
 NO_SIDECARS: Final = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 FRAME: Final = Purpose(("GTiff",), "is no readable TIFF file", "copy it again, or take it out of the folder")
 MASK: Final = Purpose(("PNG", "GTiff"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
@@ -92,7 +94,7 @@ def open_raster(path: Path, purpose: Purpose) -> Raster:
         with warnings.catch_warnings(), rasterio.Env(**options):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             raster = Raster(path, driver=[*purpose.drivers], sharing=False)
-    except (RasterioError, OSError, ValueError) as error:
+    except (*_FAILURES, ValueError) as error:
         raise FileError(purpose.problem, file=path, mend=purpose.mend) from error
     try:
         _check_blocks(raster, path)
@@ -119,7 +121,7 @@ def reading(path: Path, problem: str = "can't be read whole", mend: str = _AGAIN
         yield
     except FileError:
         raise
-    except (RasterioError, OSError, MemoryError) as error:
+    except _FAILURES as error:
         raise FileError(problem, file=path, mend=mend) from error
 
 

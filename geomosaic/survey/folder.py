@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from geomosaic.doors.files import check_name
-from geomosaic.doors.raster import MASK, open_raster
+from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
-from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader
+from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
 from geomosaic.survey.names import frame_name, natural_key
 
 _MASK_ENDINGS: Final = ("_mask", ".mask")
@@ -79,6 +79,9 @@ def masks(headers: list[FrameHeader]) -> dict[str, str]:
 def _check_size(mask: Path, header: FrameHeader) -> None:
     with open_raster(mask, MASK) as raster:
         size = raster.width, raster.height
+        if raster.driver == "GTiff":
+            with reading(mask, MASK.problem, MASK.mend):
+                check_blocks(raster, mask, MASK.mend)
     if size != (header.width_px, header.height_px):
         raise FileError(
             f"the mask has {size[0]} x {size[1]} pixels, its frame {header.width_px} x {header.height_px}",

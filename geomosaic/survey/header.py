@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from rasterio.enums import ColorInterp
 
-from geomosaic.doors.raster import FRAME, Raster, open_raster
+from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.jpeg import read_structure
@@ -72,9 +72,9 @@ def _jpeg_header(path: Path) -> FrameHeader:
 
 
 def _tiff_header(path: Path) -> FrameHeader:
-    with open_raster(path, FRAME) as tiff:
+    with open_raster(path, FRAME) as tiff, reading(path, FRAME.problem, FRAME.mend):
         _check_packing(tiff, path)
-        _check_blocks(tiff, path)
+        check_blocks(tiff, path, FRAME.mend)
         alpha = [i for i in tiff.colorinterp if i == ColorInterp.alpha]
         bands = tiff.count - len(alpha)
         dtypes = {str(d) for d in tiff.dtypes}
@@ -100,17 +100,27 @@ def _check_packing(tiff: Raster, path: Path) -> None:
         raise FileError(problem, file=path, mend=FRAME.mend)
 
 
-def _check_blocks(tiff: Raster, path: Path) -> None:
-    """Every strip or tile lies within the file; of more than some thousands, an even share of them."""
+def check_blocks(tiff: Raster, path: Path, mend: str) -> None:
+    """Every strip or tile is there, lies within the file, and isn't larger than its pixels.
+
+    Of more than some thousands an even share is looked at. Raises: `FileError`.
+    """
     size = path.stat().st_size
     rows, cols = tiff.block_shapes[0]
     across, down = -(-tiff.width // cols), -(-tiff.height // rows)
-    bands = tiff.indexes if tiff.interleaving and tiff.interleaving.name == "band" else (1,)
-    most = max(2, _MOST_LOOKED_AT // len(bands))
-    for band in bands:
+    by_band = tiff.interleaving is not None and tiff.interleaving.name == "band"
+    most = max(2, _MOST_LOOKED_AT // (tiff.count if by_band else 1))
+    bits = int(tiff.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 8 * _BYTES.get(str(tiff.dtypes[0]), 8)))
+    largest = rows * -(-cols * bits * (1 if by_band else tiff.count) // 8)
+    for band in tiff.indexes if by_band else (1,):
         for i in np.unique(np.linspace(0, across * down - 1, min(across * down, most)).astype(np.int64)):
             y, x = divmod(int(i), across)
-            start = tiff.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band)
-            length = tiff.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band)
-            if start and length and int(start) + int(length) > size:
-                raise FileError("the TIFF is truncated: its image data don't end", file=path, mend=FRAME.mend)
+            start = int(tiff.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band) or 0)
+            length = int(tiff.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band) or 0)
+            if start + length > size:
+                raise FileError("the TIFF is truncated: its image data don't end", file=path, mend=mend)
+            if not (start and length) and tiff.nodata is None:
+                raise FileError("a part of the TIFF's image data is missing", file=path, mend=mend)
+            if tiff.compression is None and length > largest:
+                problem = f"the TIFF's header is damaged: {length:,} bytes for {largest:,} bytes of pixels"
+                raise FileError(problem, file=path, mend=mend)
