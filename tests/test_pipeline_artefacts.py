@@ -21,6 +21,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.artefacts import decode, encode, fingerprint, type_name
+from geomosaic.pipeline.context import RunFile
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -178,3 +179,12 @@ def test_a_field_added_later_with_a_default_is_read_from_old_files() -> None:
     assert decode(data, New) == New("a", (7,))
     with pytest.raises(FileError, match="no whole artefact"):
         decode(data, Stricter)
+
+
+def test_a_field_of_another_type_is_no_artefact() -> None:
+    """A forged file may have every hash right and a number where a name belongs."""
+    good = RunFile("mosaic.tif", "00")
+    assert decode(encode(good), RunFile) == good
+    for name in (-1, None, ["mosaic.tif"], 3.5, True):
+        with pytest.raises(FileError, match="holds what a .*RunFile doesn't"):
+            decode(encode(RunFile(name, "00")), RunFile)  # type: ignore[arg-type]

@@ -17,6 +17,8 @@ def cores() -> int:
 def _folder(text: str) -> Path:
     if not text.strip():
         raise typer.BadParameter("give the folder to write to; '.' is the current one")
+    if "\0" in text or any("\ud800" <= c <= "\udfff" for c in text):
+        raise typer.BadParameter(f"{text!r} is no name in UTF-8")
     return Path(text)
 
 

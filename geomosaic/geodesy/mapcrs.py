@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Geod, Proj, Transformer
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 
 from geomosaic.errors import InputError
 
@@ -57,7 +57,11 @@ def outside_area_m(crs: CRS, lon_deg: float, lat_deg: float) -> float:
 
 @lru_cache(maxsize=32)
 def _map_from_geodetic(crs: str) -> Transformer:
-    return Transformer.from_crs("EPSG:4979", CRS.from_user_input(crs).to_2d(), always_xy=True)
+    try:
+        return Transformer.from_crs("EPSG:4979", CRS.from_user_input(crs).to_2d(), always_xy=True)
+    except ProjError as error:
+        problem = f"PROJ knows no way into the coordinate reference system ({error})"
+        raise InputError(problem, mend="give one with an EPSG code") from error
 
 
 @lru_cache(maxsize=32)

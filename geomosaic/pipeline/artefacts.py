@@ -8,7 +8,9 @@ is ever executed or imported: a class is known by its name only if the type aske
 from __future__ import annotations
 
 import dataclasses
+import functools
 import io
+import itertools
 import json
 import math
 import types
@@ -142,7 +144,43 @@ def decode(data: bytes, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
         raise FileError(f"this is no whole artefact of type {type_name(as_type)} ({error})") from error
     if isinstance(as_type, type) and as_type not in (object, Any) and not isinstance(value, as_type):
         raise FileError(f"this artefact is a {type(value).__name__}, not a {type_name(as_type)}")
+    if not _fits(value, as_type):
+        raise FileError(f"this artefact holds what a {type_name(as_type)} doesn't")
     return typing.cast(T, value)
+
+
+def _fits(value: Any, annotation: Any) -> bool:
+    """Whether a value may stand under an annotation, fields of dataclasses included; what it can't tell fits."""
+    origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, one) for one in inside)
+    if origin is typing.Literal:
+        return value in inside
+    if origin is tuple:
+        if not isinstance(value, tuple):
+            return False
+        each = itertools.repeat(inside[0]) if inside[-1:] == (...,) else inside
+        return (inside[-1:] == (...,) or len(value) == len(inside)) and all(map(_fits, value, each))
+    if origin is dict and isinstance(value, dict):
+        return all(_fits(k, inside[0]) and _fits(v, inside[1]) for k, v in value.items())
+    if annotation is float:
+        return isinstance(value, float | int) and not isinstance(value, bool)
+    if annotation is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    kind = origin or annotation
+    if not isinstance(kind, type) or kind is object:
+        return True
+    if not isinstance(value, kind):
+        return False
+    if dataclasses.is_dataclass(value):
+        return all(_fits(getattr(value, name), hint) for name, hint in _fields(type(value)))
+    return True
+
+
+@functools.cache
+def _fields(cls: type) -> tuple[tuple[str, Any], ...]:
+    hints = typing.get_type_hints(cls)
+    return tuple((f.name, hints[f.name]) for f in dataclasses.fields(cls) if f.init)
 
 
 def texts_in(data: bytes) -> list[str]:

@@ -75,6 +75,10 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
         if not level.is_geographic and not level.is_projected:
             problem = f"the DEM's coordinate reference system '{level.name}' is a {level.type_name}"
             raise InputError(problem, file=path, mend="give the DEM in a map projection or in degrees")
+        try:
+            MapProjection(crs.to_wkt()).map_from_geodetic(0.0, 0.0)
+        except InputError as error:
+            raise InputError(error.problem, file=path, mend=error.mend) from error
         return crs, dem.bounds
 
 

@@ -64,7 +64,7 @@ def masks(headers: list[FrameHeader]) -> dict[str, str]:
 
     Raises: `FileError` for a mask that can't be read or isn't of its frame's size.
     """
-    by_name = {p.name.casefold(): p for p in headers[0].path.parent.iterdir() if p.is_file()}
+    by_name = {p.name.casefold(): p for p in headers[0].path.parent.iterdir()}
     found = {}
     for header in headers:
         stem = header.path.stem.casefold()

@@ -238,6 +238,10 @@ def _doubts(
             [a.yaw_deg is None and a.pitch_deg is None for a in attitudes],
             "no attitude: taken to look down, heading unknown",
         ),
+        "attitude-in-part": (
+            [(a.yaw_deg is None) != (a.pitch_deg is None) for a in attitudes],
+            "only part of the attitude is known; the rest as for frames without any",
+        ),
         "attitude-of-aircraft": (
             [a.source == "dji-flight" for a in attitudes],
             "only the aircraft's attitude is known, pitch and roll are not the camera's",
