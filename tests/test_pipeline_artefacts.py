@@ -186,5 +186,5 @@ def test_a_field_of_another_type_is_no_artefact() -> None:
     good = RunFile("mosaic.tif", "00")
     assert decode(encode(good), RunFile) == good
     for name in (-1, None, ["mosaic.tif"], 3.5, True):
-        with pytest.raises(FileError, match="holds what a .*RunFile doesn't"):
+        with pytest.raises(FileError, match=r"holds what a .*RunFile doesn't"):
             decode(encode(RunFile(name, "00")), RunFile)  # type: ignore[arg-type]

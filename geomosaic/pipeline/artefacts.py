@@ -150,7 +150,7 @@ def decode(data: bytes, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
 
 
 def _fits(value: Any, annotation: Any) -> bool:
-    """Whether a value may stand under an annotation, fields of dataclasses included; what it can't tell fits."""
+    """Whether a value may stand under an annotation, its fields too; what it can't tell fits."""
     origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
     if origin in (typing.Union, types.UnionType):
         return any(_fits(value, one) for one in inside)
