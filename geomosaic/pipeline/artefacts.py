@@ -173,12 +173,12 @@ def _fits(value: Any, annotation: Any) -> bool:
     if not isinstance(value, kind):
         return False
     if dataclasses.is_dataclass(value):
-        return all(_fits(getattr(value, name), hint) for name, hint in _fields(type(value)))
+        return all(_fits(getattr(value, name), hint) for name, hint in _fields(value.__class__))
     return True
 
 
 @functools.cache
-def _fields(cls: type) -> tuple[tuple[str, Any], ...]:
+def _fields(cls: Any) -> tuple[tuple[str, Any], ...]:
     hints = typing.get_type_hints(cls)
     return tuple((f.name, hints[f.name]) for f in dataclasses.fields(cls) if f.init)
 
