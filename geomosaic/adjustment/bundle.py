@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,27 +11,43 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_equations import (
     KNOWN,
     cost_of,
+    has_say,
     image_sd_px,
     lengths_px,
     normals_of,
     observed,
     shared_miss,
+    trust_of,
 )
-from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Priors, State, with_interior
+from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
 from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.adjustment.tracks import Tracks
-from geomosaic.adjustment.variance import median_px, trust_in_tags, undetermined, variance_components
+from geomosaic.adjustment.variance import (
+    change_of,
+    median_px,
+    trust_in_tags,
+    undetermined,
+    variance_components,
+)
 from geomosaic.camera.exterior import Poses
+from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_ROUGH, _FINE = 1e-3, 1e-5
+_ROUGH = 1e-3
+_FINE_GAIN = 0.05
+"""Of the sum of squares in units of its deviations: less moves no unknown by a quarter of its own deviation. As a
+share of the sum it would stop a large block while its scale is still off: there one such gain hides among
+100,000 observations."""
 _STEPS_BETWEEN = 2
-_DAMPING = 1e-9
+_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+"""Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it holds up
+scale, turn and place of the whole block, which only the positions know. So there is none unless a step fails."""
+_MOST_LEFT_OUT = 0.5
 
 
 def solve_bundle(
@@ -40,7 +57,6 @@ def solve_bundle(
     start: Poses,
     *,
     again: Bundle | None = None,
-    sigma_px: float = 0.5,
     most: int = 30,
 ) -> Bundle:
     """Levenberg-Marquardt on the reduced normal equations, Cauchy weights, variance components.
@@ -53,10 +69,45 @@ def solve_bundle(
     yet where control wants it, they count by their median miss, so that control pulls as one and a
     blunder stays outvoted.
 
+    Frames at which the system breaks down are left out and tried again once all others are solved.
+
     Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
         lenses, points and variance components to go on from.
-    Raises: NotSolvableError if the system is singular.
+    Raises: NotSolvableError if more than half of the frames would have to be left out.
     """
+    left_out = np.zeros(len(start), dtype=bool)
+    while True:
+        try:
+            solved = _solve(tracks, camera_of, _without(priors, left_out, start), start, again, most)
+            break
+        except NotSolvableError as error:
+            weak = [i for i in error.frames if not left_out[i]]
+            if not weak or left_out.sum() + len(weak) > _MOST_LEFT_OUT * len(start):
+                raise
+            left_out[weak] = True
+    if left_out.any():
+        with suppress(NotSolvableError):
+            return _solve(tracks, camera_of, priors, solved.poses, solved, most)
+    return solved
+
+
+def _without(priors: Priors, left_out: Bools, start: Poses) -> Priors:
+    """Frames whose pictures don't count stay where they began."""
+    if not left_out.any():
+        return priors
+    poses, out = priors.poses, left_out[:, None]
+    stay = replace(
+        poses,
+        positions_m=np.where(out, start.positions_m, poses.positions_m),
+        rotations=np.where(out[:, None], start.rotations, poses.rotations),
+    )
+    return replace(priors, poses=stay, left_out=left_out)
+
+
+def _solve(
+    tracks: Tracks, camera_of: Ints, priors: Priors, start: Poses, again: Bundle | None, most: int
+) -> Bundle:
+    """The solution with all unknowns that the block determines."""
     state = State(
         start.positions_m.copy(),
         start.rotations.copy(),
@@ -64,22 +115,18 @@ def solve_bundle(
         again.points_m if again else priors.points_m,
         again.mounting if again else np.zeros(len(MOUNTING)),
     )
-    length = lengths_px(tracks, camera_of, priors, state)
-    control = priors.control[tracks.point]
-    sigma = dict.fromkeys(GROUPS, 1.0) | {
-        "image": max(sigma_px, median_px(length[~control])),
-        "control": max(MEASURED_SD_PX, median_px(length[control])),
-    }
-    sigma |= again.sigma if again else {}
+    factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
     held = np.zeros(shared_miss(priors, state).size, dtype=bool)
+    if again is not None:
+        held = again.held
     iterations = 0
     while True:
         priors = replace(priors, held=held)
-        state, priors, used = _settle(tracks, camera_of, priors, state, sigma, most)
+        state, priors, factors, used = _settle(tracks, camera_of, priors, state, factors, most)
         iterations += used
-        more = held | undetermined(tracks, camera_of, priors, state, sigma)
+        more = held | undetermined(tracks, camera_of, priors, state, factors)
         if np.array_equal(more, held):
-            return _finish(tracks, camera_of, priors, state, sigma, iterations)
+            return _finish(tracks, camera_of, priors, state, factors, iterations)
         held = more
         given = np.stack([interior_of(c) for c in priors.cameras])
         state = replace(
@@ -89,25 +136,35 @@ def solve_bundle(
         )
 
 
+def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Factors:
+    """Image coordinates count by their present median miss, all else as stated."""
+    length = lengths_px(tracks, camera_of, priors, state)
+    control = priors.control[tracks.point]
+    return Factors(
+        image_px=max(Factors.image_px, median_px(length[~control])),
+        control_px=max(Factors.control_px, median_px(length[control])),
+    )
+
+
 def _settle(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float], most: int
-) -> tuple[State, Priors, int]:
-    """Iterates until unknowns, trust and variance components (in place) stand; the steps it took."""
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, most: int
+) -> tuple[State, Priors, Factors, int]:
+    """Iterates until unknowns, trust and variance components stand; the steps it took."""
     iterations, settled = 0, False
     for _ in range(12):
-        priors = replace(priors, trust=trust_in_tags(priors, state, sigma))
+        priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used = _converge(
-            tracks, camera_of, priors, state, sigma, _STEPS_BETWEEN if iterations else most, _ROUGH
+            tracks, camera_of, priors, state, factors, _STEPS_BETWEEN if iterations else most, _ROUGH
         )
         iterations += used
-        image_changed, priors_changed = variance_components(
-            tracks, camera_of, priors, state, sigma, image_only=not settled
-        )
+        before = factors
+        factors = variance_components(tracks, camera_of, priors, state, before, image_only=not settled)
+        image_changed, priors_changed = change_of(before, factors)
         if settled and max(image_changed, priors_changed) < 0.03:
             break
         settled = image_changed < 0.1
-    state, used = _converge(tracks, camera_of, priors, state, sigma, most, _FINE)
-    return state, priors, iterations + used
+    state, used = _converge(tracks, camera_of, priors, state, factors, most, 0.0)
+    return state, priors, factors, iterations + used
 
 
 def _converge(
@@ -115,34 +172,45 @@ def _converge(
     camera_of: Ints,
     priors: Priors,
     state: State,
-    sigma: dict[str, float],
+    factors: Factors,
     most: int,
     gain_left: float,
 ) -> tuple[State, int]:
-    damping, cost = _DAMPING, cost_of(tracks, camera_of, priors, state, sigma)
+    """Steps until one gains less than gain_left of the cost, or _FINE_GAIN."""
+    damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
     for iteration in range(1, most + 1):
-        normals = normals_of(tracks, camera_of, priors, state, sigma)
+        normals = normals_of(tracks, camera_of, priors, state, factors)
         while True:
-            pose, interior, point, level, mounting = reduce_normals(normals, damping).solve()
-            trial = State(
-                state.positions + pose[:, :3],
-                exp_turn(pose[:, 3:]) @ state.rotations,
-                state.interior + interior,
-                state.points + point,
-                state.mounting + mounting if mounting.size else state.mounting,
-                state.level + level,
-            )
-            trial_cost = cost_of(tracks, camera_of, priors, trial, sigma)
-            if trial_cost <= cost or damping > 1e6:
+            try:
+                trial = _moved(state, *reduce_normals(normals, damping).solve())
+                trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
+            except NotSolvableError:
+                if damping > _MOST_DAMPING:
+                    raise
+                trial_cost = np.inf
+            if trial_cost <= cost or damping > _MOST_DAMPING:
                 break
-            damping *= 10.0
+            damping = max(10.0 * damping, _DAMPING)
         gain = cost - trial_cost
         if gain > 0.0:
             state, cost = trial, trial_cost
-        damping = max(damping / 100.0, _DAMPING)
-        if gain <= gain_left * max(cost, 1.0):
+        damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
+        if gain <= max(gain_left * cost, _FINE_GAIN):
             return state, iteration
     return state, most
+
+
+def _moved(
+    state: State, pose: Floats, interior: Floats, point: Floats, level: float, mounting: Floats
+) -> State:
+    return State(
+        state.positions + pose[:, :3],
+        exp_turn(pose[:, 3:]) @ state.rotations,
+        state.interior + interior,
+        state.points + point,
+        state.mounting + mounting if mounting.size else state.mounting,
+        state.level + level,
+    )
 
 
 def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:
@@ -153,9 +221,9 @@ def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:
 
 
 def _finish(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float], iterations: int
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, iterations: int
 ) -> Bundle:
-    reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, sigma))
+    reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, factors))
     if priors.held is not None and priors.held.any():
         reduced = reduced.considering(_held_variance(priors, priors.held, len(reduced.shared)))
     covariance, shared = reduced.covariance()
@@ -186,10 +254,12 @@ def _finish(
         held=np.zeros(len(full), dtype=bool) if priors.held is None else priors.held,
         residual_px=residual,
         weight=np.nan_to_num(
-            cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, sigma))
-        ),
-        sigma_px=sigma["image"],
-        sigma={g: sigma[g] for g in GROUPS},
+            cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors))
+        )
+        * has_say(tracks, priors),
+        factors=factors,
+        trust=trust_of(priors),
+        left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,
         iterations=iterations,
         reduced=reduced,
     )

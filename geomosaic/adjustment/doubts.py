@@ -119,3 +119,9 @@ def undetermined_wishes(shared: SharedUnknowns) -> list[Warn]:
     names = [n for n, held in zip(shared.names, shared.held, strict=True) if held and n not in lens]
     text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
     return [Warn("not-determined", "", f"{name}: {text}") for name in names]
+
+
+def unsolved_frames(block: Block, left_out: NDArray[np.bool_]) -> list[Warn]:
+    """Frames at which the system of equations broke down."""
+    text = "its tie points don't determine its pose; placed beside its neighbours as well as can be"
+    return [Warn("pose-not-determined", block.names[i], text) for i in np.flatnonzero(left_out)]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_model import Bundle, Priors
+from geomosaic.adjustment.bundle_model import GROUPS, Bundle, Priors
 from geomosaic.adjustment.chosen_ground import (
     DEM_SD_M,
     LEAST_POINTS,
@@ -26,21 +26,22 @@ from geomosaic.adjustment.doubts import (
     drifting_heights,
     lying_tags,
     undetermined_wishes,
+    unsolved_frames,
 )
-from geomosaic.adjustment.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT, Mounting
 from geomosaic.adjustment.outcome import settled
-from geomosaic.adjustment.similarity_block import similarity_block
+from geomosaic.adjustment.start import start_poses
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import about_z
+from geomosaic.errors import NotSolvableError
 from geomosaic.placement.graph import connected_parts
-from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_images
+from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +65,25 @@ def pose_block(block: Block, settings: Settings) -> Adjusted:
     POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
     deviations are estimated again from the residuals. Frames without tie or control points keep their POS.
     """
-    return as_filed(_solve(as_taken(block), settings), block)
+    taken = as_taken(block)
+    try:
+        return as_filed(_solve(taken, settings), block)
+    except NotSolvableError as error:
+        return as_filed(_start_alone(taken, str(error)), block)
+
+
+def _start_alone(block: Block, why: str) -> Adjusted:
+    """Where a bundle would have begun: better than no mosaic."""
+    net = offset_net(block)
+    poses = start_poses(block, net)
+    moves = (poses.positions_m - block.poses.positions_m)[:, :2]
+    text = f"{why}; frames are laid beside each other by similarities alone, without tilts or lens"
+    return settled(
+        block,
+        poses,
+        (Round(net.misalignments_m(np.zeros_like(moves)), moves),),
+        warnings=(Warn("bundle-failed", "", text),),
+    )
 
 
 def _solve(block: Block, settings: Settings) -> Adjusted:
@@ -92,6 +111,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         points_sd_m=_point_deviations(block, points),
         control=np.zeros(ties, dtype=bool),
         terrain=_believed_terrain(block, ties),
+        part=_part_of_frames(block),
     )
     free = solve_bundle(kept, camera_of, priors, start) if ties else None
     seen, priors = with_control(kept, priors, block.control)
@@ -128,7 +148,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *drifting_heights(block, bundle.poses, np.unique(seen.frame)),
             *undetermined_wishes(shared),
+            *unsolved_frames(block, bundle.left_out),
         ),
+        unsolved=np.flatnonzero(bundle.left_out).tolist(),
         figures=_figures(bundle, kept) | ({"ground_relief_px": relief_px} if np.isfinite(relief_px) else {}),
         spread=spread_of(bundle, camera_of),
     )
@@ -183,27 +205,6 @@ def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
     )
 
 
-def start_poses(block: Block, net: OffsetNet) -> Poses:
-    """POS turned, shifted and scaled over the ground so that the frames agree, see `similarity_block`."""
-    poses = block.poses
-    height = heights_above_ground_m(poses, block.ground)
-    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
-    turn, nadir = similarity_block(
-        net,
-        poses.positions_m[:, :2],
-        np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt),
-        np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
-        np.clip(poses.positions_sd_m[:, 2] / height, 0.01, 0.5),
-    )
-    scale = np.clip(np.abs(turn), 0.5, 2.0)
-    up = poses.positions_m[:, 2] + (scale - 1.0) * height
-    return replace(
-        poses,
-        positions_m=np.column_stack([nadir.real, nadir.imag, up]),
-        rotations=about_z(np.angle(turn)) @ poses.rotations,
-    )
-
-
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
 
@@ -222,11 +223,16 @@ def _mounting(settings: Settings) -> Mounting:
 
 def _parts(block: Block, tracks: Tracks) -> NDArray[np.intp]:
     """Number of the connected part of the block that each track's frames belong to, (p,)."""
+    return np.asarray(_part_of_frames(block)[tracks.frame[np.unique(tracks.point, return_index=True)[1]]])
+
+
+def _part_of_frames(block: Block) -> NDArray[np.intp]:
+    """Number of the connected part of the block that each frame belongs to, (f,)."""
     number = np.zeros(len(block.names), dtype=np.intp)
     pairs = [(t.left, t.right) for t in block.ties.pairs]
     for k, frames in enumerate(connected_parts(len(block.names), pairs)):
         number[frames] = k
-    return np.asarray(number[tracks.frame[np.unique(tracks.point, return_index=True)[1]]])
+    return number
 
 
 def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:
@@ -282,7 +288,7 @@ def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
 
 
 def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
-    figures = {"sigma_px": bundle.sigma_px, "iterations": float(bundle.iterations)}
+    figures = {"sigma_px": bundle.factors.image_px, "iterations": float(bundle.iterations)}
     if tracks.points:
         length = np.linalg.norm(bundle.residual_px, axis=1)
         figures |= {
@@ -291,4 +297,4 @@ def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
             "observations": float(len(tracks.frame)),
             "track_length_mean": float(tracks.lengths.mean()),
         }
-    return figures | {f"sigma_{group}": value for group, value in bundle.sigma.items()}
+    return figures | {f"sigma_{group}": bundle.factors.of(group) for group in GROUPS}
