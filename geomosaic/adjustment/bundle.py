@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _ROUGH = 1e-3
-_FINE_GAIN = 0.05
+_FINE_GAIN = 0.005
 """Of the sum of squares in units of its deviations: less moves no unknown by a quarter of its own deviation. As a
 share of the sum it would stop a large block while its scale is still off: there one such gain hides among
 100,000 observations."""
@@ -116,24 +116,29 @@ def _solve(
         again.mounting if again else np.zeros(len(MOUNTING)),
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
-    held = np.zeros(shared_miss(priors, state).size, dtype=bool)
-    if again is not None:
-        held = again.held
-    iterations = 0
+    held = again.held if again else np.zeros(shared_miss(priors, state).size, dtype=bool)
+    iterations, may_free = 0, again is not None
     while True:
-        priors = replace(priors, held=held)
-        state, priors, factors, used = _settle(tracks, camera_of, priors, state, factors, most)
+        priors, state = replace(priors, held=held), _with_held(priors, state, held)
+        state, priors, factors, used = _settle(
+            tracks, camera_of, priors, state, factors, most, settled=again is not None
+        )
         iterations += used
-        more = held | undetermined(tracks, camera_of, priors, state, factors)
+        more = undetermined(tracks, camera_of, priors, state, factors)
+        more = more if may_free else held | more
         if np.array_equal(more, held):
             return _finish(tracks, camera_of, priors, state, factors, iterations)
-        held = more
-        given = np.stack([interior_of(c) for c in priors.cameras])
-        state = replace(
-            state,
-            interior=np.where(held[: given.size].reshape(given.shape), given, state.interior),
-            mounting=np.where(held[given.size :], 0.0, state.mounting),
-        )
+        held, may_free = more, False
+
+
+def _with_held(priors: Priors, state: State, held: Bools) -> State:
+    """What is held is as it was given."""
+    given = np.stack([interior_of(c) for c in priors.cameras])
+    return replace(
+        state,
+        interior=np.where(held[: given.size].reshape(given.shape), given, state.interior),
+        mounting=np.where(held[given.size :], 0.0, state.mounting),
+    )
 
 
 def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Factors:
@@ -147,10 +152,18 @@ def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State
 
 
 def _settle(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, most: int
+    tracks: Tracks,
+    camera_of: Ints,
+    priors: Priors,
+    state: State,
+    factors: Factors,
+    most: int,
+    *,
+    settled: bool,
 ) -> tuple[State, Priors, Factors, int]:
-    """Iterates until unknowns, trust and variance components stand; the steps it took."""
-    iterations, settled = 0, False
+    """Iterates until unknowns, trust and variance components stand; the steps it took. settled: whether the
+    image's component is believed to stand already."""
+    iterations = 0
     for _ in range(12):
         priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used = _converge(
