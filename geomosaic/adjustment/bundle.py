@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from geomosaic.adjustment.bundle_equations import (
     lengths_px,
     normals_of,
     observed,
+    pose_sd,
     shared_miss,
     trust_of,
 )
@@ -38,15 +39,25 @@ from geomosaic.errors import NotSolvableError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_ROUGH = 1e-3
-_FINE_GAIN = 0.005
-"""Of the sum of squares in units of its deviations: less moves no unknown by a quarter of its own deviation. As a
-share of the sum it would stop a large block while its scale is still off: there one such gain hides among
-100,000 observations."""
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """A step is the last if it gains no more than this share of the cost and moves no frame by more than this
+    share of its position's deviation. The first alone would stop a large block while its scale is still off:
+    among 100,000 observations such a gain hides; the second alone would wait for single blunders to wander
+    off."""
+
+    gain: float
+    move: float
+
+
+_ROUGH, _FINE = _Stop(1e-3, 0.3), _Stop(1e-5, 0.03)
 _STEPS_BETWEEN = 2
 _DAMPING, _MOST_DAMPING = 1e-9, 1e6
-"""Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it holds up
-scale, turn and place of the whole block, which only the positions know. So there is none unless a step fails."""
+"""Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it
+holds up scale, turn and place of the whole block, which only the positions know. So there is none unless a
+step fails."""
 _MOST_LEFT_OUT = 0.5
 
 
@@ -176,7 +187,7 @@ def _settle(
         if settled and max(image_changed, priors_changed) < 0.03:
             break
         settled = image_changed < 0.1
-    state, used = _converge(tracks, camera_of, priors, state, factors, most, 0.0)
+    state, used = _converge(tracks, camera_of, priors, state, factors, most, _FINE)
     return state, priors, factors, iterations + used
 
 
@@ -187,9 +198,10 @@ def _converge(
     state: State,
     factors: Factors,
     most: int,
-    gain_left: float,
+    stop: _Stop,
 ) -> tuple[State, int]:
-    """Steps until one gains less than gain_left of the cost, or _FINE_GAIN."""
+    """Steps until `stop`, or `most`."""
+    sd_m = pose_sd(priors, factors)[:, :3]
     damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
     for iteration in range(1, most + 1):
         normals = normals_of(tracks, camera_of, priors, state, factors)
@@ -204,11 +216,12 @@ def _converge(
             if trial_cost <= cost or damping > _MOST_DAMPING:
                 break
             damping = max(10.0 * damping, _DAMPING)
-        gain = cost - trial_cost
+        gain, moved = cost - trial_cost, 0.0
         if gain > 0.0:
+            moved = float((np.abs(trial.positions - state.positions) / sd_m).max())
             state, cost = trial, trial_cost
         damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
-        if gain <= max(gain_left * cost, _FINE_GAIN):
+        if gain <= stop.gain * max(cost, 1.0) and moved <= stop.move:
             return state, iteration
     return state, most
 

@@ -10,6 +10,7 @@ from geomosaic.adjustment.collinearity import INTERIOR, log_turn
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
+from geomosaic.placement.prior import heading_assumed
 from geomosaic.survey.model import Warn
 
 _POSITION_LIES = 6.0
@@ -46,7 +47,7 @@ def lying_tags(block: Block, poses: Poses) -> list[Warn]:
             block.names[i],
             f"its heading was given as {told[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
         )
-        for i in np.flatnonzero(np.abs(turned) > yaw_limit)
+        for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses))
     ]
 
 

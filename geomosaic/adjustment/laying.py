@@ -20,8 +20,8 @@ _LEAST_SHARE = 0.2
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What POS says of frames: nadir points (n,), east + i north, and deviations (n,): of these in m, of headings in
-    rad, of the scale that heights and focal length give, as a share."""
+    """What POS says of frames: nadir points (n,), east + i north, and deviations (n,): of these in m, of
+    headings in rad, of the scale that heights and focal length give, as a share."""
 
     nadir: Complexes
     position_sd_m: Floats
@@ -39,10 +39,10 @@ def laid(shape: Complexes, place: Complexes, beliefs: Beliefs) -> tuple[complex,
     """The similarity, nadir = whole * place + shift, that lays frames onto their positions; and how far each
     position is trusted, (n,).
 
-    Begun from pairs of frames far apart (the least median of squares, Rousseeuw 1984) and from what headings and
-    heights say, each improved by re-weighted least squares; the one with the lower cost is taken. Headings and
-    heights have their say with the deviation of one frame: what they are off by they mostly have in common. A
-    position beyond six deviations has none.
+    Begun from pairs of frames far apart (the least median of squares, Rousseeuw 1984) and from what headings
+    and heights say, each improved by re-weighted least squares; the one with the lower cost is taken.
+    Headings and heights have their say with the deviation of one frame: what they are off by they mostly have
+    in common. A position beyond six deviations has none.
 
     Args: shape (n,): turn and scale of each frame against what was told of it.
     """

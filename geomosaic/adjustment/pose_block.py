@@ -162,9 +162,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     )
 
 
-def _free(
-    block: Block, tracks: Tracks, camera_of: NDArray[np.intp], priors: Priors, start: Poses
-) -> Bundle:
+def _free(block: Block, tracks: Tracks, camera_of: NDArray[np.intp], priors: Priors, start: Poses) -> Bundle:
     """The solution by tie points and POS alone: of a few well spread ones first, then of all from there."""
     sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)

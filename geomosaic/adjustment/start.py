@@ -26,8 +26,8 @@ _ROUNDS = 4
 _OF_A_PAIR = 6.0
 """A pair's tie points together say no more than so many: they miss alike, by the frames' tilts."""
 _LOCAL_SCALE_SD, _LOCAL_TURN_SD = 0.1, 0.1
-"""How far a frame's scale and turn (rad) may go from what the pairs' average says: along a line of frames that all
-look 5 degrees ahead each pair's scale is off by some per cent, one way."""
+"""How far a frame's scale and turn (rad) may go from what the pairs' average says: along a line of frames
+that all look 5 degrees ahead each pair's scale is off by some per cent, one way."""
 _CAUCHY = 3.0
 
 
@@ -44,12 +44,12 @@ class _Ties:
 
 
 def start_poses(block: Block, net: OffsetNet) -> Poses:
-    """Frames turned, scaled and shifted over the ground so that the pictures agree, each connected part laid onto
-    its positions as one.
+    """Frames turned, scaled and shifted over the ground so that the pictures agree, each connected part laid
+    onto its positions as one.
 
-    A camera's heading may be wrong by any angle and its height by any factor: both come from the pairs. What a part
-    has in common, scale, turn and place, comes from its positions by one robust similarity, and from headings and
-    heights as far as their deviations go; ties that shrink have no way of pleasing themselves.
+    A camera's heading may be wrong by any angle and its height by any factor: both come from the pairs. What
+    a part has in common, scale, turn and place, comes from its positions by one robust similarity, and from
+    headings and heights as far as their deviations go; ties that shrink have no way of pleasing themselves.
     """
     poses = block.poses
     height = heights_above_ground_m(poses, block.ground)
@@ -110,9 +110,9 @@ def _agreed(
 ) -> tuple[Complexes, Complexes]:
     """Frames of a part turned and scaled a little, and put down, so that their tie points meet; linear.
 
-    Unknowns of a frame: the logarithm of its scale, its turn, and its place. The mean logarithm stays as it is: the
-    part as a whole can't shrink. Places are drawn to those wanted as far as they are trusted, which keeps a long
-    line from bending.
+    Unknowns of a frame: the logarithm of its scale, its turn, and its place. The mean logarithm stays as it
+    is: the part as a whole can't shrink. Places are drawn to those wanted as far as they are trusted, which
+    keeps a long line from bending.
     """
     n, m = len(shape), len(ties.a)
     row = np.arange(m)

@@ -30,8 +30,9 @@ _LEAST_SIGMA_PX = 0.02
 _DETERMINED = 0.7
 _ERRORS_ALIKE = 5.0
 _PRIOR_FACTORS = (0.1, 10.0)
-"""EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or a car's; deviations that are
-stated in the wrong unit or for 1 of 3 axes are off by less than ten. Beyond, the tags are not what they say."""
+"""EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or a car's; deviations that
+are stated in the wrong unit or for 1 of 3 axes are off by less than ten. Beyond, the tags are not what they
+say."""
 _LEAST_REDUNDANCY = 3.0
 _COMMON = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
 """Unknowns that the frames of a part have in common, see `own_miss`."""

@@ -1,4 +1,5 @@
-"""How the pictures of pairs lie to each other in the plane, and what that makes of all frames: turns and scales."""
+"""How the pictures of pairs lie to each other in the plane, and what that makes of all frames: turns and
+scales."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 _ROUNDS = 12
 _LEAST_SPREAD = np.radians(0.5)
-"""Turns and logarithms of scales of pairs are no better than this: tilts that are off by so much bend a similarity."""
+"""Turns and logarithms of scales of pairs are no better than this: tilts that are off by so much bend a
+similarity."""
 _WEAK = 1e-6
 
 
@@ -40,7 +42,8 @@ def joints_of(
 ) -> Joints:
     """The similarity of each pair from its tie points, east + i north from the two frames' nadir points.
 
-    Neither frame is the truer one: the scale is the ratio of both clouds' extents, so that noise shrinks none.
+    Neither frame is the truer one: the scale is the ratio of both clouds' extents, so that noise shrinks
+    none.
     """
     turn, miss = np.ones(len(pairs), np.complex128), np.zeros(len(pairs))
     for k, (z, w) in enumerate(zip(left_m, right_m, strict=True)):
@@ -65,11 +68,13 @@ def _similarity(z: Complexes, w: Complexes) -> tuple[complex, float]:
 
 
 def averaged(n: int, joints: Joints) -> Complexes:
-    """Turn and scale of every frame, (n,), as all pairs together have it: left = turn_right / turn_left * right.
+    """Turn and scale of every frame, (n,), as all pairs together have it: left = turn_right / turn_left *
+    right.
 
-    Along the tree of the pairs with most tie points first, then by re-weighted least squares on the turns and on
-    the logarithms of the scales (Govindu 2004; Chatterjee and Govindu 2013), so that wrong pairs are outvoted.
-    Each connected part turns and scales by what is the median of its frames: nothing says what it is in truth.
+    Along the tree of the pairs with most tie points first, then by re-weighted least squares on the turns and
+    on the logarithms of the scales (Govindu 2004; Chatterjee and Govindu 2013), so that wrong pairs are
+    outvoted. Each connected part turns and scales by what is the median of its frames: nothing says what it
+    is in truth.
     """
     if not len(joints.left):
         return np.ones(n, np.complex128)
@@ -93,7 +98,8 @@ def _weights(off: Floats, ties: Ints) -> Floats:
 
 
 def _along_tree(n: int, joints: Joints, step: Complexes) -> Complexes:
-    """Logarithms of turns and scales along the pairs with most tie points; 0 at the first frame of each part."""
+    """Logarithms of turns and scales along the pairs with most tie points; 0 at the first frame of each
+    part."""
     tree = minimum_spanning_tree(coo_matrix((1.0 / joints.ties, (joints.left, joints.right)), shape=(n, n)))
     number = {(int(a), int(b)): k for k, (a, b) in enumerate(zip(joints.left, joints.right, strict=True))}
     value, seen = np.zeros(n, np.complex128), np.zeros(n, dtype=bool)

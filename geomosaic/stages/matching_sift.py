@@ -16,10 +16,9 @@ from geomosaic.matching.features import Features, reduction_for
 from geomosaic.matching.match import PairJob, match_pair
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.search import CHECKS
-from geomosaic.matching.turned import headed_wrong, reheaded, righted, turn_costs_m, turned_frames
+from geomosaic.matching.turned import Seen, found_turned, reheaded, righted
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
-from geomosaic.placement.prior import courses_deg
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
@@ -35,7 +34,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
@@ -82,20 +81,21 @@ class MatchingSift(Stage):
             for pair in placement.pairs
         ]
         found = context.map("pairs", match_pair, jobs, keys=placement.pairs)
-        pairs, untied, costs = [], [], []
+        pairs, untied, seen = [], [], []
         for (a, b), match in zip(placement.pairs, found, strict=True):
             if not len(match.left):
                 untied.append((a, b))
                 continue
             i, j = match.left, match.right
             pairs.append(TiePair(a, b, features[a].image_px[i], features[b].image_px[j], i, j))
-            nadir = placement.poses.positions_m[:, :2]
-            costs.append((a, b, turn_costs_m(ground_m[a][i], ground_m[b][j], nadir[a], nadir[b])))
+            here, there = ground_m[a][i], ground_m[b][j]
+            hit = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+            if hit.any():
+                seen.append(Seen(a, b, here[hit], there[hit]))
         cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
-        turns = turned_frames(len(frames), costs, cap_m)
+        sizes = [(f.width_px, f.height_px) for f in frames]
+        turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
         yaw = Rotation(placement.poses.rotations).yaw_pitch_roll()[0]
-        course = np.radians(courses_deg(placement.poses.positions_m, placement.lines))
-        headings = headed_wrong(turns, yaw, course)
         for frame, heading in headings.items():
             context.warn(
                 "yaw-wrong",
@@ -103,7 +103,6 @@ class MatchingSift(Stage):
                 f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
                 f"about {np.degrees(heading):.0f}; set by its neighbours",
             )
-        turns = {i: quarters for i, quarters in turns.items() if i not in headings}
         for frame, quarters in turns.items():
             context.warn(
                 "frame-turned",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import flight_lines, overlapping_pairs
-from geomosaic.placement.heights import frame_heights_m, with_missing_heights
+from geomosaic.placement.heights import believable_heights_m, frame_heights_m, with_missing_heights
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
@@ -29,7 +29,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"placement": Placement}
 
@@ -66,6 +66,13 @@ class PlacementPos(Stage):
         if filled:
             text = f"no height of their own: set by the frames before and after ({some(filled)})"
             context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
+        heights_m, sd_m, doubted = believable_heights_m(heights_m, sd_m, below[:, 2])
+        if doubted.any():
+            named = [n for n, wrong in zip(names, doubted, strict=True) if wrong]
+            text = "given heights put it on the ground, below it or far above the others; set by the pictures"
+            context.warn(
+                "height-not-believed", named[0] if len(named) == 1 else "", f"{text} ({some(named)})"
+            )
         for name, height, floor in zip(names, heights_m, below[:, 2], strict=True):
             if not height > floor:
                 problem = (
