@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,13 +53,17 @@ class _Stop:
     move: float
 
 
-_ROUGH, _FINE = _Stop(1e-3, 0.3), _Stop(1e-5, 0.03)
+_ROUGH, _FINE = _Stop(1e-3, 0.3), _Stop(1e-4, 0.01)
 _STEPS_BETWEEN = 2
 _DAMPING, _MOST_DAMPING = 1e-9, 1e6
 """Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it
 holds up scale, turn and place of the whole block, which only the positions know. So there is none unless a
 step fails."""
+_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Of a step that would raise the cost, a part is tried first: it goes the same way, also for the block as a
+whole."""
 _MOST_LEFT_OUT = 0.5
+Step = tuple[Floats, Floats, Floats, float, Floats]
 
 
 def solve_bundle(
@@ -70,7 +75,7 @@ def solve_bundle(
     again: Bundle | None = None,
     most: int = 30,
 ) -> Bundle:
-    """Levenberg-Marquardt on the reduced normal equations, Cauchy weights, variance components.
+    """Gauss-Newton on the reduced normal equations, Cauchy weights, variance components.
 
     Minimises sum rho(|residual| / sigma_px) + the priors' squares (positions, attitudes, interior
     orientation, points). After every convergence the groups' variance factors (image, horizontal and
@@ -205,20 +210,25 @@ def _converge(
     damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
     for iteration in range(1, most + 1):
         normals = normals_of(tracks, camera_of, priors, state, factors)
+        gain, moved = 0.0, 0.0
         while True:
             try:
-                trial = _moved(state, *reduce_normals(normals, damping).solve())
-                trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
+                step = reduce_normals(normals, damping).solve()
             except NotSolvableError:
                 if damping > _MOST_DAMPING:
                     raise
-                trial_cost = np.inf
-            if trial_cost <= cost or damping > _MOST_DAMPING:
+                damping = max(10.0 * damping, _DAMPING)
+                continue
+            for share in _SHARES:
+                trial = _moved(state, share, *step)
+                trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
+                if trial_cost < cost:
+                    break
+            if trial_cost < cost or damping > _MOST_DAMPING or _share_moved(step, sd_m) < stop.move:
                 break
             damping = max(10.0 * damping, _DAMPING)
-        gain, moved = cost - trial_cost, 0.0
-        if gain > 0.0:
-            moved = float((np.abs(trial.positions - state.positions) / sd_m).max())
+        if trial_cost < cost:
+            gain, moved = cost - trial_cost, _share_moved(step, sd_m)
             state, cost = trial, trial_cost
         damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
         if gain <= stop.gain * max(cost, 1.0) and moved <= stop.move:
@@ -226,9 +236,14 @@ def _converge(
     return state, most
 
 
-def _moved(
-    state: State, pose: Floats, interior: Floats, point: Floats, level: float, mounting: Floats
-) -> State:
+def _share_moved(step: Step, sd_m: Floats) -> float:
+    """The largest move of a frame, as a share of its position's deviation."""
+    return float((np.abs(step[0][:, :3]) / sd_m).max())
+
+
+def _moved(state: State, share: float, *step: Any) -> State:
+    """The state after a share of a step, see `Reduced.solve`."""
+    pose, interior, point, level, mounting = (share * part for part in step)
     return State(
         state.positions + pose[:, :3],
         exp_turn(pose[:, 3:]) @ state.rotations,

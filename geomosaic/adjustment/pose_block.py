@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.beliefs import believed_terrain, part_of_frames, priors_of
 from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.bundle_model import GROUPS, Bundle, Priors
 from geomosaic.adjustment.chosen_ground import (
-    DEM_SD_M,
     LEAST_POINTS,
     chosen_ground,
     flying_height_m,
@@ -30,32 +31,20 @@ from geomosaic.adjustment.doubts import (
 )
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
-from geomosaic.adjustment.mounting import MOUNTING, UNIT, Mounting
+from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.start import start_poses
-from geomosaic.adjustment.terrain import Terrain
 from geomosaic.adjustment.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
-from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.footprint import ground_from_images
+from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
-# Prior deviations of what a lens is not known to do, and of a focal length without a stated one.
-_LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
-_FOCAL_SD = 0.005
-_PRINCIPAL_SD = 0.003
-_READOUT_SD_S = 0.05
-_MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
-_DEM_LEVEL_SD_M = 2.0
-_ANY_RELIEF = 0.3
-_HILLS = 50.0
-_LEVEL_SD_SHARE = 0.04
-_LEAST_LEVEL_SD_M = 2.0
 _DATUM_IN_DOUBT = 3.0
 _FEW_PER_FRAME, _FEW_CELLS = 192, 8
 """Enough to find poses, lens and variance components to a fraction of a pixel, at a tenth of the work."""
@@ -100,40 +89,13 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     cameras = tuple({c.name: c for c in block.cameras}.values())
     number = {c.name: k for k, c in enumerate(cameras)}
     camera_of = np.array([number[c.name] for c in block.cameras])
-    points, kept = _points_on_ground(block, start, tracks)
-    ties = len(points)
-    priors = Priors(
-        poses=block.poses,
-        cameras=cameras,
-        interior_sd=np.stack([interior_deviations(c, readout=settings.rolling_shutter) for c in cameras]),
-        mounting=_mounting(settings),
-        points_m=points,
-        points_sd_m=_point_deviations(block, points),
-        control=np.zeros(ties, dtype=bool),
-        terrain=_believed_terrain(block, ties),
-        part=_part_of_frames(block),
-    )
-    free = _free(block, kept, camera_of, priors, start) if ties else None
-    seen, priors = with_control(kept, priors, block.control)
-    if free is not None and seen is kept:
-        solved = free
-    else:
-        priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
-    ground, relief_px = block.ground, float("nan")
-    if ties:
-        part = _parts(block, kept)
-        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
-    if ties and ground.kind != "tie_surface":
-        off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
-        near = replace(_believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
-        bound = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
-        ground = levelled(ground, _of_ties(bound, kept))
-        tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
-        if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
-            ground = surface_of(block, ground, _of_ties(solved, kept))
-        else:
-            solved = bound
-    bundle = _of_ties(solved, kept)
+    few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
+    few = few if _WORTHWHILE * few.points < tracks.points else tracks
+    found = _found(block, settings, few, camera_of, cameras, start)
+    if few is not tracks:
+        found = _with_all(block, settings, tracks, camera_of, cameras, found)
+    kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
+    bundle = _of_ties(found.solved, kept)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
     shared = _shared(bundle, priors)
@@ -151,7 +113,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *unsolved_frames(block, bundle.left_out),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
-        figures=_figures(bundle, kept) | ({"ground_relief_px": relief_px} if np.isfinite(relief_px) else {}),
+        figures=_figures(bundle, kept) | _relief(found),
         spread=spread_of(bundle, camera_of),
     )
     return replace(
@@ -162,22 +124,85 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     )
 
 
-def _free(block: Block, tracks: Tracks, camera_of: NDArray[np.intp], priors: Priors, start: Poses) -> Bundle:
-    """The solution by tie points and POS alone: of a few well spread ones first, then of all from there."""
-    sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
-    few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
-    if _WORTHWHILE * few.points > tracks.points:
-        return solve_bundle(tracks, camera_of, priors, start)
-    at, _ = _points_on_ground(block, start, few)
-    rough = solve_bundle(few, camera_of, replace(
-        priors, points_m=at, points_sd_m=_point_deviations(block, at), control=np.zeros(len(at), dtype=bool),
-        terrain=_believed_terrain(block, len(at)),
-    ), start)  # fmt: skip
-    cameras = [rough.cameras[k] for k in camera_of]
-    return solve_bundle(
-        tracks, camera_of, priors, rough.poses,
-        again=replace(rough, points_m=nearest_to_rays(tracks, rough.poses, cameras, priors.points_m)),
-    )  # fmt: skip
+@dataclass(frozen=True)
+class _Found:
+    """A solution: tie points, the same with control points, what was believed, and the ground that goes with
+    it. relief_px: see `chosen_ground`."""
+
+    ties: Tracks
+    seen: Tracks
+    priors: Priors
+    solved: Bundle
+    ground: GroundSurface
+    relief_px: float
+
+
+def _found(
+    block: Block,
+    settings: Settings,
+    tracks: Tracks,
+    camera_of: NDArray[np.intp],
+    cameras: tuple[Camera, ...],
+    start: Poses,
+) -> _Found:
+    """Free points first, then with control, then bound to the ground if they lie on one."""
+    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+    ties, priors = len(points), priors_of(block, settings, cameras, points)
+    free = solve_bundle(kept, camera_of, priors, start) if ties else None
+    seen, priors = with_control(kept, priors, block.control)
+    if free is not None and seen is kept:
+        solved = free
+    else:
+        priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
+    if not ties:
+        return _Found(kept, seen, priors, solved, block.ground, float("nan"))
+    part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
+    ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
+    if ground.kind == "tie_surface":
+        return _Found(kept, seen, priors, solved, ground, relief_px)
+    off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
+    near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
+    bound_priors = replace(priors, terrain=near)
+    bound = solve_bundle(seen, camera_of, bound_priors, solved.poses, again=solved)
+    ground = levelled(ground, _of_ties(bound, kept))
+    tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
+    if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
+        return _Found(
+            kept, seen, priors, solved, surface_of(block, ground, _of_ties(solved, kept)), relief_px
+        )
+    return _Found(kept, seen, bound_priors, bound, ground, relief_px)
+
+
+def _with_all(
+    block: Block,
+    settings: Settings,
+    tracks: Tracks,
+    camera_of: NDArray[np.intp],
+    cameras: tuple[Camera, ...],
+    few: _Found,
+) -> _Found:
+    """The solution by all tie points, from that by few of them, on the same kind of ground."""
+    lenses, poses = [few.solved.cameras[k] for k in camera_of], few.solved.poses
+    points, kept = _points_on_ground(poses, lenses, few.ground, tracks)
+    surface = few.ground.kind == "tie_surface"
+    if surface:
+        points = nearest_to_rays(kept, poses, lenses, points)
+    terrain = None if surface else few.priors.terrain
+    priors = replace(priors_of(block, settings, cameras, points, terrain), poses=few.priors.poses)
+    seen, priors = with_control(kept, priors, block.control)
+    control_m = few.solved.points_m[few.ties.points :]
+    again = replace(few.solved, points_m=np.concatenate([points, control_m]))
+    solved = solve_bundle(seen, camera_of, priors, poses, again=again)
+    bundle = _of_ties(solved, kept)
+    if surface:
+        ground = surface_of(block, levelled(block.ground, bundle), bundle)
+    else:
+        ground = levelled(few.ground, bundle)
+    return _Found(kept, seen, priors, solved, ground, few.relief_px)
+
+
+def _relief(found: _Found) -> dict[str, float]:
+    return {"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {}
 
 
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
@@ -223,39 +248,11 @@ def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
     )
 
 
-def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
-    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
-
-    The principal point is known no better than the focal length: small drones' are off by one in a hundred.
-    """
-    focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
-    principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
-    lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
-    return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
-
-
-def _mounting(settings: Settings) -> Mounting:
-    asked = [settings.boresight] * 3 + [settings.lever_arm] * 3 + [settings.gps_lag]
-    return Mounting(np.where(asked, _MOUNTING_SD, 0.0))
-
-
-def _parts(block: Block, tracks: Tracks) -> NDArray[np.intp]:
-    """Number of the connected part of the block that each track's frames belong to, (p,)."""
-    return np.asarray(_part_of_frames(block)[tracks.frame[np.unique(tracks.point, return_index=True)[1]]])
-
-
-def _part_of_frames(block: Block) -> NDArray[np.intp]:
-    """Number of the connected part of the block that each frame belongs to, (f,)."""
-    number = np.zeros(len(block.names), dtype=np.intp)
-    pairs = [(t.left, t.right) for t in block.ties.pairs]
-    for k, frames in enumerate(connected_parts(len(block.names), pairs)):
-        number[frames] = k
-    return number
-
-
-def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:
-    """Each track's mean place on the ground from the start poses; tracks that miss it are dropped."""
-    at = ground_from_images(tracks.frame, tracks.image_px, poses, block.cameras, block.ground)
+def _points_on_ground(
+    poses: Poses, cameras: Sequence[Camera], ground: GroundSurface, tracks: Tracks
+) -> tuple[Floats, Tracks]:
+    """Each track's mean place on the ground; tracks that miss it are dropped."""
+    at = ground_from_images(tracks.frame, tracks.image_px, poses, cameras, ground)
     hit = np.isfinite(at).all(axis=1)
     lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
     keep = ~lost[tracks.point]
@@ -266,24 +263,6 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
         [np.bincount(point, at[keep][:, k], minlength=len(names)) / count for k in range(3)], axis=1
     )
     return mean, kept
-
-
-def _point_deviations(block: Block, points: Floats) -> Floats:
-    """Tie points are free; all together, no further from the start than a flying height."""
-    return np.full((len(points), 3), flying_height_m(block) * np.sqrt(len(points)))
-
-
-def _believed_terrain(block: Block, points: int) -> Terrain:
-    """A DEM binds the points; what POS says of the ground's height only tells their common level.
-
-    Relief is alike over many points: all of them together say no more than 50 would. Else their number would
-    tilt the block until its hills lie level in the mean, against what the attitudes say.
-    """
-    height = flying_height_m(block)
-    if block.ground.kind == "dem":
-        return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
-    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
-    return Terrain(block.ground, _ANY_RELIEF * np.sqrt(max(points / _HILLS, 1.0)), float(level_sd_m))
 
 
 def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
