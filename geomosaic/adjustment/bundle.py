@@ -63,6 +63,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1)
 """Of a step that would raise the cost, a part is tried first: it goes the same way, also for the block as a
 whole."""
 _MOST_LEFT_OUT = 0.5
+_ANYWHERE_M = 1e3
 Step = tuple[Floats, Floats, Floats, float, Floats]
 
 
@@ -116,6 +117,8 @@ def _without(priors: Priors, left_out: Bools, start: Poses) -> Priors:
         poses,
         positions_m=np.where(out, start.positions_m, poses.positions_m),
         rotations=np.where(out[:, None], start.rotations, poses.rotations),
+        positions_sd_m=np.where(out, np.minimum(poses.positions_sd_m, _ANYWHERE_M), poses.positions_sd_m),
+        rotations_sd_rad=np.where(out, np.minimum(poses.rotations_sd_rad, np.pi), poses.rotations_sd_rad),
     )
     return replace(priors, poses=stay, left_out=left_out)
 

@@ -20,6 +20,8 @@ _LEAST_SPREAD = np.radians(0.5)
 """Turns and logarithms of scales of pairs are no better than this: tilts that are off by so much bend a
 similarity."""
 _WEAK = 1e-6
+_ALIKE = 0.2
+"""Turns (rad) and logarithms of scales that two pairs of a frame may differ by and still say the same."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +73,15 @@ def averaged(n: int, joints: Joints) -> Complexes:
     """Turn and scale of every frame, (n,), as all pairs together have it: left = turn_right / turn_left *
     right.
 
-    Along the tree of the pairs with most tie points first, then by re-weighted least squares on the turns and
-    on the logarithms of the scales (Govindu 2004; Chatterjee and Govindu 2013), so that wrong pairs are
-    outvoted. Each connected part turns and scales by what is the median of its frames: nothing says what it
-    is in truth.
+    Along the tree of the pairs with most tie points first, then as most neighbours have each, then by
+    re-weighted least squares on the turns and on the logarithms of the scales (Govindu 2004; Chatterjee and
+    Govindu 2013), so that wrong pairs are outvoted. Each connected part turns and scales by what is the
+    median of its frames: nothing says what it is in truth.
     """
     if not len(joints.left):
         return np.ones(n, np.complex128)
     step = np.log(joints.turn)
-    value = _along_tree(n, joints, step)
+    value = _voted(n, joints, step, _along_tree(n, joints, step))
     for _ in range(_ROUNDS):
         off = step - (value[joints.right] - value[joints.left])
         off = off.real + 1j * np.angle(np.exp(1j * off.imag))
@@ -112,6 +114,29 @@ def _along_tree(n: int, joints: Joints, step: Complexes) -> Complexes:
             k = number.get((j, int(i)))
             value[i] = value[j] + (step[k] if k is not None else -step[number[int(i), j]])
         seen[order] = True
+    return value
+
+
+def _voted(n: int, joints: Joints, step: Complexes, value: Complexes) -> Complexes:
+    """Each frame in turn takes what most of its pairs agree on beside its neighbours' present values, until
+    none changes; a wrong pair in the tree is mended so, with all that hangs on it."""
+    mine: list[list[tuple[int, complex]]] = [[] for _ in range(n)]
+    for a, b, s in zip(joints.left.tolist(), joints.right.tolist(), step, strict=True):
+        mine[a].append((b, -s))
+        mine[b].append((a, s))
+    value = value.copy()
+    for _ in range(_ROUNDS):
+        changed = False
+        for i in (i for i in range(n) if len(mine[i]) > 2):
+            said = np.array([value[j] + s for j, s in mine[i]])
+            apart = said[:, None] - np.append(said, value[i])
+            apart = np.hypot(apart.real, np.angle(np.exp(1j * apart.imag)))
+            with_it = (apart < _ALIKE).sum(axis=0)
+            best = int(with_it.argmax())
+            if with_it[best] > with_it[-1]:
+                value[i], changed = said[best], True
+        if not changed:
+            break
     return value
 
 
