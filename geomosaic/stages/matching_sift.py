@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, reduction_for
@@ -18,6 +19,7 @@ from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import Seen, found_turned, reheaded, righted
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.graph import flown_beside
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import ground_from_image
@@ -76,13 +78,18 @@ class MatchingSift(Stage):
             for i in range(len(frames))
         ]
         reach_m = misplacement_m(placement.poses, cameras, inputs["ground"])
-        jobs = [
-            self._job(params, placement.ground_pixel_m, cameras, features, ground_m, reach_m, pair)
-            for pair in placement.pairs
-        ]
-        found = context.map("pairs", match_pair, jobs, keys=placement.pairs)
+        tried, found = list(placement.pairs), []
+        job = partial(self._job, params, placement.ground_pixel_m, cameras, features, ground_m, reach_m)
+        found += context.map("pairs", match_pair, [job(pair) for pair in tried], keys=tried)
+        tied = {i for pair, match in zip(tried, found, strict=True) if len(match.left) for i in pair}
+        more = flown_beside(set(range(len(frames))) - tied, placement.sequence, tried)
+        if more:
+            found += context.map(
+                "pairs of lonely frames", match_pair, [job(pair) for pair in more], keys=more
+            )
+            tried += more
         pairs, untied, seen = [], [], []
-        for (a, b), match in zip(placement.pairs, found, strict=True):
+        for (a, b), match in zip(tried, found, strict=True):
             if not len(match.left):
                 untied.append((a, b))
                 continue
@@ -95,21 +102,8 @@ class MatchingSift(Stage):
         cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
         sizes = [(f.width_px, f.height_px) for f in frames]
         turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
-        yaw = Rotation(placement.poses.rotations).yaw_pitch_roll()[0]
-        for frame, heading in headings.items():
-            context.warn(
-                "yaw-wrong",
-                frames[frame].name,
-                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
-                f"about {np.degrees(heading):.0f}; set by its neighbours",
-            )
-        for frame, quarters in turns.items():
-            context.warn(
-                "frame-turned",
-                frames[frame].name,
-                f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
-            )
-        context.metric("matching.pairs_tried", len(placement.pairs))
+        self._tell(context, [f.name for f in frames], placement.poses, turns, headings)
+        context.metric("matching.pairs_tried", len(tried))
         context.metric("matching.pairs_tied", len(pairs))
         context.metric("matching.tie_points", sum(len(p) for p in pairs))
         return {
@@ -120,6 +114,30 @@ class MatchingSift(Stage):
                 turned=tuple(turns.get(i, 0) for i in range(len(frames))),
             ),
         }
+
+    @staticmethod
+    def _tell(
+        context: Context,
+        names: Sequence[str],
+        poses: Poses,
+        turns: Mapping[int, int],
+        headings: Mapping[int, float],
+    ) -> None:
+        """Names wrong headings and turned pictures."""
+        yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
+        for frame, heading in headings.items():
+            context.warn(
+                "yaw-wrong",
+                names[frame],
+                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
+                f"about {np.degrees(heading):.0f}; set by its neighbours",
+            )
+        for frame, quarters in turns.items():
+            context.warn(
+                "frame-turned",
+                names[frame],
+                f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
+            )
 
     @staticmethod
     def _job(
