@@ -53,7 +53,7 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     """
     poses = block.poses
     height = heights_above_ground_m(poses, block.ground)
-    nadir = poses.positions_m[:, :2] @ [1, 1j]
+    nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
     turn, place = np.ones(len(nadir), np.complex128), nadir.copy()
     edges = net.edges
     left = [p @ [1, 1j] - nadir[a] for p, (a, _) in zip(net.left_m, edges, strict=True)]
@@ -150,8 +150,8 @@ def _agreed(
         length = np.hypot(miss[:m], miss[m:])
         limit = _CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
         tie_weight = 1.0 / ties.sd_m**2 / (1.0 + (length / limit) ** 2)
-    x = x.reshape(n, 4)
-    return shape * np.exp(np.clip(x[:, 0], -0.5, 0.5) + 1j * x[:, 1]), x[:, 2] + 1j * x[:, 3]
+    scale, turn, east, north = x.reshape(n, 4).T
+    return shape * np.exp(np.clip(scale, -0.5, 0.5) + 1j * turn), east + 1j * north
 
 
 def _thinned(

@@ -80,10 +80,8 @@ def variance_components(
     for group, (first, *more) in GROUPS.items():
         columns = [first, *more]
         known = np.asarray(np.isfinite(sd[:, columns]))
-        alone = sum(
-            max(float(weight[np.ix_(frames, columns)].sum()) - _COMMON[group], 0.0)
-            for frames in parts_of(priors)
-        )
+        in_all = weight[:, columns].sum(axis=1)
+        alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
         r = min(float((weight[:, columns] - share[:, columns])[known].sum()), alone)
         if r < _LEAST_REDUNDANCY:
             continue
