@@ -71,7 +71,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     for frames in connected_parts(net.n, edges):
         if len(frames) == 1:
             continue
-        mine = [k for k, (a, _) in enumerate(edges) if a in set(frames)]
+        inside = set(frames)
+        mine = [k for k, (a, _) in enumerate(edges) if a in inside]
         ties = _thinned([edges[k] for k in mine], [left[k] for k in mine], [right[k] for k in mine],
                         np.maximum(joints.miss_m[mine], net.step_m), frames)  # fmt: skip
         turn[frames], place[frames] = _part(ties, shape[frames], beliefs.of(np.array(frames)))

@@ -66,8 +66,9 @@ def found_turned(
             [(s.left_m - nadir[s.left]) @ [1, 1j] for s in seen],
             [(s.right_m - nadir[s.right]) @ [1, 1j] for s in seen],
         )
-        told = np.flatnonzero(~assumed & ~np.isin(np.arange(n), list(headings)))
-        parts = [[i for i in part if i in set(told.tolist())] for part in connected_parts(n, edges)]
+        parts = [
+            [i for i in part if not assumed[i] and i not in headings] for part in connected_parts(n, edges)
+        ]
         turns = turned_by_pictures(turns, averaged(n, joints), parts)
     return turns, headings
 
