@@ -47,6 +47,9 @@ bench-accuracy: bench-monte-carlo bench-speed ## accuracy on simulated surveys a
 bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
 	$(PY) tools/bench_monte_carlo.py --out out/bench-monte-carlo
 
+bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, matched once, then solved (about an hour)
+	$(PY) tools/bench_start.py --out out/bench-start
+
 bench-speed: setup ## 1,000 frames with 300,000 image observations (about a minute)
 	$(PY) tools/bench_speed.py --whole
 
@@ -76,4 +79,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-start bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean

@@ -77,7 +77,11 @@ class LinkError(OutputError):
 
 
 class NotSolvableError(GeomosaicError, ArithmeticError):
-    """The observations don't determine what was asked for."""
+    """The observations don't determine what was asked for; `frames`: at which it shows, if any."""
+
+    def __init__(self, problem: str, *, frames: Iterable[int] = ()) -> None:
+        self.frames = tuple(frames)
+        super().__init__(problem)
 
 
 class PluginError(GeomosaicError, ImportError):

@@ -280,10 +280,12 @@ def test_a_frame_without_a_line(survey: Survey, refused: Refused) -> None:
     refused(survey.mosaic(), survey.run, survey.pos, "F0004.jpg", "add them")
 
 
-def test_a_height_below_the_ground(survey: Survey, refused: Refused) -> None:
+def test_heights_below_the_ground(survey: Survey, refused: Refused) -> None:
+    """Of one frame it is set by the pictures; of all, the ground is what is wrong."""
     survey.change(3, height_ellipsoidal_m=-200)
-    code = survey.mosaic("--set", "projection.ground.height_m=520")
-    refused(code, survey.run, "F0004.jpg", "below the ground")
+    refused(survey.mosaic("--set", "projection.ground.height_m=5200"), survey.run, "below the ground")
+    assert survey.mosaic("--set", "projection.ground.height_m=520") == 0
+    assert warned(survey.run, "height-not-believed") == ["F0004.jpg"]
 
 
 @pytest.mark.parametrize(

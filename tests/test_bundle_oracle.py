@@ -43,10 +43,8 @@ class Oracle:
     @property
     def size(self):
         """Prior deviations: of poses those the solver settled on, of the lens and points those told."""
-        s = self.solved.sigma
-        factor = np.array([s["horizontal"]] * 2 + [s["vertical"]] + [s["tilt"]] * 2 + [s["yaw"]])
         poses = self.priors.poses
-        pose = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad]) * factor
+        pose = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad]) * self.solved.factors.by_column
         return np.concatenate([
             pose.ravel(), self.priors.interior_sd[0, :8], self.priors.points_sd_m.ravel()
         ])  # fmt: skip
@@ -88,7 +86,7 @@ class Oracle:
             out[seen] = self.tracks.image_px[seen] - here.image_from_ground(
                 camera, at[self.tracks.point[seen]]
             )
-        return out / self.solved.sigma_px
+        return out / self.solved.factors.image_px
 
     def derivatives(self, x):
         """Of `image`, (m, 2, n), by central differences: an observation sees one frame, the lens, one point."""

@@ -145,7 +145,7 @@ def by_positions(p: Problem) -> tuple[Found, Bundle, Floats]:
         bundle.points_m,
         bundle.mounting,
     )
-    counted = pose_sd(priors, bundle.sigma) / np.sqrt(trust_in_tags(priors, state, bundle.sigma))
+    counted = pose_sd(priors, bundle.factors) / np.sqrt(trust_in_tags(priors, state, bundle.factors))
     return found, bundle, counted[:, :3]
 
 
@@ -324,7 +324,7 @@ def compare(colmap: Any, case: Case, seed: int) -> float:
     print(row(case, "geomosaic", p, by_default(p)), flush=True)
     mine, bundle, counted = by_positions(p)
     print(row(case, "geomosaic, positions alone", p, mine), flush=True)
-    same: dict[str, Any] = {"sigma_px": bundle.sigma_px, "position_sd_m": counted}
+    same: dict[str, Any] = {"sigma_px": bundle.factors.image_px, "position_sd_m": counted}
     theirs = by_colmap(colmap, p, lens="RADIAL", **same)
     difference = apart(theirs, bundle)
     print(row(case, "COLMAP, the same problem", p, theirs, difference), flush=True)

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
@@ -26,7 +27,7 @@ class BlockTridiagonal:
     that meet only the group before and the one after (George and Liu 1981, chapter 4): lines of 50 frames
     give groups of about as many. Inside groups all is dense, and a block whose frames all meet is one group.
 
-    Raises: NotSolvableError if the matrix is not positive definite.
+    Raises: NotSolvableError, which names the frame where it shows, if the matrix is not positive definite.
     """
 
     def __init__(self, matrix: bsr_matrix) -> None:
@@ -56,8 +57,17 @@ class BlockTridiagonal:
                 below = solve_triangular(last, below.T, lower=True, overwrite_b=True, check_finite=False).T
                 diagonal -= below @ below.T
             self._below.append(below)
-            self._diagonal.append(_cholesky(diagonal))
+            self._diagonal.append(self._cholesky(diagonal, span))
             before = span
+
+    def _cholesky(self, matrix: Floats, span: slice) -> Floats:
+        factor, broken = dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
+        good = np.diag(factor) > 0.0
+        if broken or not good.all():
+            first = broken - 1 if broken else int(good.argmin())
+            weak = int(self._order[(span.start + first) // self._block])
+            raise NotSolvableError(_UNDETERMINED, frames=(weak,))
+        return np.asarray(factor)
 
     def solve(self, side: Floats) -> Floats:
         """Solutions (f b, r) for right sides (f b, r)."""
@@ -125,13 +135,3 @@ def _dense(blocks: Floats, row: Ints, column: Ints, rows: slice, columns: slice)
     out = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     out.reshape(out.shape[0] // b, b, out.shape[1] // b, b)[row, :, column, :] = blocks
     return out
-
-
-def _cholesky(matrix: Floats) -> Floats:
-    if not np.all(np.diag(matrix) > 0.0):
-        raise NotSolvableError(_UNDETERMINED)
-    try:
-        factor = cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
-    except np.linalg.LinAlgError as error:
-        raise NotSolvableError(_UNDETERMINED) from error
-    return np.asarray(factor)

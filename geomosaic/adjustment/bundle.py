@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,27 +12,59 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_equations import (
     KNOWN,
     cost_of,
+    has_say,
     image_sd_px,
     lengths_px,
     normals_of,
     observed,
+    pose_sd,
     shared_miss,
+    trust_of,
 )
-from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Priors, State, with_interior
+from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
 from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.adjustment.tracks import Tracks
-from geomosaic.adjustment.variance import median_px, trust_in_tags, undetermined, variance_components
+from geomosaic.adjustment.variance import (
+    change_of,
+    median_px,
+    trust_in_tags,
+    undetermined,
+    variance_components,
+)
 from geomosaic.camera.exterior import Poses
+from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_ROUGH, _FINE = 1e-3, 1e-5
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """A step is the last if it gains no more than this share of the cost and moves no frame by more than this
+    share of its position's deviation. The first alone would stop a large block while its scale is still off:
+    among 100,000 observations such a gain hides; the second alone would wait for single blunders to wander
+    off."""
+
+    gain: float
+    move: float
+
+
+_ROUGH, _FINE = _Stop(1e-3, 0.3), _Stop(1e-4, 0.01)
 _STEPS_BETWEEN = 2
-_DAMPING = 1e-9
+_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+"""Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it
+holds up scale, turn and place of the whole block, which only the positions know. So there is none unless a
+step fails."""
+_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Of a step that would raise the cost, a part is tried first: it goes the same way, also for the block as a
+whole."""
+_MOST_LEFT_OUT = 0.5
+_ANYWHERE_M = 1e3
+Step = tuple[Floats, Floats, Floats, float, Floats]
 
 
 def solve_bundle(
@@ -40,10 +74,9 @@ def solve_bundle(
     start: Poses,
     *,
     again: Bundle | None = None,
-    sigma_px: float = 0.5,
     most: int = 30,
 ) -> Bundle:
-    """Levenberg-Marquardt on the reduced normal equations, Cauchy weights, variance components.
+    """Gauss-Newton on the reduced normal equations, Cauchy weights, variance components.
 
     Minimises sum rho(|residual| / sigma_px) + the priors' squares (positions, attitudes, interior
     orientation, points). After every convergence the groups' variance factors (image, horizontal and
@@ -53,10 +86,47 @@ def solve_bundle(
     yet where control wants it, they count by their median miss, so that control pulls as one and a
     blunder stays outvoted.
 
+    Frames at which the system breaks down are left out and tried again once all others are solved.
+
     Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
         lenses, points and variance components to go on from.
-    Raises: NotSolvableError if the system is singular.
+    Raises: NotSolvableError if more than half of the frames would have to be left out.
     """
+    left_out = np.zeros(len(start), dtype=bool)
+    while True:
+        try:
+            solved = _solve(tracks, camera_of, _without(priors, left_out, start), start, again, most)
+            break
+        except NotSolvableError as error:
+            weak = [i for i in error.frames if not left_out[i]]
+            if not weak or left_out.sum() + len(weak) > _MOST_LEFT_OUT * len(start):
+                raise
+            left_out[weak] = True
+    if left_out.any():
+        with suppress(NotSolvableError):
+            return _solve(tracks, camera_of, priors, solved.poses, solved, most)
+    return solved
+
+
+def _without(priors: Priors, left_out: Bools, start: Poses) -> Priors:
+    """Frames whose pictures don't count stay where they began."""
+    if not left_out.any():
+        return priors
+    poses, out = priors.poses, left_out[:, None]
+    stay = replace(
+        poses,
+        positions_m=np.where(out, start.positions_m, poses.positions_m),
+        rotations=np.where(out[:, None], start.rotations, poses.rotations),
+        positions_sd_m=np.where(out, np.minimum(poses.positions_sd_m, _ANYWHERE_M), poses.positions_sd_m),
+        rotations_sd_rad=np.where(out, np.minimum(poses.rotations_sd_rad, np.pi), poses.rotations_sd_rad),
+    )
+    return replace(priors, poses=stay, left_out=left_out)
+
+
+def _solve(
+    tracks: Tracks, camera_of: Ints, priors: Priors, start: Poses, again: Bundle | None, most: int
+) -> Bundle:
+    """The solution with all unknowns that the block determines."""
     state = State(
         start.positions_m.copy(),
         start.rotations.copy(),
@@ -64,50 +134,69 @@ def solve_bundle(
         again.points_m if again else priors.points_m,
         again.mounting if again else np.zeros(len(MOUNTING)),
     )
+    factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
+    held = again.held if again else np.zeros(shared_miss(priors, state).size, dtype=bool)
+    iterations, may_free = 0, again is not None
+    while True:
+        priors, state = replace(priors, held=held), _with_held(priors, state, held)
+        state, priors, factors, used = _settle(
+            tracks, camera_of, priors, state, factors, most, settled=again is not None
+        )
+        iterations += used
+        more = undetermined(tracks, camera_of, priors, state, factors)
+        more = more if may_free else held | more
+        if np.array_equal(more, held):
+            return _finish(tracks, camera_of, priors, state, factors, iterations)
+        held, may_free = more, False
+
+
+def _with_held(priors: Priors, state: State, held: Bools) -> State:
+    """What is held is as it was given."""
+    given = np.stack([interior_of(c) for c in priors.cameras])
+    return replace(
+        state,
+        interior=np.where(held[: given.size].reshape(given.shape), given, state.interior),
+        mounting=np.where(held[given.size :], 0.0, state.mounting),
+    )
+
+
+def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Factors:
+    """Image coordinates count by their present median miss, all else as stated."""
     length = lengths_px(tracks, camera_of, priors, state)
     control = priors.control[tracks.point]
-    sigma = dict.fromkeys(GROUPS, 1.0) | {
-        "image": max(sigma_px, median_px(length[~control])),
-        "control": max(MEASURED_SD_PX, median_px(length[control])),
-    }
-    sigma |= again.sigma if again else {}
-    held = np.zeros(shared_miss(priors, state).size, dtype=bool)
-    iterations = 0
-    while True:
-        priors = replace(priors, held=held)
-        state, priors, used = _settle(tracks, camera_of, priors, state, sigma, most)
-        iterations += used
-        more = held | undetermined(tracks, camera_of, priors, state, sigma)
-        if np.array_equal(more, held):
-            return _finish(tracks, camera_of, priors, state, sigma, iterations)
-        held = more
-        given = np.stack([interior_of(c) for c in priors.cameras])
-        state = replace(
-            state,
-            interior=np.where(held[: given.size].reshape(given.shape), given, state.interior),
-            mounting=np.where(held[given.size :], 0.0, state.mounting),
-        )
+    return Factors(
+        image_px=max(Factors.image_px, median_px(length[~control])),
+        control_px=max(Factors.control_px, median_px(length[control])),
+    )
 
 
 def _settle(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float], most: int
-) -> tuple[State, Priors, int]:
-    """Iterates until unknowns, trust and variance components (in place) stand; the steps it took."""
-    iterations, settled = 0, False
+    tracks: Tracks,
+    camera_of: Ints,
+    priors: Priors,
+    state: State,
+    factors: Factors,
+    most: int,
+    *,
+    settled: bool,
+) -> tuple[State, Priors, Factors, int]:
+    """Iterates until unknowns, trust and variance components stand; the steps it took. settled: whether the
+    image's component is believed to stand already."""
+    iterations = 0
     for _ in range(12):
-        priors = replace(priors, trust=trust_in_tags(priors, state, sigma))
+        priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used = _converge(
-            tracks, camera_of, priors, state, sigma, _STEPS_BETWEEN if iterations else most, _ROUGH
+            tracks, camera_of, priors, state, factors, _STEPS_BETWEEN if iterations else most, _ROUGH
         )
         iterations += used
-        image_changed, priors_changed = variance_components(
-            tracks, camera_of, priors, state, sigma, image_only=not settled
-        )
+        before = factors
+        factors = variance_components(tracks, camera_of, priors, state, before, image_only=not settled)
+        image_changed, priors_changed = change_of(before, factors)
         if settled and max(image_changed, priors_changed) < 0.03:
             break
         settled = image_changed < 0.1
-    state, used = _converge(tracks, camera_of, priors, state, sigma, most, _FINE)
-    return state, priors, iterations + used
+    state, used = _converge(tracks, camera_of, priors, state, factors, most, _FINE)
+    return state, priors, factors, iterations + used
 
 
 def _converge(
@@ -115,34 +204,57 @@ def _converge(
     camera_of: Ints,
     priors: Priors,
     state: State,
-    sigma: dict[str, float],
+    factors: Factors,
     most: int,
-    gain_left: float,
+    stop: _Stop,
 ) -> tuple[State, int]:
-    damping, cost = _DAMPING, cost_of(tracks, camera_of, priors, state, sigma)
+    """Steps until `stop`, or `most`."""
+    sd_m = pose_sd(priors, factors)[:, :3]
+    damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
     for iteration in range(1, most + 1):
-        normals = normals_of(tracks, camera_of, priors, state, sigma)
+        normals = normals_of(tracks, camera_of, priors, state, factors)
+        gain, moved = 0.0, 0.0
         while True:
-            pose, interior, point, level, mounting = reduce_normals(normals, damping).solve()
-            trial = State(
-                state.positions + pose[:, :3],
-                exp_turn(pose[:, 3:]) @ state.rotations,
-                state.interior + interior,
-                state.points + point,
-                state.mounting + mounting if mounting.size else state.mounting,
-                state.level + level,
-            )
-            trial_cost = cost_of(tracks, camera_of, priors, trial, sigma)
-            if trial_cost <= cost or damping > 1e6:
+            try:
+                step = reduce_normals(normals, damping).solve()
+            except NotSolvableError:
+                if damping > _MOST_DAMPING:
+                    raise
+                damping = max(10.0 * damping, _DAMPING)
+                continue
+            for share in _SHARES:
+                trial = _moved(state, share, *step)
+                trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
+                if trial_cost < cost:
+                    break
+            if trial_cost < cost or damping > _MOST_DAMPING or _share_moved(step, sd_m) < stop.move:
                 break
-            damping *= 10.0
-        gain = cost - trial_cost
-        if gain > 0.0:
+            damping = max(10.0 * damping, _DAMPING)
+        if trial_cost < cost:
+            gain, moved = cost - trial_cost, _share_moved(step, sd_m)
             state, cost = trial, trial_cost
-        damping = max(damping / 100.0, _DAMPING)
-        if gain <= gain_left * max(cost, 1.0):
+        damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
+        if gain <= stop.gain * max(cost, 1.0) and moved <= stop.move:
             return state, iteration
     return state, most
+
+
+def _share_moved(step: Step, sd_m: Floats) -> float:
+    """The largest move of a frame, as a share of its position's deviation."""
+    return float((np.abs(step[0][:, :3]) / sd_m).max())
+
+
+def _moved(state: State, share: float, *step: Any) -> State:
+    """The state after a share of a step, see `Reduced.solve`."""
+    pose, interior, point, level, mounting = (share * part for part in step)
+    return State(
+        state.positions + pose[:, :3],
+        exp_turn(pose[:, 3:]) @ state.rotations,
+        state.interior + interior,
+        state.points + point,
+        state.mounting + mounting if mounting.size else state.mounting,
+        state.level + level,
+    )
 
 
 def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:
@@ -153,9 +265,9 @@ def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:
 
 
 def _finish(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float], iterations: int
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, iterations: int
 ) -> Bundle:
-    reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, sigma))
+    reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, factors))
     if priors.held is not None and priors.held.any():
         reduced = reduced.considering(_held_variance(priors, priors.held, len(reduced.shared)))
     covariance, shared = reduced.covariance()
@@ -186,10 +298,12 @@ def _finish(
         held=np.zeros(len(full), dtype=bool) if priors.held is None else priors.held,
         residual_px=residual,
         weight=np.nan_to_num(
-            cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, sigma))
-        ),
-        sigma_px=sigma["image"],
-        sigma={g: sigma[g] for g in GROUPS},
+            cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors))
+        )
+        * has_say(tracks, priors),
+        factors=factors,
+        trust=trust_of(priors),
+        left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,
         iterations=iterations,
         reduced=reduced,
     )

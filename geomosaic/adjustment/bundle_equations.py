@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle_model import Priors, State
+from geomosaic.adjustment.bundle_model import Factors, Priors, State
 from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of, passing, project
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
@@ -21,10 +21,10 @@ KNOWN = 1e-6
 """Prior deviation of what is known or held: next to nothing, in its unit or as a share of its deviation."""
 
 
-def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float]) -> float:
-    length = lengths_px(tracks, camera_of, priors, state) / image_sd_px(tracks, priors, sigma)
-    total = cauchy_cost(np.where(np.isfinite(length), length, 1e6))
-    total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, sigma)) ** 2).sum())
+def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:
+    length = lengths_px(tracks, camera_of, priors, state) / image_sd_px(tracks, priors, factors)
+    total = cauchy_cost(np.where(np.isfinite(length), length, 1e6)[has_say(tracks, priors)])
+    total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
     if priors.terrain is not None:
@@ -39,16 +39,14 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma
     return total
 
 
-def normals_of(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float]
-) -> Normals:
-    sd_px = image_sd_px(tracks, priors, sigma)
+def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Normals:
+    sd_px = image_sd_px(tracks, priors, factors)
 
     def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         some = Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
         image, by_pose, by_interior, by_point = project(*observed(some, camera_of, priors, state))
         residual, sd = some.image_px - image, sd_px[which]
-        seen = np.isfinite(residual).all(axis=1)
+        seen = np.isfinite(residual).all(axis=1) & has_say(some, priors)
         weight = np.where(seen, cauchy_weight(np.linalg.norm(residual, axis=1) / sd) / sd**2, 0.0)
         for a in (residual, by_pose, by_interior, by_point):
             a[~seen] = 0.0
@@ -56,17 +54,17 @@ def normals_of(
 
     counts = (len(state.positions), *state.interior.shape, len(state.points))
     n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised)
-    n = _with_priors(n, priors, state, sigma)
+    n = _with_priors(n, priors, state, factors)
     if priors.terrain is None:
         return replace(n, level=1.0)
     share = frame_share(tracks, state)
     return add_terrain(n, priors.terrain, ~priors.control, state.points, state.positions, share, state.level)
 
 
-def _with_priors(n: Normals, priors: Priors, state: State, sigma: dict[str, float]) -> Normals:
+def _with_priors(n: Normals, priors: Priors, state: State, factors: Factors) -> Normals:
     """Adds what was believed of poses, points, lenses and mounting."""
     by_pose, by_mounting = mounting_derivatives(priors.poses, state.rotations, state.mounting)
-    weighted = (trust_of(priors) / pose_sd(priors, sigma) ** 2)[:, :, None]
+    weighted = (trust_of(priors) / pose_sd(priors, factors) ** 2)[:, :, None]
     miss = present_miss(priors, state)[:, :, None]
     back = np.swapaxes(by_pose, 1, 2)
     n.pose[:] += back @ (weighted * by_pose)
@@ -89,11 +87,9 @@ def _with_priors(n: Normals, priors: Priors, state: State, sigma: dict[str, floa
     )
 
 
-def pose_sd(priors: Priors, sigma: dict[str, float]) -> Floats:
+def pose_sd(priors: Priors, factors: Factors) -> Floats:
     """Deviations of the pose priors with their present factors, (f, 6); inf where nothing is known."""
-    position, turn = priors.poses.positions_sd_m, priors.poses.rotations_sd_rad
-    factor = np.array([sigma[g] for g in ("horizontal", "horizontal", "vertical", "tilt", "tilt", "yaw")])
-    sd = np.column_stack([position, turn]) * factor
+    sd = np.column_stack([priors.poses.positions_sd_m, priors.poses.rotations_sd_rad]) * factors.by_column
     return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
 
 
@@ -150,9 +146,16 @@ def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) ->
     return np.asarray(np.linalg.norm(tracks.image_px - image, axis=1))
 
 
-def image_sd_px(tracks: Tracks, priors: Priors, sigma: dict[str, float]) -> Floats:
+def image_sd_px(tracks: Tracks, priors: Priors, factors: Factors) -> Floats:
     """Present deviation of each observation, (m,): hand-measured control apart from tie points."""
-    return np.where(priors.control[tracks.point], sigma["control"], sigma["image"])
+    return np.where(priors.control[tracks.point], factors.control_px, factors.image_px)
+
+
+def has_say(tracks: Tracks, priors: Priors) -> NDArray[np.bool_]:
+    """Which observations count, (m,): those of frames that weren't left out."""
+    return (
+        np.ones(len(tracks.frame), dtype=bool) if priors.left_out is None else ~priors.left_out[tracks.frame]
+    )
 
 
 def frame_share(tracks: Tracks, state: State) -> Floats:

@@ -21,8 +21,30 @@ Bools = NDArray[np.bool_]
 MEASURED_SD_PX = 0.5
 """Of a control or check point measured by hand in a picture: about half a pixel."""
 NO_MOUNTING = Mounting(np.zeros(len(MOUNTING)))
-GROUPS = ("horizontal", "vertical", "tilt", "yaw")
-"""Of the pose priors, each with a variance component of its own."""
+GROUPS: dict[str, tuple[int, ...]] = {"horizontal": (0, 1), "vertical": (2,), "tilt": (3, 4), "yaw": (5,)}
+"""Of the pose priors' six columns, each group with a variance component and a trust of its own."""
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Variance components: deviations of tie points' and control's image coordinates, in px, and what the
+    stated deviations of each group of pose priors are to be multiplied with."""
+
+    image_px: float = 0.5
+    control_px: float = MEASURED_SD_PX
+    horizontal: float = 1.0
+    vertical: float = 1.0
+    tilt: float = 1.0
+    yaw: float = 1.0
+
+    def of(self, group: str) -> float:
+        """One of GROUPS."""
+        return float(getattr(self, group))
+
+    @property
+    def by_column(self) -> Floats:
+        """(6,), in the order of the pose priors."""
+        return np.array([self.of(g) for g, columns in GROUPS.items() for _ in columns])
 
 
 @dataclass(frozen=True)
@@ -33,9 +55,11 @@ class Priors:
     control points their own; for tie points the ground below, weakly. control (p,): which points are
     control, measured by hand and not bound to the terrain. terrain: a surface that tie points lie on, if
     one is known.
-    mounting: what POS and poses differ by in common. trust (f, 6): factors of the pose priors' weights, 1
-    but for tags that lie; held (s,): which of the shared unknowns, cameras' numbers before the mounting's,
-    keep what they were given as the block does not determine them; both set by the solver.
+    mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
+    that each frame belongs to; all are one if it isn't told. trust (f, 6): factors of the pose priors'
+    weights, 1 but for tags that lie; held (s,): which of the shared unknowns, cameras' numbers before the
+    mounting's, keep what they were given as the block does not determine them; left_out (f,): frames whose
+    pictures have no say, since they made the system unsolvable; all three set by the solver.
     """
 
     poses: Poses
@@ -46,8 +70,10 @@ class Priors:
     control: Bools
     terrain: Terrain | None = None
     mounting: Mounting = NO_MOUNTING
+    part: NDArray[np.intp] | None = None
     trust: Floats | None = None
     held: Bools | None = None
+    left_out: Bools | None = None
 
 
 @dataclass(frozen=True)
@@ -59,9 +85,9 @@ class Bundle:
     mounting, mounting_sd: (7,). shared_correlation (s, s), s = 9c + 7: of the cameras' numbers and the
     mounting's; held (s,): which of them the block does not determine. Held numbers keep what they were
     given, and the covariances hold what is not known of them. residual_px: (m, 2) observed minus computed.
-    weight: (m,) robust weights, 1 for a good observation. sigma_px: estimated deviation of a tie point's
-    image coordinate.
-    sigma: estimated deviation over stated deviation per group. reduced: the last normal equations.
+    weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
+    trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
+    reduced: the last normal equations.
     """
 
     poses: Poses
@@ -76,8 +102,9 @@ class Bundle:
     held: Bools
     residual_px: Floats
     weight: Floats
-    sigma_px: float
-    sigma: dict[str, float]
+    factors: Factors
+    trust: Floats
+    left_out: Bools
     iterations: int
     reduced: Reduced
 

@@ -91,9 +91,9 @@ def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) ->
     most points come to lie on it, and neither tilts nor heights are bent against what POS says of them."""
     off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
     return bool(
-        bound.sigma_px < _AS_WELL * free.sigma_px
+        bound.factors.image_px < _AS_WELL * free.factors.image_px
         and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
-        and all(bound.sigma[g] < _BENT * max(free.sigma[g], 1.0) for g in ("tilt", "vertical"))
+        and all(bound.factors.of(g) < _BENT * max(free.factors.of(g), 1.0) for g in ("tilt", "vertical"))
     )
 
 

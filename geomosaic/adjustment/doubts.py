@@ -10,6 +10,7 @@ from geomosaic.adjustment.collinearity import INTERIOR, log_turn
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
+from geomosaic.placement.prior import heading_assumed
 from geomosaic.survey.model import Warn
 
 _POSITION_LIES = 6.0
@@ -46,7 +47,7 @@ def lying_tags(block: Block, poses: Poses) -> list[Warn]:
             block.names[i],
             f"its heading was given as {told[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
         )
-        for i in np.flatnonzero(np.abs(turned) > yaw_limit)
+        for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses))
     ]
 
 
@@ -119,3 +120,9 @@ def undetermined_wishes(shared: SharedUnknowns) -> list[Warn]:
     names = [n for n, held in zip(shared.names, shared.held, strict=True) if held and n not in lens]
     text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
     return [Warn("not-determined", "", f"{name}: {text}") for name in names]
+
+
+def unsolved_frames(block: Block, left_out: NDArray[np.bool_]) -> list[Warn]:
+    """Frames at which the system of equations broke down."""
+    text = "its tie points don't determine its pose; placed beside its neighbours as well as can be"
+    return [Warn("pose-not-determined", block.names[i], text) for i in np.flatnonzero(left_out)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,11 +36,13 @@ def settled(
     warnings: tuple[Warn, ...] = (),
     figures: dict[str, float] | None = None,
     spread: Spread | None = None,
+    unsolved: Collection[int] = (),
 ) -> Adjusted:
     """The outcome for poses found by any method: `tied` are frames with tie points, the others are
-    `placed` by POS alone. spread: see `control_residuals`; given by methods that used control."""
+    `placed` by POS alone, as are those `unsolved`. spread: see `control_residuals`; given by methods that
+    used control."""
     cameras, ground = cameras or block.cameras, ground or block.ground
-    tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)}
+    tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)} - set(unsolved)
     control = control_residuals(block, poses, cameras, ground, spread)
     return Adjusted(
         poses=poses,

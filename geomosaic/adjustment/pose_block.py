@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.beliefs import believed_terrain, part_of_frames, priors_of
 from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_model import Bundle, Priors
+from geomosaic.adjustment.bundle_model import GROUPS, Bundle, Priors
 from geomosaic.adjustment.chosen_ground import (
-    DEM_SD_M,
     LEAST_POINTS,
     chosen_ground,
     flying_height_m,
@@ -26,36 +27,28 @@ from geomosaic.adjustment.doubts import (
     drifting_heights,
     lying_tags,
     undetermined_wishes,
+    unsolved_frames,
 )
-from geomosaic.adjustment.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
-from geomosaic.adjustment.mounting import MOUNTING, UNIT, Mounting
+from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
-from geomosaic.adjustment.similarity_block import similarity_block
-from geomosaic.adjustment.terrain import Terrain
-from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.start import start_poses
+from geomosaic.adjustment.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import about_z
-from geomosaic.placement.graph import connected_parts
-from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.errors import NotSolvableError
 from geomosaic.projection.footprint import ground_from_images
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
-# Prior deviations of what a lens is not known to do, and of a focal length without a stated one.
-_LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
-_FOCAL_SD = 0.005
-_PRINCIPAL_SD = 0.003
-_READOUT_SD_S = 0.05
-_MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
-_DEM_LEVEL_SD_M = 2.0
-_ANY_RELIEF = 0.3
-_HILLS = 50.0
-_LEVEL_SD_SHARE = 0.04
-_LEAST_LEVEL_SD_M = 2.0
 _DATUM_IN_DOUBT = 3.0
+_FEW_PER_FRAME, _FEW_CELLS = 192, 8
+"""Enough to find poses, lens and variance components to a fraction of a pixel, at a tenth of the work."""
+_WORTHWHILE = 4
 
 
 def pose_block(block: Block, settings: Settings) -> Adjusted:
@@ -64,15 +57,30 @@ def pose_block(block: Block, settings: Settings) -> Adjusted:
     POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
     deviations are estimated again from the residuals. Frames without tie or control points keep their POS.
     """
-    return as_filed(_solve(as_taken(block), settings), block)
+    taken = as_taken(block)
+    try:
+        return as_filed(_solve(taken, settings), block)
+    except NotSolvableError as error:
+        return as_filed(_start_alone(taken, str(error)), block)
+
+
+def _start_alone(block: Block, why: str) -> Adjusted:
+    """Where a bundle would have begun: better than no mosaic."""
+    net = offset_net(block)
+    poses = start_poses(block, net)
+    moves = (poses.positions_m - block.poses.positions_m)[:, :2]
+    text = f"{why}; frames are laid beside each other by similarities alone, without tilts or lens"
+    return settled(
+        block,
+        poses,
+        (Round(net.misalignments_m(np.zeros_like(moves)), moves),),
+        warnings=(Warn("bundle-failed", "", text),),
+    )
 
 
 def _solve(block: Block, settings: Settings) -> Adjusted:
-    tracks = thin_tracks(
-        join_tracks(block.ties),
-        np.array([[c.width_px, c.height_px] for c in block.cameras]),
-        settings.observations_per_frame,
-    )
+    sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
+    tracks = thin_tracks(join_tracks(block.ties), sizes, settings.observations_per_frame)
     if not tracks.points and all(c.check for c in block.control):
         still = np.zeros((len(block.names), 2))
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
@@ -81,39 +89,13 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     cameras = tuple({c.name: c for c in block.cameras}.values())
     number = {c.name: k for k, c in enumerate(cameras)}
     camera_of = np.array([number[c.name] for c in block.cameras])
-    points, kept = _points_on_ground(block, start, tracks)
-    ties = len(points)
-    priors = Priors(
-        poses=block.poses,
-        cameras=cameras,
-        interior_sd=np.stack([interior_deviations(c, readout=settings.rolling_shutter) for c in cameras]),
-        mounting=_mounting(settings),
-        points_m=points,
-        points_sd_m=_point_deviations(block, points),
-        control=np.zeros(ties, dtype=bool),
-        terrain=_believed_terrain(block, ties),
-    )
-    free = solve_bundle(kept, camera_of, priors, start) if ties else None
-    seen, priors = with_control(kept, priors, block.control)
-    if free is not None and seen is kept:
-        solved = free
-    else:
-        priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
-    ground, relief_px = block.ground, float("nan")
-    if ties:
-        part = _parts(block, kept)
-        ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
-    if ties and ground.kind != "tie_surface":
-        off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
-        near = replace(_believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
-        bound = solve_bundle(seen, camera_of, replace(priors, terrain=near), solved.poses, again=solved)
-        ground = levelled(ground, _of_ties(bound, kept))
-        tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
-        if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
-            ground = surface_of(block, ground, _of_ties(solved, kept))
-        else:
-            solved = bound
-    bundle = _of_ties(solved, kept)
+    few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
+    few = few if _WORTHWHILE * few.points < tracks.points else tracks
+    found = _found(block, settings, few, camera_of, cameras, start)
+    if few is not tracks:
+        found = _with_all(block, settings, tracks, camera_of, cameras, found)
+    kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
+    bundle = _of_ties(found.solved, kept)
     moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
     shared = _shared(bundle, priors)
@@ -128,8 +110,10 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *drifting_heights(block, bundle.poses, np.unique(seen.frame)),
             *undetermined_wishes(shared),
+            *unsolved_frames(block, bundle.left_out),
         ),
-        figures=_figures(bundle, kept) | ({"ground_relief_px": relief_px} if np.isfinite(relief_px) else {}),
+        unsolved=np.flatnonzero(bundle.left_out).tolist(),
+        figures=_figures(bundle, kept) | _relief(found),
         spread=spread_of(bundle, camera_of),
     )
     return replace(
@@ -138,6 +122,87 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         shared=shared,
         image_residuals=ImageResiduals(kept.frame, kept.image_px, bundle.residual_px, bundle.weight),
     )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A solution: tie points, the same with control points, what was believed, and the ground that goes with
+    it. relief_px: see `chosen_ground`."""
+
+    ties: Tracks
+    seen: Tracks
+    priors: Priors
+    solved: Bundle
+    ground: GroundSurface
+    relief_px: float
+
+
+def _found(
+    block: Block,
+    settings: Settings,
+    tracks: Tracks,
+    camera_of: NDArray[np.intp],
+    cameras: tuple[Camera, ...],
+    start: Poses,
+) -> _Found:
+    """Free points first, then with control, then bound to the ground if they lie on one."""
+    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+    ties, priors = len(points), priors_of(block, settings, cameras, points)
+    free = solve_bundle(kept, camera_of, priors, start) if ties else None
+    seen, priors = with_control(kept, priors, block.control)
+    if free is not None and seen is kept:
+        solved = free
+    else:
+        priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
+    if not ties:
+        return _Found(kept, seen, priors, solved, block.ground, float("nan"))
+    part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
+    ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
+    if ground.kind == "tie_surface":
+        return _Found(kept, seen, priors, solved, ground, relief_px)
+    off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
+    near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
+    bound_priors = replace(priors, terrain=near)
+    bound = solve_bundle(seen, camera_of, bound_priors, solved.poses, again=solved)
+    ground = levelled(ground, _of_ties(bound, kept))
+    tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
+    if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
+        return _Found(
+            kept, seen, priors, solved, surface_of(block, ground, _of_ties(solved, kept)), relief_px
+        )
+    return _Found(kept, seen, bound_priors, bound, ground, relief_px)
+
+
+def _with_all(
+    block: Block,
+    settings: Settings,
+    tracks: Tracks,
+    camera_of: NDArray[np.intp],
+    cameras: tuple[Camera, ...],
+    few: _Found,
+) -> _Found:
+    """The solution by all tie points, from that by few of them, on the same kind of ground."""
+    lenses, poses = [few.solved.cameras[k] for k in camera_of], few.solved.poses
+    points, kept = _points_on_ground(poses, lenses, few.ground, tracks)
+    surface = few.ground.kind == "tie_surface"
+    if surface:
+        points = nearest_to_rays(kept, poses, lenses, points)
+    terrain = None if surface else few.priors.terrain
+    priors = replace(priors_of(block, settings, cameras, points, terrain), poses=few.priors.poses)
+    seen, priors = with_control(kept, priors, block.control)
+    control_m = few.solved.points_m[few.ties.points :]
+    again = replace(few.solved, points_m=np.concatenate([points, control_m]))
+    solved = solve_bundle(seen, camera_of, priors, poses, again=again)
+    bundle = _of_ties(solved, kept)
+    if surface:
+        ground = surface_of(block, levelled(block.ground, bundle), bundle)
+    else:
+        ground = levelled(few.ground, bundle)
+    return _Found(kept, seen, priors, solved, ground, few.relief_px)
+
+
+def _relief(found: _Found) -> dict[str, float]:
+    return {"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {}
 
 
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
@@ -183,55 +248,11 @@ def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
     )
 
 
-def start_poses(block: Block, net: OffsetNet) -> Poses:
-    """POS turned, shifted and scaled over the ground so that the frames agree, see `similarity_block`."""
-    poses = block.poses
-    height = heights_above_ground_m(poses, block.ground)
-    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
-    turn, nadir = similarity_block(
-        net,
-        poses.positions_m[:, :2],
-        np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt),
-        np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
-        np.clip(poses.positions_sd_m[:, 2] / height, 0.01, 0.5),
-    )
-    scale = np.clip(np.abs(turn), 0.5, 2.0)
-    up = poses.positions_m[:, 2] + (scale - 1.0) * height
-    return replace(
-        poses,
-        positions_m=np.column_stack([nadir.real, nadir.imag, up]),
-        rotations=about_z(np.angle(turn)) @ poses.rotations,
-    )
-
-
-def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
-    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
-
-    The principal point is known no better than the focal length: small drones' are off by one in a hundred.
-    """
-    focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
-    principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
-    lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
-    return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
-
-
-def _mounting(settings: Settings) -> Mounting:
-    asked = [settings.boresight] * 3 + [settings.lever_arm] * 3 + [settings.gps_lag]
-    return Mounting(np.where(asked, _MOUNTING_SD, 0.0))
-
-
-def _parts(block: Block, tracks: Tracks) -> NDArray[np.intp]:
-    """Number of the connected part of the block that each track's frames belong to, (p,)."""
-    number = np.zeros(len(block.names), dtype=np.intp)
-    pairs = [(t.left, t.right) for t in block.ties.pairs]
-    for k, frames in enumerate(connected_parts(len(block.names), pairs)):
-        number[frames] = k
-    return np.asarray(number[tracks.frame[np.unique(tracks.point, return_index=True)[1]]])
-
-
-def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Floats, Tracks]:
-    """Each track's mean place on the ground from the start poses; tracks that miss it are dropped."""
-    at = ground_from_images(tracks.frame, tracks.image_px, poses, block.cameras, block.ground)
+def _points_on_ground(
+    poses: Poses, cameras: Sequence[Camera], ground: GroundSurface, tracks: Tracks
+) -> tuple[Floats, Tracks]:
+    """Each track's mean place on the ground; tracks that miss it are dropped."""
+    at = ground_from_images(tracks.frame, tracks.image_px, poses, cameras, ground)
     hit = np.isfinite(at).all(axis=1)
     lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
     keep = ~lost[tracks.point]
@@ -242,24 +263,6 @@ def _points_on_ground(block: Block, poses: Poses, tracks: Tracks) -> tuple[Float
         [np.bincount(point, at[keep][:, k], minlength=len(names)) / count for k in range(3)], axis=1
     )
     return mean, kept
-
-
-def _point_deviations(block: Block, points: Floats) -> Floats:
-    """Tie points are free; all together, no further from the start than a flying height."""
-    return np.full((len(points), 3), flying_height_m(block) * np.sqrt(len(points)))
-
-
-def _believed_terrain(block: Block, points: int) -> Terrain:
-    """A DEM binds the points; what POS says of the ground's height only tells their common level.
-
-    Relief is alike over many points: all of them together say no more than 50 would. Else their number would
-    tilt the block until its hills lie level in the mean, against what the attitudes say.
-    """
-    height = flying_height_m(block)
-    if block.ground.kind == "dem":
-        return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
-    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
-    return Terrain(block.ground, _ANY_RELIEF * np.sqrt(max(points / _HILLS, 1.0)), float(level_sd_m))
 
 
 def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
@@ -282,7 +285,7 @@ def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
 
 
 def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
-    figures = {"sigma_px": bundle.sigma_px, "iterations": float(bundle.iterations)}
+    figures = {"sigma_px": bundle.factors.image_px, "iterations": float(bundle.iterations)}
     if tracks.points:
         length = np.linalg.norm(bundle.residual_px, axis=1)
         figures |= {
@@ -291,4 +294,4 @@ def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
             "observations": float(len(tracks.frame)),
             "track_length_mean": float(tracks.lengths.mean()),
         }
-    return figures | {f"sigma_{group}": value for group, value in bundle.sigma.items()}
+    return figures | {f"sigma_{group}": bundle.factors.of(group) for group in GROUPS}

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.matching.model import TiePoints
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+_PARALLEL = float(np.radians(0.5) ** 2)
 
 
 @dataclass(frozen=True)
@@ -81,3 +85,20 @@ def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 1
     keep = np.isin(tracks.point, tracks.point[asked])
     _, point = np.unique(tracks.point[keep], return_inverse=True)
     return Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
+
+
+def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:
+    """Points (p, 3) with the least squared distances to their rays; where these are all but parallel (to
+    within half a degree), held along them by near_m (p, 3)."""
+    centre, ray = np.empty((len(tracks.frame), 3)), np.empty((len(tracks.frame), 3))
+    for i in np.unique(tracks.frame):
+        mine = np.flatnonzero(tracks.frame == i)
+        centre[mine] = poses[i].centre_at(cameras[i], tracks.image_px[mine])
+        ray[mine] = poses[i].ray_from_image(cameras[i], tracks.image_px[mine])
+    ray /= np.linalg.norm(ray, axis=1)[:, None]
+    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+    rows = np.concatenate([across.reshape(-1, 9), (across @ centre[:, :, None])[:, :, 0]], axis=1)
+    summing = csr_matrix((np.ones(len(rows)), (tracks.point, np.arange(len(rows)))))
+    total = np.asarray(summing @ rows)
+    normal = total[:, :9].reshape(-1, 3, 3) + _PARALLEL * np.eye(3)
+    return np.asarray(np.linalg.solve(normal, (total[:, 9:] + _PARALLEL * near_m)[:, :, None])[:, :, 0])

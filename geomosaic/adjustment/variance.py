@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_equations import (
+    has_say,
     lengths_px,
     normals_of,
     pose_sd,
@@ -15,7 +17,7 @@ from geomosaic.adjustment.bundle_equations import (
     shared_sd,
     trust_of,
 )
-from geomosaic.adjustment.bundle_model import MEASURED_SD_PX, Priors, State
+from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Factors, Priors, State
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight, lie_weight
 from geomosaic.adjustment.terrain import surface_share
@@ -28,7 +30,14 @@ _LEAST_SIGMA_PX = 0.02
 _DETERMINED = 0.7
 _ERRORS_ALIKE = 5.0
 _PRIOR_FACTORS = (0.1, 10.0)
+"""EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or a car's; deviations that
+are stated in the wrong unit or for 1 of 3 axes are off by less than ten. Beyond, the tags are not what they
+say."""
+_LEAST_REDUNDANCY = 3.0
+_COMMON = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
+"""Unknowns that the frames of a part have in common, see `own_miss`."""
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of residuals (2,) with a deviation of 1 each
+_MEDIAN_ONE = 0.6745  # of the size of a residual with a deviation of 1
 
 
 def variance_components(
@@ -36,48 +45,115 @@ def variance_components(
     camera_of: Ints,
     priors: Priors,
     state: State,
-    sigma: dict[str, float],
+    factors: Factors,
     *,
     image_only: bool,
-) -> tuple[float, float]:
-    """Updates the groups' factors in place; returns the relative change of the image's factor and the
-    largest of the priors'. The priors' factors wait until the image's has settled: before, they would
-    take up what the poses haven't yet."""
-    n = normals_of(tracks, camera_of, priors, state, sigma)
+) -> Factors:
+    """The factors that residuals and redundancy speak for. The priors' wait until the image's has settled:
+    before, they would take up what the poses haven't yet.
+
+    What all frames of a part miss in common (its place, turn and scale, its height, its heading) says nothing
+    of the deviation of one: else a block at a wrong scale would excuse itself.
+    """
+    n = normals_of(tracks, camera_of, priors, state, factors)
     reduced = reduce_normals(n)
     covariance, shared = reduced.covariance()
-    miss, sd = present_miss(priors, state), pose_sd(priors, sigma)
-    weight = trust_of(priors)
+    sd, weight = pose_sd(priors, factors), trust_of(priors)
     share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
     control = priors.control[tracks.point]
     length_px = lengths_px(tracks, camera_of, priors, state)
-    before = sigma["image"], sigma["control"]
-    if not control.all():
-        length = np.nan_to_num(length_px[~control] / sigma["image"], nan=1e6)
+    tied = ~control & has_say(tracks, priors)
+    if tied.any():
+        length = np.nan_to_num(length_px[tied] / factors.image_px, nan=1e6)
         robust = cauchy_weight(length)
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
         unknowns = 6 * len(state.positions) + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
-        sigma["image"] *= float(np.sqrt((robust * length**2).sum() / redundancy))
-        sigma["image"] = max(sigma["image"], _LEAST_SIGMA_PX)
-    sigma["control"] = max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH)
-    after = sigma["image"], sigma["control"]
-    image_changed = float(np.abs(np.log(np.divide(after, before))).max())
+        image_px = factors.image_px * float(np.sqrt((robust * length**2).sum() / redundancy))
+        factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
+    factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH))
     if image_only:
-        return image_changed, 0.0
-    changes = [0.0]
-    for group, columns in (("horizontal", [0, 1]), ("vertical", [2]), ("tilt", [3, 4]), ("yaw", [5])):
+        return factors
+    miss = own_miss(priors, state, factors)
+    for group, (first, *more) in GROUPS.items():
+        columns = [first, *more]
         known = np.asarray(np.isfinite(sd[:, columns]))
-        r = float((weight[:, columns] - share[:, columns])[known].sum())
-        if r < 3.0:
+        in_all = weight[:, columns].sum(axis=1)
+        alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
+        r = min(float((weight[:, columns] - share[:, columns])[known].sum()), alone)
+        if r < _LEAST_REDUNDANCY:
             continue
         total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[known].sum())
-        factor = sigma[group]
-        sigma[group] = float(np.clip(_believed(factor * np.sqrt(total / r), r), *_PRIOR_FACTORS))
-        changes.append(float(abs(np.log(sigma[group] / factor))))
-    return image_changed, max(changes)
+        factor = np.clip(_believed(factors.of(group) * np.sqrt(total / r), r), *_PRIOR_FACTORS)
+        factors = replace(factors, **{group: float(factor)})
+    return factors
+
+
+def change_of(before: Factors, after: Factors) -> tuple[float, float]:
+    """Largest relative changes: of the image's factors, and of the priors'."""
+    image = (before.image_px, after.image_px), (before.control_px, after.control_px)
+    priors = [(before.of(g), after.of(g)) for g in GROUPS]
+    return _largest_change(image), _largest_change(priors)
+
+
+def _largest_change(pairs: Iterable[tuple[float, float]]) -> float:
+    return max(abs(float(np.log(a / b))) for a, b in pairs)
+
+
+def parts_of(priors: Priors) -> list[Ints]:
+    """The frames of each connected part."""
+    part = np.zeros(len(priors.poses), np.intp) if priors.part is None else priors.part
+    return [np.flatnonzero(part == k) for k in np.unique(part)]
+
+
+def own_miss(priors: Priors, state: State, factors: Factors) -> Floats:
+    """Told minus present (f, 6), less what the frames of each part miss in common: a similarity of the plane,
+    a height, a heading. Frames that lie don't tell what is common."""
+    miss, sd = present_miss(priors, state), pose_sd(priors, factors)
+    out = miss.copy()
+    for frames in parts_of(priors):
+        out[frames, :2] -= _common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
+        for column in (2, 5):
+            out[frames, column] -= _common(miss[frames, column], sd[frames, column])
+    return out
+
+
+def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
+    """What shift, turn and scale of all positions explain of their misses (k, 2), by re-weighting from the
+    median shift on; of two frames or fewer all."""
+    k = len(at_m)
+    if k < 3 or not np.isfinite(sd_m).all():
+        return np.where(np.isfinite(sd_m), miss_m, 0.0)
+    e, n = (at_m - np.median(at_m, axis=0)).T
+    zero, one = np.zeros(k), np.ones(k)
+    design = np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
+    found = np.zeros((k, 2)) + np.median(miss_m, axis=0)
+    for _ in range(10):
+        length = np.linalg.norm((miss_m - found) / sd_m, axis=1)
+        weight = (
+            np.sqrt(lie_weight(length / max(float(np.median(length)) / _MEDIAN_LENGTH, 1e-9)))[:, None] / sd_m
+        )
+        rows = (design * weight[:, :, None]).reshape(2 * k, 4)
+        scale = np.linalg.norm(rows, axis=0) + 1e-12
+        solved = np.linalg.lstsq(rows / scale, (miss_m * weight).ravel(), rcond=1e-10)[0] / scale
+        found = design @ solved
+    return np.asarray(found)
+
+
+def _common(miss: Floats, sd: Floats) -> float:
+    """The weighted mean of those near the median."""
+    known = np.isfinite(sd)
+    if not known.any():
+        return 0.0
+    miss, sd = miss[known], sd[known]
+    found = float(np.median(miss))
+    for _ in range(5):
+        length = np.abs(miss - found) / sd
+        weight = lie_weight(length / max(float(np.median(length)) / _MEDIAN_ONE, 1e-9)) / sd**2
+        found = float((weight * miss).sum() / weight.sum())
+    return found
 
 
 def _believed(factor: float, redundancy: float) -> float:
@@ -93,21 +169,26 @@ def _believed(factor: float, redundancy: float) -> float:
     return float(np.exp(wrong * np.log(variance) / 2.0))
 
 
-def trust_in_tags(priors: Priors, state: State, sigma: dict[str, float]) -> Floats:
-    """Weights of each frame's position and attitude, (f, 6): a wild tag loses its say.
+def trust_in_tags(priors: Priors, state: State, factors: Factors) -> Floats:
+    """Weights of each frame's position and attitude, (f, 6), by groups: a wild tag loses its say.
 
     A frame is wild against the bulk of the others, never all at once: else a whole block that shrinks
     or tips over would free itself from its positions.
     """
-    miss = present_miss(priors, state) / pose_sd(priors, sigma)
-    length = np.sqrt(np.add.reduceat(miss**2, [0, 3], axis=1))
-    bulk = np.maximum(1.0, np.median(length, axis=0) / 1.5)
-    return np.repeat(lie_weight(length / bulk), 3, axis=1)
+    miss = own_miss(priors, state, factors) / pose_sd(priors, factors)
+    tied = np.concatenate(
+        [frames for frames in parts_of(priors) if len(frames) > 2] or [np.arange(len(miss))]
+    )
+    trust = np.ones_like(miss)
+    for columns in map(list, GROUPS.values()):
+        length = np.linalg.norm(miss[:, columns], axis=1)
+        typical = _MEDIAN_LENGTH if len(columns) == 2 else _MEDIAN_ONE
+        bulk = max(1.0, float(np.median(length[tied])) / typical)
+        trust[:, columns] = lie_weight(length / bulk)[:, None]
+    return trust
 
 
-def undetermined(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, sigma: dict[str, float]
-) -> Bools:
+def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Bools:
     """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
 
     Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
@@ -115,7 +196,7 @@ def undetermined(
     deviation would still be below _DETERMINED of what it was before pictures and POS spoke.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
-    wider = sigma | {"image": _ERRORS_ALIKE * sigma["image"]}
+    wider = replace(factors, image_px=_ERRORS_ALIKE * factors.image_px)
     normals = normals_of(tracks, camera_of, replace(priors, held=None), state, wider)
     shared = np.delete(reduce_normals(normals).shared_covariance(), priors.interior_sd.size, axis=0)
     shared = np.delete(shared, priors.interior_sd.size, axis=1)

@@ -2,20 +2,75 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import about_z
+from geomosaic.camera.rotation import Rotation, about_z
+from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
-from geomosaic.placement.prior import COURSE_YAW_SD_DEG
+from geomosaic.placement.prior import COURSE_YAW_SD_DEG, courses_deg, heading_assumed
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 _TOGETHER = 0.7
+_TOLERANCE_RAD = np.radians(30.0)
+"""Between a turn by a quarter and the next, less than halfway; headings of small drones are good to 5
+degrees."""
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A tied pair: the frames, and the (k, 2) east and north where each places its tie points."""
+
+    left: int
+    right: int
+    left_m: Floats
+    right_m: Floats
+
+
+def found_turned(
+    seen: Sequence[Seen],
+    poses: Poses,
+    lines: tuple[int, ...],
+    sizes_px: Sequence[tuple[int, int]],
+    cap_m: float,
+) -> tuple[dict[int, int], dict[int, float]]:
+    """Quarter turns of the pictures turned after the flight, and headings (rad) by their course of frames
+    that have the heading of another line. A heading that nobody observed is never found wrong, nor its
+    picture turned.
+
+    Args: sizes_px: width and height of each frame; cap_m: see `turned_frames`.
+    """
+    n, nadir = len(poses), poses.positions_m[:, :2]
+    costs = [
+        (s.left, s.right, turn_costs_m(s.left_m, s.right_m, nadir[s.left], nadir[s.right])) for s in seen
+    ]
+    assumed = heading_assumed(poses)
+    turns = turned_frames(n, costs, cap_m, possible_quarters(sizes_px))
+    turns = {i: quarters for i, quarters in turns.items() if not assumed[i]}
+    yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
+    course = np.where(assumed, np.nan, np.radians(courses_deg(poses.positions_m, lines)))
+    headings = headed_wrong(turns, yaw, course)
+    turns = {i: quarters for i, quarters in turns.items() if i not in headings}
+    if turns:
+        edges = [(s.left, s.right) for s in seen]
+        joints = joints_of(
+            edges,
+            [(s.left_m - nadir[s.left]) @ [1, 1j] for s in seen],
+            [(s.right_m - nadir[s.right]) @ [1, 1j] for s in seen],
+        )
+        parts = [
+            [i for i in part if not assumed[i] and i not in headings] for part in connected_parts(n, edges)
+        ]
+        turns = turned_by_pictures(turns, averaged(n, joints), parts)
+    return turns, headings
 
 
 def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_nadir: Floats) -> Floats:
@@ -38,7 +93,21 @@ def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_na
     return costs
 
 
-def turned_frames(n: int, costs_m: list[tuple[int, int, Floats]], cap_m: float) -> dict[int, int]:
+def possible_quarters(sizes_px: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Which quarter turns (n, 4) each picture can have had: by 90 degrees only if its width and height are
+    those of most pictures the other way round, or alike."""
+    usual, _ = Counter(sizes_px).most_common(1)[0]
+    out = np.tile([True, False, True, False], (len(sizes_px), 1))
+    out[[w == h or (h, w) == usual != (w, h) for w, h in sizes_px]] = True
+    return out
+
+
+def turned_frames(
+    n: int,
+    costs_m: list[tuple[int, int, Floats]],
+    cap_m: float,
+    possible: NDArray[np.bool_] | None = None,
+) -> dict[int, int]:
     """Quarter turns (1 to 3, counter-clockwise on the ground) of frames that need them.
 
     Minimises the sum over pairs of the misalignment, each capped, plus a quarter of it for every turned
@@ -46,9 +115,11 @@ def turned_frames(n: int, costs_m: list[tuple[int, int, Floats]], cap_m: float) 
     by their turns than those cost go back together. So where the evidence is level, a frame counts as
     it was tagged.
 
-    Args: costs_m: (left, right, (4, 4) costs) per pair. cap_m: beyond this a pair says no more.
+    Args: costs_m: (left, right, (4, 4) costs) per pair. cap_m: beyond this a pair says no more. possible (n,
+        4): see `possible_quarters`; all if it isn't told.
     """
-    capped = [(a, b, np.minimum(c, cap_m)) for a, b, c in costs_m]
+    never = np.zeros((n, 4)) if possible is None else np.where(possible, 0.0, 4.0 * cap_m)
+    capped = [(a, b, np.minimum(c, cap_m) + never[a][:, None] + never[b][None, :]) for a, b, c in costs_m]
     turn = _descent(n, capped, _votes(n, capped), cap_m / 4.0)
     links = [(a, b) for a, b, _ in capped if turn[a] and turn[b]]
     for group in connected_parts(n, links):
@@ -79,6 +150,25 @@ def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> 
     as_told = (off / usual).real
     wrong = [i for i, q in turns.items() if known[i] and (off[i] * (-1j) ** q / usual).real > as_told[i]]
     return {i: float((course_rad[i] + np.angle(usual)) % (2.0 * np.pi)) for i in wrong}
+
+
+def turned_by_pictures(
+    turns: dict[int, int], shape: Complexes, parts: Sequence[Sequence[int]]
+) -> dict[int, int]:
+    """Those frames of `turns` that their neighbours' pictures show turned by just so much, within _TOLERANCE;
+    the others have a wrong heading, not a turned picture.
+
+    Args: shape (n,): turn and scale of each frame, see `relative.averaged`; parts: the connected parts.
+    """
+    out = {}
+    for part in parts:
+        upright = [i for i in part if i not in turns]
+        usual = complex(np.mean([shape[i] / abs(shape[i]) for i in upright])) if upright else 0j
+        for i in (i for i in part if i in turns):
+            off = np.angle(shape[i] * (-1j) ** turns[i] / usual) if abs(usual) > _TOGETHER else 0.0
+            if abs(off) < _TOLERANCE_RAD:
+                out[i] = turns[i]
+    return out
 
 
 def _votes(n: int, costs: list[tuple[int, int, Floats]]) -> Ints:

@@ -116,7 +116,6 @@ class Context:
         key: str = "",
         fixed_time: bool = False,
         on_progress: Progress | None = None,
-        on_warning: Callable[[str], None] | None = None,
         on_note: Callable[[str], None] | None = None,
         cancelled: Callable[[], bool] | None = None,
         summary: Mapping[str, Any] | None = None,
@@ -139,7 +138,6 @@ class Context:
         self.seed = seed
         self._key = key
         self._on_progress = on_progress
-        self._on_warning = on_warning
         self._on_note = on_note
         self._cancelled = cancelled
         self._summary = summary or {}
@@ -159,8 +157,6 @@ class Context:
         """Something the user should know: a stable kebab-case code, the frame (or ''), one line."""
         self.notes.warnings.append({"code": code, "frame": frame, "text": text})
         self.recorder.log("warning", f"{code}: {text}", frame=frame)
-        if self._on_warning is not None:
-            self._on_warning(f"{frame}: {text}" if frame else text)
 
     def tell(self, text: str) -> None:
         """What the user wants to know while the run is on: one line on the screen and in the recording."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Literal, Protocol
 
 Source = Literal["work", "cache", "recording"]
@@ -25,6 +26,29 @@ class Reporter(Protocol):
 
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
+
+
+_ONE_BY_ONE = 3
+
+
+def warning_lines(warnings: Sequence[Mapping[str, str]]) -> list[str]:
+    """A stage's warnings (code, frame, text) for people: one line each, but one line with a count for a code
+    that concerns more than three frames."""
+    frames: dict[str, list[str]] = {}
+    for w in warnings:
+        if w["frame"]:
+            frames.setdefault(w["code"], []).append(w["frame"])
+    lines, told = [], set()
+    for w in warnings:
+        code, frame, text = w["code"], w["frame"], w["text"]
+        many = frames.get(code, [])
+        if not frame or len(many) <= _ONE_BY_ONE:
+            lines.append(f"{frame}: {text}" if frame else text)
+        elif code not in told:
+            told.add(code)
+            names = f"{', '.join(many[:_ONE_BY_ONE])} and {len(many) - _ONE_BY_ONE} more"
+            lines.append(f"{len(many)} frames ({names}): {code}; of the first: {text}")
+    return lines
 
 
 class Silent:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +20,7 @@ from geomosaic.pipeline.given import Given, bring_files
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, Recipe, Step
 from geomosaic.pipeline.recorded import StageRecorder, record_again
-from geomosaic.pipeline.reporter import Reporter, Silent, Source
+from geomosaic.pipeline.reporter import Reporter, Silent, Source, warning_lines
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.single import check_outputs
 from geomosaic.pipeline.stage import Stage
@@ -219,7 +219,6 @@ class _Run:
             key=key,
             fixed_time=self._fixed_time,
             on_progress=self._reporter.progress,
-            on_warning=self._reporter.warning,
             on_note=self._reporter.note,
             cancelled=self._cancelled,
             summary=self._timeless_summary() if self._fixed_time else self._summary,
@@ -230,6 +229,7 @@ class _Run:
             check_outputs(step.stage, values)
             self._hashes.check_unchanged()
         except BaseException:
+            self._warn(context.notes.warnings)
             recorder.close()
             spool.unlink(missing_ok=True)
             raise
@@ -241,6 +241,10 @@ class _Run:
         clock = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages")
         return {name: value for name, value in self._summary.items() if name not in clock}
 
+    def _warn(self, warnings: Sequence[Mapping[str, str]]) -> None:
+        for line in warning_lines(warnings):
+            self._reporter.warning(line)
+
     def _end_stage(self, stage: type[Stage], finished: Finished, seconds: float, source: Source) -> None:
         for name, held in finished.outputs.items():
             self._recorder.artefact(stage.id, name, type_name(held.type), held.fingerprint, held.data())
@@ -250,6 +254,7 @@ class _Run:
                 "type": type_name(held.type),
                 "fingerprint": held.fingerprint,
             }
+        self._warn(finished.notes.warnings)
         finished.notes.add_to(self._summary)
         self._summary["timings_s"][stage.id] = round(
             seconds + self._summary["timings_s"].get(stage.id, 0.0), 3
@@ -257,8 +262,6 @@ class _Run:
         self._summary["peak_memory_mb"] = peak_mb = round(self._peak_memory_mb(), 1)
         if source != "work":
             self._summary["cached_stages" if source == "cache" else "recorded_stages"].append(stage.id)
-            for warning in finished.notes.warnings:
-                self._reporter.warning(": ".join(filter(None, (warning["frame"], warning["text"]))))
         marks = {name: held.fingerprint for name, held in finished.outputs.items()}
         self._recorder.stage_finished(
             stage.id, marks, None if self._fixed_time else seconds, source != "work", asdict(finished.notes)

@@ -12,7 +12,7 @@ from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.params import StageParams
 from geomosaic.pipeline.recipe import Recipe, Step
-from geomosaic.pipeline.reporter import Reporter, Silent
+from geomosaic.pipeline.reporter import Reporter, Silent, warning_lines
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.stage import Stage
 
@@ -58,11 +58,14 @@ def run_stage(
             workers=team,
             seed=seed,
             on_progress=reporter.progress,
-            on_warning=reporter.warning,
             on_note=reporter.note,
             summary=summary,
         )
-        values = stage().run(inputs or {}, params, context)
+        try:
+            values = stage().run(inputs or {}, params, context)
+        finally:
+            for line in warning_lines(context.notes.warnings):
+                reporter.warning(line)
     check_outputs(stage, values)
     folder.note(path.relative_to(folder.path).as_posix() for path in context.kept)
     reporter.stage_finished(time.monotonic() - started, "work")

@@ -13,6 +13,12 @@ from geomosaic.survey.model import Frame, Survey
 
 Floats = NDArray[np.float64]
 _ESTIMATED_SD_SHARE = 0.1
+_LEAST_ABOVE_M = 1.0
+"""Nobody surveys from lower; cameras that don't know write 0."""
+_ON_THE_GROUND = 0.05
+"""Of the usual height above the ground: lower, and the frame shows a few metres."""
+_FAR = 2.5
+"""Heights above the ground differ by less within a survey that goes over hills at one height."""
 
 
 def or_nan(value: float | None) -> float:
@@ -54,14 +60,35 @@ def with_missing_heights(heights_m: Floats, sd_m: Floats, ground_heights_m: Floa
     return filled, np.where(missing, wide, sd_m)
 
 
+def believable_heights_m(
+    heights_m: Floats, sd_m: Floats, ground_heights_m: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Heights (n,), their deviations, and which of them can't be true: the frame would lie on the ground or
+    below.
+
+    Where one does, all that are far from the usual height above the ground are in doubt; they are taken to
+    have that, to half of it, and the pictures say what it is. Where most frames lie below the ground nothing
+    is changed: then it is the ground that is wrong.
+    """
+    above = heights_m - ground_heights_m
+    usual = float(np.nanmedian(above)) if np.isfinite(above).any() else 0.0
+    if not usual > 0.0 or not np.any(above <= _ON_THE_GROUND * usual):
+        return heights_m, sd_m, np.zeros(len(above), dtype=bool)
+    doubted = (above < usual / _FAR) | (above > usual * _FAR)
+    believed = np.where(doubted, ground_heights_m + usual, heights_m)
+    return believed, np.where(doubted, np.maximum(sd_m, usual / 2.0), sd_m), doubted
+
+
 def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
-    """The flat ground's ellipsoidal height: the median of absolute minus relative heights."""
+    """The flat ground's ellipsoidal height: the median of absolute minus relative heights; None where these
+    are missing, or say that the frames were taken on the ground."""
     both = [
-        p.height_ellipsoidal_m - p.height_above_ground_m
+        (p.height_ellipsoidal_m, p.height_above_ground_m)
         for p in (f.position for f in frames)
         if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
     ]
-    return float(np.median(both)) if both else None
+    absolute, above = np.array(both).reshape(-1, 2).T
+    return float(np.median(absolute - above)) if both and np.median(above) > _LEAST_ABOVE_M else None
 
 
 def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
@@ -81,13 +108,13 @@ def with_heights_above_ground(survey: Survey, above_m: float) -> tuple[Survey, f
     """The survey flown above_m over flat ground, and that ground's ellipsoidal height.
 
     Absolute heights that are known stay, and put the ground below their median; else the ground is at 0
-    and every frame at above_m, to a tenth of it.
+    and every frame at above_m, to a tenth of it. Heights above the ground that were told are dropped.
     """
     absolute = np.array([or_nan(f.position.height_ellipsoidal_m) for f in survey.frames])
     level = float(np.nanmedian(absolute)) - above_m if np.isfinite(absolute).any() else 0.0
     sd_m = _ESTIMATED_SD_SHARE * above_m
     frames = tuple(
-        f
+        replace(f, position=replace(f.position, height_above_ground_m=None))
         if f.position.height_ellipsoidal_m is not None
         else replace(f, position=replace(f.position, height_above_ground_m=above_m, sd_vertical_m=sd_m))
         for f in survey.frames

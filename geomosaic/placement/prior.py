@@ -20,6 +20,11 @@ UNKNOWN_YAW_SD_DEG = 180.0
 COURSE_YAW_SD_DEG = 20.0
 
 
+def heading_assumed(poses: Poses) -> NDArray[np.bool_]:
+    """Frames (n,) whose heading nobody observed: taken from the course, or from nowhere."""
+    return np.asarray(poses.rotations_sd_rad[:, 2] >= np.radians(COURSE_YAW_SD_DEG) - 1e-9)
+
+
 def rigorous(work_frame: LocalFrame, lon_lat_height: Floats) -> tuple[Floats, Floats]:
     """Positions (n, 3) by ECEF, and the rotations (n, 3, 3) from each point's own axes."""
     lon, lat, height = lon_lat_height.T

@@ -60,21 +60,7 @@ class AdjustmentSolve(Stage):
         survey: Survey = inputs["survey"]
         placement: Placement = inputs["placement"]
         ties: TiePoints = inputs["ties"]
-        block = Block(
-            names=tuple(f.name for f in survey.frames),
-            cameras=tuple(
-                survey.camera_of(i).turned(quarters if quarters == 2 else 0)
-                for i, quarters in enumerate(placement.turned or (0,) * len(survey.frames))
-            ),
-            poses=placement.poses,
-            ground=inputs["ground"],
-            ties=ties,
-            sequence=placement.sequence,
-            lines=placement.lines,
-            ground_pixel_m=placement.ground_pixel_m,
-            turned=placement.turned,
-            control=ground_control(survey),
-        )
+        block = block_of(survey, inputs["ground"], placement, ties)
         adjusted = METHODS[params.method](block, Settings(**params.model_dump(exclude={"method"})))
         held = {i for c in block.control if not c.check for i, _, _ in c.observations}
         parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
@@ -110,6 +96,23 @@ class AdjustmentSolve(Stage):
         context.metric("ground.kind", adjusted.ground.kind)
         record_adjusted(context, survey, block, adjusted, params.ground)
         return {"adjusted": adjusted, "ground": adjusted.ground}
+
+
+def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: TiePoints) -> Block:
+    """What the stages before found, ready to be adjusted."""
+    turned = placement.turned or (0,) * len(survey.frames)
+    return Block(
+        names=tuple(f.name for f in survey.frames),
+        cameras=tuple(survey.camera_of(i).turned(2 if q == 2 else 0) for i, q in enumerate(turned)),
+        poses=placement.poses,
+        ground=ground,
+        ties=ties,
+        sequence=placement.sequence,
+        lines=placement.lines,
+        ground_pixel_m=placement.ground_pixel_m,
+        turned=placement.turned,
+        control=ground_control(survey),
+    )
 
 
 def _tell_control(context: Context, adjusted: Adjusted) -> None:

@@ -10,16 +10,17 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, reduction_for
 from geomosaic.matching.match import PairJob, match_pair
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.search import CHECKS
-from geomosaic.matching.turned import headed_wrong, reheaded, righted, turn_costs_m, turned_frames
+from geomosaic.matching.turned import Seen, found_turned, reheaded, righted
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.graph import flown_beside
 from geomosaic.placement.model import Placement
-from geomosaic.placement.prior import courses_deg
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
@@ -35,7 +36,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
@@ -77,40 +78,32 @@ class MatchingSift(Stage):
             for i in range(len(frames))
         ]
         reach_m = misplacement_m(placement.poses, cameras, inputs["ground"])
-        jobs = [
-            self._job(params, placement.ground_pixel_m, cameras, features, ground_m, reach_m, pair)
-            for pair in placement.pairs
-        ]
-        found = context.map("pairs", match_pair, jobs, keys=placement.pairs)
-        pairs, untied, costs = [], [], []
-        for (a, b), match in zip(placement.pairs, found, strict=True):
+        tried, found = list(placement.pairs), []
+        job = partial(self._job, params, placement.ground_pixel_m, cameras, features, ground_m, reach_m)
+        found += context.map("pairs", match_pair, [job(pair) for pair in tried], keys=tried)
+        tied = {i for pair, match in zip(tried, found, strict=True) if len(match.left) for i in pair}
+        more = flown_beside(set(range(len(frames))) - tied, placement.sequence, tried)
+        if more:
+            found += context.map(
+                "pairs of lonely frames", match_pair, [job(pair) for pair in more], keys=more
+            )
+            tried += more
+        pairs, untied, seen = [], [], []
+        for (a, b), match in zip(tried, found, strict=True):
             if not len(match.left):
                 untied.append((a, b))
                 continue
             i, j = match.left, match.right
             pairs.append(TiePair(a, b, features[a].image_px[i], features[b].image_px[j], i, j))
-            nadir = placement.poses.positions_m[:, :2]
-            costs.append((a, b, turn_costs_m(ground_m[a][i], ground_m[b][j], nadir[a], nadir[b])))
+            here, there = ground_m[a][i], ground_m[b][j]
+            hit = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+            if hit.any():
+                seen.append(Seen(a, b, here[hit], there[hit]))
         cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
-        turns = turned_frames(len(frames), costs, cap_m)
-        yaw = Rotation(placement.poses.rotations).yaw_pitch_roll()[0]
-        course = np.radians(courses_deg(placement.poses.positions_m, placement.lines))
-        headings = headed_wrong(turns, yaw, course)
-        for frame, heading in headings.items():
-            context.warn(
-                "yaw-wrong",
-                frames[frame].name,
-                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
-                f"about {np.degrees(heading):.0f}; set by its neighbours",
-            )
-        turns = {i: quarters for i, quarters in turns.items() if i not in headings}
-        for frame, quarters in turns.items():
-            context.warn(
-                "frame-turned",
-                frames[frame].name,
-                f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
-            )
-        context.metric("matching.pairs_tried", len(placement.pairs))
+        sizes = [(f.width_px, f.height_px) for f in frames]
+        turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
+        self._tell(context, [f.name for f in frames], placement.poses, turns, headings)
+        context.metric("matching.pairs_tried", len(tried))
         context.metric("matching.pairs_tied", len(pairs))
         context.metric("matching.tie_points", sum(len(p) for p in pairs))
         return {
@@ -121,6 +114,30 @@ class MatchingSift(Stage):
                 turned=tuple(turns.get(i, 0) for i in range(len(frames))),
             ),
         }
+
+    @staticmethod
+    def _tell(
+        context: Context,
+        names: Sequence[str],
+        poses: Poses,
+        turns: Mapping[int, int],
+        headings: Mapping[int, float],
+    ) -> None:
+        """Names wrong headings and turned pictures."""
+        yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
+        for frame, heading in headings.items():
+            context.warn(
+                "yaw-wrong",
+                names[frame],
+                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
+                f"about {np.degrees(heading):.0f}; set by its neighbours",
+            )
+        for frame, quarters in turns.items():
+            context.warn(
+                "frame-turned",
+                names[frame],
+                f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
+            )
 
     @staticmethod
     def _job(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import flight_lines, overlapping_pairs
-from geomosaic.placement.heights import frame_heights_m, with_missing_heights
+from geomosaic.placement.heights import believable_heights_m, frame_heights_m, with_missing_heights
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
@@ -22,6 +22,8 @@ from geomosaic.stages.telling import outline_feature, record_locations
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
+Floats = NDArray[np.float64]
+
 
 class PlacementPos(Stage):
     """Brings the survey's positions and attitudes into the work frame and finds who may overlap whom."""
@@ -29,7 +31,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"placement": Placement}
 
@@ -57,25 +59,7 @@ class PlacementPos(Stage):
         below = survey.work_frame.geodetic_from_enu(
             np.column_stack([level[:, :2], ground.up_at(*level[:, :2].T)])
         )
-        told_m = frame_heights_m(survey.frames, below[:, 2])
-        sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
-        heights_m, sd_m = with_missing_heights(told_m, sd_m, below[:, 2])
-        filled = [
-            n for n, a, b in zip(names, told_m, heights_m, strict=True) if np.isnan(a) and np.isfinite(b)
-        ]
-        if filled:
-            text = f"no height of their own: set by the frames before and after ({some(filled)})"
-            context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
-        for name, height, floor in zip(names, heights_m, below[:, 2], strict=True):
-            if not height > floor:
-                problem = (
-                    "its height is unknown"
-                    if np.isnan(height)
-                    else f"lies {floor - height:.1f} m below the ground"
-                )
-                raise InputError(
-                    problem, file=name, mend="give heights with --pos, or check the DEM's --dem-offset"
-                )
+        heights_m, sd_m = _heights_m(context, survey, below[:, 2])
         lines = flight_lines(level)
         poses = prior_poses(survey, heights_m, sd_m, lines, params.formula, params.attitude)
         outlines = [footprint(poses[i], cameras[i], ground) for i in range(len(names))]
@@ -105,6 +89,35 @@ class PlacementPos(Stage):
         context.metric("placement.flight_lines", max(lines) + 1)
         context.metric("placement.candidate_pairs", len(placement.pairs))
         return {"placement": placement}
+
+
+def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Floats, Floats]:
+    """Heights (n,) that frames can have had above the ground below_m (n,), all ellipsoidal, and
+    deviations."""
+    names = [f.name for f in survey.frames]
+    told_m = frame_heights_m(survey.frames, below_m)
+    sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
+    heights_m, sd_m = with_missing_heights(told_m, sd_m, below_m)
+    filled = [n for n, a, b in zip(names, told_m, heights_m, strict=True) if np.isnan(a) and np.isfinite(b)]
+    if filled:
+        text = f"no height of their own: set by the frames before and after ({some(filled)})"
+        context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
+    heights_m, sd_m, doubted = believable_heights_m(heights_m, sd_m, below_m)
+    if doubted.any():
+        named = [n for n, wrong in zip(names, doubted, strict=True) if wrong]
+        text = "given heights put it on the ground, below it or far above the others; set by the pictures"
+        context.warn("height-not-believed", named[0] if len(named) == 1 else "", f"{text} ({some(named)})")
+    for name, height, floor in zip(names, heights_m, below_m, strict=True):
+        if not height > floor:
+            problem = (
+                "its height is unknown"
+                if np.isnan(height)
+                else f"lies {floor - height:.1f} m below the ground"
+            )
+            raise InputError(
+                problem, file=name, mend="give heights with --pos, or check the DEM's --dem-offset"
+            )
+    return heights_m, sd_m
 
 
 def _warn_of_control_outside(

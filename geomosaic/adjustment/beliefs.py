@@ -1,0 +1,93 @@
+"""What is believed of a block before its pictures speak."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.bundle_model import Priors
+from geomosaic.adjustment.chosen_ground import DEM_SD_M, flying_height_m
+from geomosaic.adjustment.collinearity import INTERIOR
+from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.mounting import Mounting
+from geomosaic.adjustment.terrain import Terrain
+from geomosaic.camera.interior import Camera
+from geomosaic.placement.graph import connected_parts
+
+Floats = NDArray[np.float64]
+
+# Prior deviations of what a lens is not known to do, and of a focal length without a stated one.
+_LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
+_FOCAL_SD = 0.005
+_PRINCIPAL_SD = 0.003
+_READOUT_SD_S = 0.05
+_MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
+_DEM_LEVEL_SD_M = 2.0
+_ANY_RELIEF = 0.3
+_HILLS = 50.0
+_LEVEL_SD_SHARE = 0.04
+_LEAST_LEVEL_SD_M = 2.0
+
+
+def priors_of(
+    block: Block,
+    settings: Settings,
+    cameras: tuple[Camera, ...],
+    points_m: Floats,
+    terrain: Terrain | None = None,
+) -> Priors:
+    """Poses as told, lenses, tie points (p, 3) about where they begin, and the terrain that binds them."""
+    return Priors(
+        poses=block.poses,
+        cameras=cameras,
+        interior_sd=np.stack([interior_deviations(c, readout=settings.rolling_shutter) for c in cameras]),
+        mounting=_mounting(settings),
+        points_m=points_m,
+        points_sd_m=_point_deviations(block, points_m),
+        control=np.zeros(len(points_m), dtype=bool),
+        terrain=terrain or believed_terrain(block, len(points_m)),
+        part=part_of_frames(block),
+    )
+
+
+def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
+    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
+
+    The principal point is known no better than the focal length: small drones' are off by one in a hundred.
+    """
+    focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
+    principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
+    lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
+    return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
+
+
+def _mounting(settings: Settings) -> Mounting:
+    asked = [settings.boresight] * 3 + [settings.lever_arm] * 3 + [settings.gps_lag]
+    return Mounting(np.where(asked, _MOUNTING_SD, 0.0))
+
+
+def _point_deviations(block: Block, points: Floats) -> Floats:
+    """Tie points are free; all together, no further from the start than a flying height."""
+    return np.full((len(points), 3), flying_height_m(block) * np.sqrt(len(points)))
+
+
+def believed_terrain(block: Block, points: int) -> Terrain:
+    """A DEM binds the points; what POS says of the ground's height only tells their common level.
+
+    Relief is alike over many points: all of them together say no more than 50 would. Else their number would
+    tilt the block until its hills lie level in the mean, against what the attitudes say.
+    """
+    height = flying_height_m(block)
+    if block.ground.kind == "dem":
+        return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
+    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
+    return Terrain(block.ground, _ANY_RELIEF * np.sqrt(max(points / _HILLS, 1.0)), float(level_sd_m))
+
+
+def part_of_frames(block: Block) -> NDArray[np.intp]:
+    """Number of the connected part of the block that each frame belongs to, (f,)."""
+    number = np.zeros(len(block.names), dtype=np.intp)
+    pairs = [(t.left, t.right) for t in block.ties.pairs]
+    for k, frames in enumerate(connected_parts(len(block.names), pairs)):
+        number[frames] = k
+    return number

@@ -1,0 +1,115 @@
+"""A part of a block laid onto the positions of its frames: one scale, one turn, one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.robust import lie_weight
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+_DRAWS = 300
+_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
+_ALIKE_RAD = 0.2
+_LEAST_SHARE = 0.2
+"""A position's noise is not below this share of what is stated, as far as laying goes."""
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """What POS says of frames: nadir points (n,), east + i north, and deviations (n,): of these in m, of
+    headings in rad, of the scale that heights and focal length give, as a share."""
+
+    nadir: Complexes
+    position_sd_m: Floats
+    yaw_sd_rad: Floats
+    scale_sd: Floats
+
+    def of(self, frames: NDArray[np.intp]) -> Beliefs:
+        """Of some frames."""
+        return Beliefs(
+            self.nadir[frames], self.position_sd_m[frames], self.yaw_sd_rad[frames], self.scale_sd[frames]
+        )
+
+
+def laid(shape: Complexes, place: Complexes, beliefs: Beliefs) -> tuple[complex, complex, Floats]:
+    """The similarity, nadir = whole * place + shift, that lays frames onto their positions; and how far each
+    position is trusted, (n,).
+
+    Begun from pairs of frames far apart (the least median of squares, Rousseeuw 1984) and from what headings
+    and heights say, each improved by re-weighted least squares; the one with the lower cost is taken.
+    Headings and heights have their say with the deviation of one frame: what they are off by they mostly have
+    in common. A position beyond six deviations has none.
+
+    Args: shape (n,): turn and scale of each frame against what was told of it.
+    """
+    told = _told(shape, beliefs)
+    sd = float(np.median(beliefs.scale_sd)), float(min(np.median(beliefs.yaw_sd_rad), np.pi))
+    tried = [_improved(whole, place, told, sd, beliefs) for whole in (told, *_drawn(place, beliefs))]
+    return min(tried, key=lambda t: t[0])[1:]
+
+
+def _told(shape: Complexes, beliefs: Beliefs) -> complex:
+    """What headings and heights say of the whole: that most frames are turned and scaled as told."""
+    turns = np.conj(shape) / np.abs(shape)
+    apart = np.abs(np.angle(turns[:, None] * np.conj(turns)))
+    best = turns[np.minimum(apart, _ALIKE_RAD).sum(axis=1).argmin()]
+    near = np.abs(np.angle(turns * np.conj(best))) < np.maximum(3.0 * beliefs.yaw_sd_rad, 0.1)
+    turn = complex(turns[near].mean()) if near.any() else complex(best)
+    return complex(turn / abs(turn) * np.exp(-np.median(np.log(np.abs(shape)))))
+
+
+def _drawn(place: Complexes, beliefs: Beliefs) -> list[complex]:
+    """Of many pairs of frames the similarity with the least median miss."""
+    n = len(place)
+    i, j = np.triu_indices(n, 1)
+    if len(i) > _DRAWS:
+        some = np.random.default_rng(0).choice(len(i), 8 * _DRAWS, replace=len(i) < 8 * _DRAWS)
+        i, j = i[some], j[some]
+        far = np.argsort(-np.abs(place[i] - place[j]), kind="stable")[: len(i) // 2]
+        far = far[:: max(1, len(far) // _DRAWS)]
+        i, j = i[far], j[far]
+    base, told = place[i] - place[j], beliefs.nadir[i] - beliefs.nadir[j]
+    apart = (np.abs(base) > 0.0) & (np.abs(told) > 0.0)
+    if n < 4 or not apart.any():
+        return []
+    whole = told[apart] / base[apart]
+    left = beliefs.nadir[None] - whole[:, None] * place[None]
+    shift = np.median(left.real, axis=1) + 1j * np.median(left.imag, axis=1)
+    return [complex(whole[np.median(np.abs(left - shift[:, None]), axis=1).argmin()])]
+
+
+def _improved(
+    whole: complex, place: Complexes, told: complex, sd: tuple[float, float], beliefs: Beliefs
+) -> tuple[float, complex, complex, Floats]:
+    """Cost, similarity and trust after re-weighting from `whole` on."""
+    left = beliefs.nadir - whole * place
+    shift = complex(np.median(left.real), np.median(left.imag))
+    n, one, zero = len(place), np.ones(len(place)), np.zeros(len(place))
+    e, u = place.real, place.imag
+    design = np.concatenate([np.stack([e, -u, one, zero], 1), np.stack([u, e, zero, one], 1)])
+    weight = np.ones(n)
+    for _ in range(20):
+        standard = np.abs(beliefs.nadir - whole * place - shift) / beliefs.position_sd_m
+        noise = max(float(np.median(standard)) / _MEDIAN_LENGTH, _LEAST_SHARE)
+        weight = lie_weight(standard / noise)
+        root = np.sqrt(weight) / (noise * beliefs.position_sd_m)
+        axis, off = whole / abs(whole), float(np.angle(whole / told))
+        held = np.array([[axis.real, axis.imag, 0, 0], [-axis.imag, axis.real, 0, 0]])
+        held[0] /= sd[0] * abs(told)
+        heard = np.sqrt(float(lie_weight(np.array(abs(off) / sd[1])))) / sd[1]
+        held[1] *= heard / abs(whole)
+        rows = np.concatenate([design * np.tile(root, 2)[:, None], held])
+        sides = np.concatenate(
+            [beliefs.nadir.real * root, beliefs.nadir.imag * root, [1.0 / sd[0], -off * heard]]
+        )
+        size = np.linalg.norm(rows, axis=0) + 1e-12
+        x = np.linalg.lstsq(rows / size, sides, rcond=1e-12)[0] / size
+        whole, shift = complex(x[0], x[1]), complex(x[2], x[3])
+    standard = np.abs(beliefs.nadir - whole * place - shift) / beliefs.position_sd_m
+    scale, turn = np.log(abs(whole / told)) / sd[0], np.angle(whole / told) / sd[1]
+    cost = float(np.log1p(standard**2).sum() + np.log1p(scale**2) + np.log1p(turn**2))
+    return cost, whole, shift, weight

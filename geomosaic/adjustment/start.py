@@ -1,0 +1,175 @@
+"""Where a bundle begins: the frames' shape from the pictures, laid onto the positions part by part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+
+from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.adjustment.laying import Beliefs, laid
+from geomosaic.adjustment.misalignment import OffsetNet
+from geomosaic.adjustment.model import Block
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import about_z
+from geomosaic.matching.relative import averaged, joints_of
+from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.reach import heights_above_ground_m
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Ints = NDArray[np.intp]
+_MOST_TIES = 60
+_ROUNDS = 4
+_OF_A_PAIR = 6.0
+"""A pair's tie points together say no more than so many: they miss alike, by the frames' tilts."""
+_LOCAL_SCALE_SD, _LOCAL_TURN_SD = 0.1, 0.1
+"""How far a frame's scale and turn (rad) may go from what the pairs' average says: along a line of frames
+that all look 5 degrees ahead each pair's scale is off by some per cent, one way."""
+_CAUCHY = 3.0
+
+
+@dataclass(frozen=True)
+class _Ties:
+    """Tie points of a part, each pair thinned: frames a and b (m,), their places (m,) east + i north from the
+    frames' nadir points, and what each may be off by (m,)."""
+
+    a: Ints
+    b: Ints
+    z_a: Complexes
+    z_b: Complexes
+    sd_m: Floats
+
+
+def start_poses(block: Block, net: OffsetNet) -> Poses:
+    """Frames turned, scaled and shifted over the ground so that the pictures agree, each connected part laid
+    onto its positions as one.
+
+    A camera's heading may be wrong by any angle and its height by any factor: both come from the pairs. What
+    a part has in common, scale, turn and place, comes from its positions by one robust similarity, and from
+    headings and heights as far as their deviations go; ties that shrink have no way of pleasing themselves.
+    """
+    poses = block.poses
+    height = heights_above_ground_m(poses, block.ground)
+    nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
+    turn, place = np.ones(len(nadir), np.complex128), nadir.copy()
+    edges = net.edges
+    left = [p @ [1, 1j] - nadir[a] for p, (a, _) in zip(net.left_m, edges, strict=True)]
+    right = [p @ [1, 1j] - nadir[b] for p, (_, b) in zip(net.right_m, edges, strict=True)]
+    joints = joints_of(edges, left, right)
+    shape = averaged(net.n, joints)
+    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
+    position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt)
+    beliefs = Beliefs(
+        nadir,
+        position_sd_m,
+        np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
+        np.array([_scale_sd(block, i, h) for i, h in enumerate(height)]),
+    )
+    for frames in connected_parts(net.n, edges):
+        if len(frames) == 1:
+            continue
+        inside = set(frames)
+        mine = [k for k, (a, _) in enumerate(edges) if a in inside]
+        ties = _thinned([edges[k] for k in mine], [left[k] for k in mine], [right[k] for k in mine],
+                        np.maximum(joints.miss_m[mine], net.step_m), frames)  # fmt: skip
+        turn[frames], place[frames] = _part(ties, shape[frames], beliefs.of(np.array(frames)))
+    scale = np.abs(turn)
+    up = poses.positions_m[:, 2] + (scale - 1.0) * height
+    return replace(
+        poses,
+        positions_m=np.column_stack([place.real, place.imag, up]),
+        rotations=about_z(np.angle(turn)) @ poses.rotations,
+    )
+
+
+def _scale_sd(block: Block, frame: int, height_m: float) -> float:
+    """How well a frame's scale on the ground is told by its height and focal length, as a share."""
+    camera = block.cameras[frame]
+    focal = (camera.focal_length_sd_px or 0.0) / camera.focal_length_px
+    return float(
+        np.hypot(min(block.poses.positions_sd_m[frame, 2] / max(height_m, 1.0), 0.5), max(focal, 0.01))
+    )
+
+
+def _part(ties: _Ties, shape: Complexes, beliefs: Beliefs) -> tuple[Complexes, Complexes]:
+    """Turn and scale, and nadir point, of each frame of a part."""
+    shape, place = shape / np.exp(np.log(np.abs(shape)).mean()), np.zeros(len(shape), np.complex128)
+    first, whole, trust = shape, 1.0 + 0j, np.zeros(len(shape))
+    for _ in range(_ROUNDS):
+        wanted = (beliefs.nadir - beliefs.nadir.mean()) / whole
+        shape, place = _agreed(ties, shape, first, wanted, beliefs.position_sd_m / abs(whole), trust)
+        whole, shift, trust = laid(shape, place, beliefs)
+        place = place + (shift - beliefs.nadir.mean()) / whole
+    return whole * shape, whole * place + beliefs.nadir.mean()
+
+
+def _agreed(
+    ties: _Ties, shape: Complexes, first: Complexes, wanted: Complexes, sd_m: Floats, trust: Floats
+) -> tuple[Complexes, Complexes]:
+    """Frames of a part turned and scaled a little, and put down, so that their tie points meet; linear.
+
+    Unknowns of a frame: the logarithm of its scale, its turn, and its place. The mean logarithm stays as it
+    is: the part as a whole can't shrink. Places are drawn to those wanted as far as they are trusted, which
+    keeps a long line from bending.
+    """
+    n, m = len(shape), len(ties.a)
+    row = np.arange(m)
+    g_a, g_b = shape[ties.a] * ties.z_a, -shape[ties.b] * ties.z_b
+    one = np.ones(m)
+    # Rows: east parts of all ties, then north parts. A frame's step (s + i t) moves g to g (1 + s + i t).
+    entries = [
+        (row, 4 * ties.a, g_a.real), (row, 4 * ties.a + 1, -g_a.imag), (row, 4 * ties.a + 2, one),
+        (row, 4 * ties.b, g_b.real), (row, 4 * ties.b + 1, -g_b.imag), (row, 4 * ties.b + 2, -one),
+        (row + m, 4 * ties.a, g_a.imag), (row + m, 4 * ties.a + 1, g_a.real), (row + m, 4 * ties.a + 3, one),
+        (row + m, 4 * ties.b, g_b.imag), (row + m, 4 * ties.b + 1, g_b.real), (row + m, 4 * ties.b + 3, -one),
+    ]  # fmt: skip
+    rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    design = coo_matrix((values, (rows, columns)), shape=(2 * m, 4 * n)).tocsc()
+    apart = -(g_a + g_b)
+    side = np.concatenate([apart.real, apart.imag])
+    off = np.log(shape / first)
+    prior = np.column_stack([-off.real, -off.imag, wanted.real, wanted.imag]).ravel()
+    sd = np.column_stack([np.full(n, _LOCAL_SCALE_SD), np.full(n, _LOCAL_TURN_SD), sd_m, sd_m]).ravel()
+    prior_weight = (
+        np.column_stack([np.ones((n, 2)), np.tile(np.maximum(trust, 1e-6)[:, None], 2)]).ravel() / sd**2
+    )
+    tie_weight, x = 1.0 / ties.sd_m**2, np.zeros(4 * n)
+    for _ in range(3):
+        weight = np.tile(tie_weight, 2)
+        normal = design.T @ design.multiply(weight[:, None]).tocsc() + coo_matrix(
+            (prior_weight, (np.arange(4 * n),) * 2)
+        )
+        total = np.zeros(4 * n)
+        total[::4] = 1.0
+        sides = np.column_stack([design.T @ (weight * side) + prior_weight * prior, total])
+        free, along = BlockTridiagonal(normal.tobsr(blocksize=(4, 4))).solve(sides).T
+        x = free - along * (total @ free) / (total @ along)
+        miss = design @ x - side
+        length = np.hypot(miss[:m], miss[m:])
+        limit = _CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
+        tie_weight = 1.0 / ties.sd_m**2 / (1.0 + (length / limit) ** 2)
+    scale, turn, east, north = x.reshape(n, 4).T
+    return shape * np.exp(np.clip(scale, -0.5, 0.5) + 1j * turn), east + 1j * north
+
+
+def _thinned(
+    pairs: list[tuple[int, int]],
+    left: list[Complexes],
+    right: list[Complexes],
+    miss_m: Floats,
+    frames: list[int],
+) -> _Ties:
+    """At most _MOST_TIES of each pair, evenly by number; frames counted in their part."""
+    number = {frame: k for k, frame in enumerate(frames)}
+    a, b, z_a, z_b, sd = [], [], [], [], []
+    for (first, second), z, w, miss in zip(pairs, left, right, miss_m, strict=True):
+        some = np.linspace(0, len(z) - 1, min(len(z), _MOST_TIES)).astype(np.intp)
+        a.append(np.full(len(some), number[first], dtype=np.intp))
+        b.append(np.full(len(some), number[second], dtype=np.intp))
+        z_a.append(z[some])
+        z_b.append(w[some])
+        sd.append(np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0))))
+    return _Ties(*(np.concatenate(part) for part in (a, b, z_a, z_b, sd)))

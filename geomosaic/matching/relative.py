@@ -1,0 +1,151 @@
+"""How the pictures of pairs lie to each other in the plane, and what that makes of all frames: turns and
+scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.sparse.linalg import spsolve
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Ints = NDArray[np.intp]
+_ROUNDS = 12
+_LEAST_SPREAD = np.radians(0.5)
+"""Turns and logarithms of scales of pairs are no better than this: tilts that are off by so much bend a
+similarity."""
+_WEAK = 1e-6
+_ALIKE = 0.2
+"""Turns (rad) and logarithms of scales that two pairs of a frame may differ by and still say the same."""
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Pairs as similarities of the plane: left = turn * right, both counted from the frames' nadir points.
+
+    left, right (m,): frames. turn (m,): complex, its size the scale. ties (m,): how many tie points.
+    miss_m (m,): by how much the pair's own similarity misses its tie points, median.
+    """
+
+    left: Ints
+    right: Ints
+    turn: Complexes
+    ties: Ints
+    miss_m: Floats
+
+
+def joints_of(
+    pairs: Sequence[tuple[int, int]], left_m: Sequence[Complexes], right_m: Sequence[Complexes]
+) -> Joints:
+    """The similarity of each pair from its tie points, east + i north from the two frames' nadir points.
+
+    Neither frame is the truer one: the scale is the ratio of both clouds' extents, so that noise shrinks
+    none.
+    """
+    turn, miss = np.ones(len(pairs), np.complex128), np.zeros(len(pairs))
+    for k, (z, w) in enumerate(zip(left_m, right_m, strict=True)):
+        turn[k], miss[k] = _similarity(z, w)
+    both = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return Joints(both[:, 0], both[:, 1], turn, np.array([len(z) for z in left_m], dtype=np.intp), miss)
+
+
+def _similarity(z: Complexes, w: Complexes) -> tuple[complex, float]:
+    """z = turn w + shift, robust: the turn and the median miss."""
+    weight, turn, length = np.ones(len(z)), 1.0 + 0j, np.zeros(len(z))
+    for _ in range(5):
+        z_0, w_0 = np.average(z, weights=weight), np.average(w, weights=weight)
+        size_z, size_w = (float((weight * np.abs(v) ** 2).sum()) for v in (z - z_0, w - w_0))
+        if not (size_z > 0.0 and size_w > 0.0):
+            break
+        along = complex((weight * (z - z_0) * np.conj(w - w_0)).sum())
+        turn = np.sqrt(size_z / size_w) * along / max(abs(along), 1e-300)
+        length = np.abs(z - z_0 - turn * (w - w_0))
+        weight = 1.0 / (1.0 + (length / max(2.0 * float(np.median(length)), 1e-9)) ** 2)
+    return turn, float(np.median(length))
+
+
+def averaged(n: int, joints: Joints) -> Complexes:
+    """Turn and scale of every frame, (n,), as all pairs together have it: left = turn_right / turn_left *
+    right.
+
+    Along the tree of the pairs with most tie points first, then as most neighbours have each, then by
+    re-weighted least squares on the turns and on the logarithms of the scales (Govindu 2004; Chatterjee and
+    Govindu 2013), so that wrong pairs are outvoted. Each connected part turns and scales by what is the
+    median of its frames: nothing says what it is in truth.
+    """
+    if not len(joints.left):
+        return np.ones(n, np.complex128)
+    step = np.log(joints.turn)
+    value = _voted(n, joints, step, _along_tree(n, joints, step))
+    for _ in range(_ROUNDS):
+        off = step - (value[joints.right] - value[joints.left])
+        off = off.real + 1j * np.angle(np.exp(1j * off.imag))
+        turn_weight, scale_weight = (_weights(part, joints.ties) for part in (off.imag, off.real))
+        correction = _least_squares(n, joints, off.imag, turn_weight) * 1j
+        correction = correction + _least_squares(n, joints, off.real, scale_weight)
+        value = value + correction
+        if np.abs(correction).max() < 1e-6:
+            break
+    return np.asarray(np.exp(value))
+
+
+def _weights(off: Floats, ties: Ints) -> Floats:
+    spread = max(1.4826 * float(np.median(np.abs(off))), _LEAST_SPREAD)
+    return np.asarray(np.sqrt(ties) / (1.0 + (off / (2.0 * spread)) ** 2) ** 2)
+
+
+def _along_tree(n: int, joints: Joints, step: Complexes) -> Complexes:
+    """Logarithms of turns and scales along the pairs with most tie points; 0 at the first frame of each
+    part."""
+    tree = minimum_spanning_tree(coo_matrix((1.0 / joints.ties, (joints.left, joints.right)), shape=(n, n)))
+    number = {(int(a), int(b)): k for k, (a, b) in enumerate(zip(joints.left, joints.right, strict=True))}
+    value, seen = np.zeros(n, np.complex128), np.zeros(n, dtype=bool)
+    for root in range(n):
+        if seen[root]:
+            continue
+        order, before = breadth_first_order(tree, root, directed=False)
+        for i in order[1:]:
+            j = int(before[i])
+            k = number.get((j, int(i)))
+            value[i] = value[j] + (step[k] if k is not None else -step[number[int(i), j]])
+        seen[order] = True
+    return value
+
+
+def _voted(n: int, joints: Joints, step: Complexes, value: Complexes) -> Complexes:
+    """Each frame in turn takes what most of its pairs agree on beside its neighbours' present values, until
+    none changes; a wrong pair in the tree is mended so, with all that hangs on it."""
+    mine: list[list[tuple[int, complex]]] = [[] for _ in range(n)]
+    for a, b, s in zip(joints.left.tolist(), joints.right.tolist(), step, strict=True):
+        mine[a].append((b, -s))
+        mine[b].append((a, s))
+    value = value.copy()
+    for _ in range(_ROUNDS):
+        changed = False
+        for i in (i for i in range(n) if len(mine[i]) > 2):
+            said = np.array([value[j] + s for j, s in mine[i]])
+            apart = said[:, None] - np.append(said, value[i])
+            apart = np.hypot(apart.real, np.angle(np.exp(1j * apart.imag)))
+            with_it = (apart < _ALIKE).sum(axis=0)
+            best = int(with_it.argmax())
+            if with_it[best] > with_it[-1]:
+                value[i], changed = said[best], True
+        if not changed:
+            break
+    return value
+
+
+def _least_squares(n: int, joints: Joints, off: Floats, weight: Floats) -> Floats:
+    """Corrections (n,) whose differences, right minus left, come nearest to off; each part's mean stays."""
+    rows = np.arange(len(off))
+    difference = coo_matrix(
+        (np.concatenate([np.ones(len(off)), -np.ones(len(off))]),
+         (np.concatenate([rows, rows]), np.concatenate([joints.right, joints.left]))), shape=(len(off), n)
+    ).tocsc()  # fmt: skip
+    normal = difference.T @ diags(weight) @ difference + diags(np.full(n, _WEAK * float(weight.max())))
+    return np.asarray(spsolve(normal.tocsc(), difference.T @ (weight * off)))

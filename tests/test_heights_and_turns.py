@@ -1,0 +1,79 @@
+"""Tags that can't be believed: heights on the ground, quarter turns of pictures that lie as all others do."""
+
+import numpy as np
+import pytest
+
+from geomosaic.matching.turned import possible_quarters, turned_by_pictures, turned_frames
+from geomosaic.pipeline.reporter import warning_lines
+from geomosaic.placement.graph import flown_beside
+from geomosaic.placement.heights import believable_heights_m, ground_height_m
+from geomosaic.survey.model import Attitude, Frame, Position
+
+
+def frame(height_m: float | None, above_m: float | None) -> Frame:
+    position = Position(11.0, 48.0, height_m, above_m, 5.0, 5.0, 15.0, "exif")
+    attitude = Attitude(None, None, None, 180.0, 10.0, "none")
+    return Frame("a.jpg", "a.jpg", 800, 600, 3, "uint8", "plain", position, attitude, None)
+
+
+def test_heights_that_drift_below_the_ground_are_doubted_where_they_are_far_off() -> None:
+    """Over ground at 300 m: told are 290, 310, 365, 370, 380, 420, 600 m; 65 to 80 m above it is usual."""
+    told = np.array([290.0, 310.0, 365.0, 370.0, 380.0, 420.0, 600.0])
+    heights, sd, doubted = believable_heights_m(told, np.full(7, 15.0), np.full(7, 300.0))
+    assert doubted.tolist() == [True, True, False, False, False, False, True]
+    assert heights.tolist() == [370.0, 370.0, 365.0, 370.0, 380.0, 420.0, 370.0]
+    assert sd.tolist() == [35.0, 35.0, 15.0, 15.0, 15.0, 15.0, 35.0]
+
+
+def test_heights_above_the_ground_stay_as_told() -> None:
+    """A climb from 12 m to 120 m is no fault; nor is a whole survey under its DEM one of the frames'."""
+    climb, ground = np.array([312.0, 350.0, 400.0, 420.0]), np.full(4, 300.0)
+    assert not believable_heights_m(climb, np.full(4, 15.0), ground)[2].any()
+    assert not believable_heights_m(climb - 300.0, np.full(4, 15.0), ground)[2].any()
+
+
+def test_a_height_of_nothing_above_the_take_off_says_no_ground() -> None:
+    assert ground_height_m((frame(420.0, 80.0), frame(424.0, 82.0))) == pytest.approx(341.0)
+    assert ground_height_m((frame(420.0, 0.0), frame(424.0, 0.0))) is None
+    assert ground_height_m((frame(420.0, None),)) is None
+
+
+def test_only_a_picture_that_lies_across_can_have_been_turned_by_a_quarter() -> None:
+    possible = possible_quarters([(3600, 2700), (3600, 2700), (2700, 3600), (1000, 1000), (800, 600)])
+    half, any_of = [True, False, True, False], [True] * 4
+    assert possible.tolist() == [half, half, any_of, any_of, half]
+    costs = np.full((4, 4), 28.0)
+    costs[1, 0] = 1.0
+    pairs = [(0, 1, costs), (0, 2, costs)]
+    assert turned_frames(3, pairs, 30.0) == {0: 1}
+    assert turned_frames(3, pairs, 30.0, possible_quarters([(800, 600)] * 3)) == {}
+
+
+def test_a_heading_off_by_120_degrees_is_no_turned_picture() -> None:
+    """What its neighbours show is 120 degrees; a picture turned by 180 shows 180."""
+    off = np.radians([0.0, 2.0, -3.0, 120.0, 178.0])
+    shape = np.exp(1j * (0.4 + off)) * np.array([1.0, 1.1, 0.9, 1.0, 1.0])
+    assert turned_by_pictures({3: 2, 4: 2}, shape, [[0, 1, 2, 3, 4]]) == {4: 2}
+    assert turned_by_pictures({0: 2, 1: 2}, shape[:2], [[0, 1]]) == {0: 2, 1: 2}, (
+        "none is upright: nothing to say"
+    )
+
+
+def test_many_alike_warnings_are_one_line() -> None:
+    """More than three frames with one code; what concerns no frame, and other codes, stay apart."""
+    many = [{"code": "yaw-wrong", "frame": f"F{i}", "text": f"its heading is {i}"} for i in range(1, 6)]
+    few = [{"code": "horizon", "frame": f"F{i}", "text": "looks up"} for i in (1, 2)]
+    none = [{"code": "scale-doubtful", "frame": "", "text": "too large"}]
+    assert warning_lines([*few[:1], *many, *none, *few[1:]]) == [
+        "F1: looks up",
+        "5 frames (F1, F2, F3 and 2 more): yaw-wrong; of the first: its heading is 1",
+        "too large",
+        "F2: looks up",
+    ]
+
+
+def test_a_frame_that_overlaps_none_is_tried_beside_those_flown_before_and_after() -> None:
+    order = (4, 2, 0, 1, 3)
+    assert flown_beside({0}, order, []) == [(0, 1), (0, 2), (0, 3), (0, 4)]
+    assert flown_beside({4}, order, [(2, 4)]) == [(0, 4)]
+    assert flown_beside((), order, []) == []
