@@ -15,6 +15,7 @@ from geomosaic.adjustment.bundle_equations import (
     normals_of,
     observed,
     shared_miss,
+    strayed_principal_points,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Priors, State, with_interior
 from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, interior_of
@@ -71,15 +72,16 @@ def solve_bundle(
         "control": max(MEASURED_SD_PX, median_px(length[control])),
     }
     sigma |= again.sigma if again else {}
-    held = np.zeros(shared_miss(priors, state).size, dtype=bool)
+    held = strayed = np.zeros(shared_miss(priors, state).size, dtype=bool)
     iterations = 0
     while True:
         priors = replace(priors, held=held)
         state, priors, used = _settle(tracks, camera_of, priors, state, sigma, most)
         iterations += used
-        more = held | undetermined(tracks, camera_of, priors, state, sigma)
+        strayed = strayed | strayed_principal_points(priors, state)
+        more = held | strayed | undetermined(tracks, camera_of, priors, state, sigma)
         if np.array_equal(more, held):
-            return _finish(tracks, camera_of, priors, state, sigma, iterations)
+            return replace(_finish(tracks, camera_of, priors, state, sigma, iterations), strayed=strayed)
         held = more
         given = np.stack([interior_of(c) for c in priors.cameras])
         state = replace(
@@ -184,6 +186,7 @@ def _finish(
         mounting_sd=spread[cameras:],
         shared_correlation=full / spread[:, None] / spread,
         held=np.zeros(len(full), dtype=bool) if priors.held is None else priors.held,
+        strayed=np.zeros(len(full), dtype=bool),
         residual_px=residual,
         weight=np.nan_to_num(
             cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, sigma))

@@ -58,7 +58,8 @@ class Bundle:
     pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 9).
     mounting, mounting_sd: (7,). shared_correlation (s, s), s = 9c + 7: of the cameras' numbers and the
     mounting's; held (s,): which of them the block does not determine. Held numbers keep what they were
-    given, and the covariances hold what is not known of them. residual_px: (m, 2) observed minus computed.
+    given, and the covariances hold what is not known of them. strayed (s,): those held since the pictures
+    drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation. sigma_px: estimated deviation of a tie point's
     image coordinate.
     sigma: estimated deviation over stated deviation per group. reduced: the last normal equations.
@@ -74,6 +75,7 @@ class Bundle:
     mounting_sd: Floats
     shared_correlation: Floats
     held: Bools
+    strayed: Bools
     residual_px: Floats
     weight: Floats
     sigma_px: float
