@@ -100,7 +100,7 @@ def test_xmp_as_elements_and_attributes_is_the_same() -> None:
     assert (number(found, "Camera:Yaw"), number(found, "Camera:Pitch"), found["Camera:Bands"]) == (
         -12.5,
         12.5,
-        "Red",
+        "Red,Green",
     )
     other = parse_xmp(xmp_attributes(CAMERA_NS, "anything", Yaw="-12.5", Pitch="12.5"))
     assert other is not None

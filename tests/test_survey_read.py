@@ -329,6 +329,39 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
     assert read_survey(folder, gcp=odm).control == (one, two)
 
 
+def test_a_control_point_whose_lines_differ_a_little_lies_in_their_mean(tmp_path: Path) -> None:
+    frames = FrameNames(["a.jpg", "b.jpg", "c.jpg"])
+    east, north = MapProjection(UTM).map_from_geodetic(9.1238617, 48.7654321)
+    steady = f"{east + 50:.4f} {north:.4f} 70 1 1 {{}} two\n"
+    lines = [(east, 70.0, "a"), (east + 0.3, 70.5, "b"), (east, 70.0, "c")]
+    odm = tmp_path / "gcp_list.txt"
+    odm.write_text(
+        "EPSG:32632\n"
+        + "".join(f"{x:.4f} {north:.4f} {h} 60.5 40.25 {f}.jpg one\n" for x, h, f in lines)
+        + steady.format("a.jpg")
+        + steady.format("b.jpg")
+    )
+    (one, two), warnings = read_control(odm, frames)
+    back = MapProjection(UTM).map_from_geodetic(one.lon_deg, one.lat_deg)
+    assert back == pytest.approx((east + 0.1, north), abs=2e-3)
+    assert one.height_ellipsoidal_m == pytest.approx(70.0 + 0.5 / 3.0)
+    assert one.sd_horizontal_m == pytest.approx((0.03**2 + 0.15**2) ** 0.5, rel=0.01)
+    assert one.sd_vertical_m == pytest.approx((0.05**2 + 0.25**2) ** 0.5)
+    assert len(one.images) == 3
+    assert (two.sd_horizontal_m, two.sd_vertical_m, two.height_ellipsoidal_m) == (0.03, 0.05, 70.0)
+    assert [w.code for w in warnings] == ["height-datum-assumed", "control-spread"]
+    assert warnings[1].text == (
+        "gcp_list.txt: 1 of 2 points (one) have lines that differ, by up to 0.3 m in plan and 0.5 m in height; "
+        "their mean is taken, with a wider deviation"
+    )
+    odm.write_text(odm.read_text().replace(" 70.5 ", " 71.5 "))
+    with pytest.raises(InputError, match=r"line 3: point 'one' has moved by 1\.5 m; give each point one"):
+        read_control(odm, frames)
+    odm.write_text(odm.read_text().replace(" 71.5 ", " 70 ").replace(f"{east + 0.3:.4f}", f"{east + 30:.4f}"))
+    with pytest.raises(InputError, match=r"line 3: point 'one' has moved by 30 m"):
+        read_control(odm, frames)
+
+
 SHARED = Path(os.environ.get("GEOMOSAIC_SHARED", Path(__file__).parents[2] / "shared")) / "data"
 real = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no shared data in {SHARED} (set GEOMOSAIC_SHARED)")
 

@@ -54,10 +54,15 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
 
     The principal point is known no better than the focal length: small drones' are off by one in a hundred.
+    Of a distortion of known deviation each term alone moves the frame's corner by no more than that.
     """
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
     principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
     lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
+    if camera.distortion_sd:
+        corner = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px
+        moves = np.array([corner**2, corner**4, corner**6, 3.0 * corner, 3.0 * corner])
+        lens = np.minimum(lens, camera.distortion_sd / moves).tolist()
     return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
 
 

@@ -19,6 +19,7 @@ from geomosaic.adjustment.bundle_equations import (
     observed,
     pose_sd,
     shared_miss,
+    strayed_principal_points,
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
@@ -136,6 +137,7 @@ def _solve(
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
     held = again.held if again else np.zeros(shared_miss(priors, state).size, dtype=bool)
+    strayed = np.zeros_like(held)
     iterations, may_free = 0, again is not None
     while True:
         priors, state = replace(priors, held=held), _with_held(priors, state, held)
@@ -143,10 +145,11 @@ def _solve(
             tracks, camera_of, priors, state, factors, most, settled=again is not None
         )
         iterations += used
-        more = undetermined(tracks, camera_of, priors, state, factors)
+        strayed = strayed | strayed_principal_points(priors, state)
+        more = strayed | undetermined(tracks, camera_of, priors, state, factors)
         more = more if may_free else held | more
         if np.array_equal(more, held):
-            return _finish(tracks, camera_of, priors, state, factors, iterations)
+            return replace(_finish(tracks, camera_of, priors, state, factors, iterations), strayed=strayed)
         held, may_free = more, False
 
 
@@ -296,6 +299,7 @@ def _finish(
         mounting_sd=spread[cameras:],
         shared_correlation=full / spread[:, None] / spread,
         held=np.zeros(len(full), dtype=bool) if priors.held is None else priors.held,
+        strayed=np.zeros(len(full), dtype=bool),
         residual_px=residual,
         weight=np.nan_to_num(
             cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors))

@@ -14,9 +14,12 @@ from geomosaic.adjustment.normal import Normals, build_normals
 from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
 from geomosaic.adjustment.terrain import add_terrain, terrain_cost
 from geomosaic.adjustment.tracks import Tracks
+from geomosaic.survey.plausible import OFF_CENTRE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
+PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
 KNOWN = 1e-6
 """Prior deviation of what is known or held: next to nothing, in its unit or as a share of its deviation."""
 
@@ -109,6 +112,15 @@ def shared_miss(priors: Priors, state: State) -> Floats:
     """Given minus present, (s,)."""
     given = np.stack([interior_of(c) for c in priors.cameras])
     return np.concatenate([(given - state.interior).ravel(), -state.mounting])
+
+
+def strayed_principal_points(priors: Priors, state: State) -> Bools:
+    """Both coordinates of principal points that no lens has so far from where they were given, (s,)."""
+    off_px = shared_miss(priors, state)[: state.interior.size].reshape(state.interior.shape)[:, PRINCIPAL]
+    longer_px = np.array([max(c.width_px, c.height_px) for c in priors.cameras])
+    out = np.zeros((*state.interior.shape,), dtype=bool)
+    out[:, PRINCIPAL] = (np.linalg.norm(off_px, axis=1) > OFF_CENTRE.value * longer_px)[:, None]
+    return np.concatenate([out.ravel(), np.zeros(state.mounting.size, dtype=bool)])
 
 
 def trust_of(priors: Priors) -> Floats:

@@ -84,7 +84,8 @@ class Bundle:
     pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 9).
     mounting, mounting_sd: (7,). shared_correlation (s, s), s = 9c + 7: of the cameras' numbers and the
     mounting's; held (s,): which of them the block does not determine. Held numbers keep what they were
-    given, and the covariances hold what is not known of them. residual_px: (m, 2) observed minus computed.
+    given, and the covariances hold what is not known of them. strayed (s,): those held since the pictures
+    drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
     reduced: the last normal equations.
@@ -100,6 +101,7 @@ class Bundle:
     mounting_sd: Floats
     shared_correlation: Floats
     held: Bools
+    strayed: Bools
     residual_px: Floats
     weight: Floats
     factors: Factors

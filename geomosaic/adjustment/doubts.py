@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,10 +11,12 @@ from geomosaic.adjustment.chain import fit_similarity
 from geomosaic.adjustment.collinearity import INTERIOR, log_turn
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.placement.prior import heading_assumed
 from geomosaic.survey.model import Warn
 
+Bools = NDArray[np.bool_]
 _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 _SAME_PLACE_M = 1e-3  # positions given alike say nothing of the scale
@@ -112,6 +116,18 @@ def drifting_heights(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list
         f"{block.names[order[-1]]} (stated deviation {stated_m:.1f} m); set by the pictures"
     )
     return [Warn("heights-drift", block.names[order[0]], text)]
+
+
+def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
+    """Principal points (by `strayed_principal_points`) that the pictures drew where no lens has them."""
+    columns = [of.any() for of in strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)]
+    text = (
+        "the pictures draw its principal point farther off than a lens can have it; kept as given. Something "
+        "else bends the block: another kind of lens, rows read one after the other, wrong positions"
+    )
+    return [
+        Warn("lens-strayed", "", f"{c.name}: {text}") for c, off in zip(cameras, columns, strict=True) if off
+    ]
 
 
 def undetermined_wishes(shared: SharedUnknowns) -> list[Warn]:

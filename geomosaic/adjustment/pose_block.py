@@ -26,6 +26,7 @@ from geomosaic.adjustment.doubts import (
     doubtful_positions,
     drifting_heights,
     lying_tags,
+    strayed_lenses,
     undetermined_wishes,
     unsolved_frames,
 )
@@ -111,6 +112,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *drifting_heights(block, bundle.poses, np.unique(seen.frame)),
             *undetermined_wishes(shared),
             *unsolved_frames(block, bundle.left_out),
+            *strayed_lenses(cameras, bundle.strayed),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
         figures=_figures(bundle, kept) | _relief(found),

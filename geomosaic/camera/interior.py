@@ -22,6 +22,8 @@ class Camera:
     `y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y`,
     `col = principal_col_px + f x'`, `row = principal_row_px + f y'`.
 
+    focal_length_sd_px, distortion_sd: how well they are known beforehand, 0 where nothing says; that of the
+    distortion is a share of the corner's radius.
     readout_s: time from reading the first row to the last, 0 for a global shutter; a pose is that of the
     middle row. Negative if the last row is read first, as in a picture turned by 180 degrees.
     """
@@ -39,6 +41,7 @@ class Camera:
     p2: float = 0.0
     focal_length_sd_px: float = 0.0
     readout_s: float = 0.0
+    distortion_sd: float = 0.0
 
     def turned(self, quarters: int) -> Camera:
         """The camera of a picture that was turned clockwise by quarter turns after it was taken.

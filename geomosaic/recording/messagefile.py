@@ -38,8 +38,9 @@ class MessageFile:
         self._failure: OutputError | None = None
         self._closed = False
         with self._writing():
-            path.unlink(missing_ok=True)  # another name of the same file keeps its content
-            self._file = path.open("xb")
+            if path.is_file():  # so that another name of the same file keeps its content
+                path.unlink()
+            self._file = path.open("wb")
             self._writer: Any = Writer(  # partly untyped
                 self._file,
                 chunk_size=CHUNK_BYTES,

@@ -27,7 +27,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 6
+    version = 7
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip

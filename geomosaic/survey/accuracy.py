@@ -36,6 +36,14 @@ class FocalAccuracy:
     reason: str
 
 
+@dataclass(frozen=True)
+class DistortionAccuracy:
+    """Standard deviation of what a lens moves points at the frame's corner, as a part of its radius."""
+
+    sd_relative: float
+    reason: str
+
+
 POSITION: Final = {
     "exif": PositionAccuracy(5.0, 15.0, "code GNSS; EXIF's altitude has no stated datum"),
     "rtk-fixed": PositionAccuracy(0.03, 0.05, "fixed ambiguities; only where the drone states no sigma"),
@@ -57,10 +65,16 @@ ATTITUDE: Final = {
 FOCAL_LENGTH: Final = {
     "camera-file": FocalAccuracy(0.005, "calibrated, but maybe on another day or block"),
     "dji-dewarp": FocalAccuracy(0.005, "the maker's calibration of this camera, in the XMP"),
+    "xmp-perspective": FocalAccuracy(0.005, "the maker's calibration of this camera, in Pix4D's tags"),
+    "dji-calibrated": FocalAccuracy(0.01, "the maker's number for the model, to the digit its design's"),
     "focal-plane": FocalAccuracy(0.02, "nominal focal length and sensor size"),
     "sensor-table": FocalAccuracy(0.02, "nominal focal length and sensor size"),
     "exif-35mm": FocalAccuracy(0.02, "besides the rounding to whole millimetres, which is added"),
 }
+
+MAKERS_DISTORTION: Final = DistortionAccuracy(
+    0.002, "calibrated in the works: focus, warmth and landings since then move a corner by some pixels"
+)
 
 RTK_SD_FLOOR_M: Final = (0.02, 0.03)
 """Horizontal and vertical: RTK's own sigmas leave out the antenna's lever arm and the shutter's delay."""

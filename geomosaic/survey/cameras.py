@@ -15,10 +15,10 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.lens_tags import dji_calibrated, dji_dewarp, fisheye, label, readout_s, xmp_perspective
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import frame_name
-from geomosaic.survey.plausible import focal_length_can_be, lens_problem, strange_lenses, warn
-from geomosaic.survey.xmp import number
+from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 
 FILM_DIAGONAL_MM: Final = math.hypot(36.0, 24.0)
 SENSOR_WIDTHS_MM: Final = {
@@ -30,6 +30,13 @@ SENSOR_WIDTHS_MM: Final = {
 """Width in mm of the whole sensor, which a frame of any shape fills from side to side."""
 
 _MAX_ASPECT_DIFFERENCE: Final = 0.003
+_BESIDE_35MM: Final = 0.15
+"""Share by which a maker's focal length may differ from the 35 mm equivalent and still be this picture's."""
+_TAGS: Final = {
+    "dji-dewarp": "DewarpData",
+    "xmp-perspective": "PerspectiveDistortion",
+    "dji-calibrated": "CalibratedFocalLength",
+}
 _GIVE: Final = "give the camera's interior orientation with --camera FILE (docs/inputs.md)"
 
 
@@ -55,13 +62,9 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     found: dict[str, Camera] = {}
     names: list[str] = []
     warnings: list[Warn] = []
-    for camera, source in known:
+    for header, (camera, source) in zip(headers, known, strict=True):
         if camera.name not in found:
-            text = (
-                f"{camera.name}: focal length {camera.focal_length_px:.0f} px "
-                f"(sd {camera.focal_length_sd_px:.0f}) from {source}"
-            )
-            warnings.append(Warn("camera-assumed", "", text))
+            warnings += _assumed(header, camera, source)
         elif found[camera.name] != camera:  # the same make and focal length, calibrated otherwise
             same = [n for n, c in found.items() if replace(c, name=camera.name) == camera]
             name = same[0] if same else f"{camera.name} ({len(found) + 1})"
@@ -74,12 +77,37 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
 
 
+def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
+    """What is taken of a camera's lens and shutter, from the tags of its first frame."""
+    focal = f"{camera.focal_length_px:.0f} px"
+    text = f"{camera.name}: focal length {focal} (sd {camera.focal_length_sd_px:.0f}) from {source}"
+    if source in _TAGS:
+        text += f", principal point {camera.principal_col_px:.0f}, {camera.principal_row_px:.0f}"
+        text += " and distortion" if camera.distortion.any() else ""
+    out = [Warn("camera-assumed", "", text)]
+    if fisheye(header):
+        text = (
+            f"{camera.name}: a fisheye lens by its tags, which isn't modelled; taken as a perspective one of "
+            f"{focal} (from {source}) whose distortion the adjustment has to find"
+        )
+        out.append(Warn("lens-fisheye-unmodelled", "", text))
+    if camera.readout_s:
+        text = f"{camera.name}: a rolling shutter, all rows read within {camera.readout_s:.3g} s"
+        out.append(Warn("readout-by-tag", "", f"{text} (LineReadoutTime)"))
+    elif readout_s(header) is None:
+        text = f"{camera.name}: its LineReadoutTime can't be (all rows in {SLOWEST.value:g} s at most)"
+        text += ": taken as not given"
+        out.append(Warn("readout-absurd", "", text))
+    return out
+
+
 def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
     """A frame's camera and which source told it, the surest first whose focal length can be.
 
-    DJI's own calibration in the XMP (`DewarpData`); focal length with the focal plane's resolution;
-    focal length with the sensor's width from `SENSOR_WIDTHS_MM`; the 35 mm equivalent, which compares
-    diagonals (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
+    The maker's calibration in the XMP (DJI's `DewarpData`, Pix4D's `Camera:Perspective...`, DJI's
+    `CalibratedFocalLength`); focal length with the focal plane's resolution; focal length with the
+    sensor's width from `SENSOR_WIDTHS_MM`; the 35 mm equivalent, which compares diagonals
+    (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
 
     Raises: `InputError` where none tells a focal length that can be.
     """
@@ -96,25 +124,29 @@ def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
     zoom = (
         f" {mm:g} mm" if mm else f" {exif.focal_length_35mm:g} mm (35 mm)" if exif.focal_length_35mm else ""
     )
-    name = f"{_label(header)} {width} x {height}{zoom}"
-    blank = Camera(name, width, height, 1.0, width / 2.0, height / 2.0)
+    name = f"{label(header)} {width} x {height}{zoom}"
+    scale = width / exif.width_px if exif.width_px else 1.0
+    blank = Camera(name, width, height, 1.0, width / 2.0, height / 2.0, readout_s=readout_s(header) or 0.0)
     from_35mm = None
     if exif.focal_length_35mm is not None:
         diagonal = math.hypot(width, height) if width <= 1.55 * height else 1.25 * width
         from_35mm = exif.focal_length_35mm * diagonal / FILM_DIAGONAL_MM
-    wrong = ""
-    calibrated = _dji_calibration(header, blank)
-    if calibrated is not None and (
-        from_35mm is None or abs(calibrated.focal_length_px / from_35mm - 1.0) < 0.15
-    ):
-        wrong = lens_problem(calibrated)
-        if not wrong:
-            return calibrated, "dji-dewarp", ""
-        wrong = "DewarpData"
+    per_mm = None if exif.pixels_per_mm is None else exif.pixels_per_mm * scale
     sensor = SENSOR_WIDTHS_MM.get(exif.model.lower())
-    scale = width / exif.width_px if exif.width_px else 1.0
+    makers = {
+        "dji-dewarp": dji_dewarp(header, blank),
+        "xmp-perspective": xmp_perspective(header, blank, per_mm or (width / sensor if sensor else None)),
+        "dji-calibrated": dji_calibrated(header, blank),
+    }
+    wrong = ""
+    for source, lens in makers.items():
+        if lens is None or (from_35mm and abs(lens.focal_length_px / from_35mm - 1.0) >= _BESIDE_35MM):
+            continue
+        if not lens_problem(lens):
+            return lens, source, ""
+        wrong = wrong or _TAGS[source]
     focals = {
-        "focal-plane": None if mm is None or exif.pixels_per_mm is None else mm * exif.pixels_per_mm * scale,
+        "focal-plane": None if mm is None or per_mm is None else mm * per_mm,
         "sensor-table": None if mm is None or sensor is None else mm * width / sensor,
         "exif-35mm": from_35mm,
     }
@@ -131,18 +163,13 @@ def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
     return None, "", wrong
 
 
-def _label(header: FrameHeader) -> str:
-    """Make and model, each word once."""
-    return " ".join(dict.fromkeys(f"{header.exif.make} {header.exif.model}".split())) or "camera"
-
-
 def _among_others(
     headers: Sequence[FrameHeader], told: Sequence[tuple[Camera | None, str, str]]
 ) -> tuple[list[tuple[Camera, str]], list[str]]:
     """Each frame's camera and source, and what was told instead that can't be, or is '' where all can."""
     kinds: dict[tuple[str, int, int], list[int]] = {}
     for i, header in enumerate(headers):
-        kinds.setdefault((_label(header), header.width_px, header.height_px), []).append(i)
+        kinds.setdefault((label(header), header.width_px, header.height_px), []).append(i)
     known: list[tuple[Camera, str] | None] = [None if c is None else (c, source) for c, source, _ in told]
     wrong = [w for _, _, w in told]
     for alike in kinds.values():
@@ -166,35 +193,6 @@ def _among_others(
 def _untold(header: FrameHeader, wrong: str) -> InputError:
     problem = f"{wrong} can't be" if wrong else "the frame doesn't tell its focal length"
     return InputError(problem, file=header.path, mend=_GIVE)
-
-
-def _dji_calibration(header: FrameHeader, blank: Camera) -> Camera | None:
-    """DewarpData: `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, pixels of the full frame, cx and cy from its middle.
-
-    A frame that was dewarped in the camera (DewarpFlag 1) has no distortion left.
-    """
-    xmp = header.xmp or {}
-    fields = xmp.get("drone-dji:DewarpData", "").rpartition(";")[2].split(",")
-    try:
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(f) for f in fields)
-    except ValueError:
-        return None
-    centre = number(xmp, "drone-dji:CalibratedOpticalCenterX")
-    full = header.exif.width_px or (2.0 * centre if centre else header.width_px)
-    if not all(map(math.isfinite, (fx, fy, cx, cy, k1, k2, p1, p2, k3))) or min(fx, fy) < 100.0:
-        return None
-    scale = header.width_px / full
-    focal = scale * (fx + fy) / 2.0
-    camera = replace(
-        blank,
-        focal_length_px=focal,
-        principal_col_px=blank.principal_col_px + scale * cx,
-        principal_row_px=blank.principal_row_px + scale * cy,
-        focal_length_sd_px=FOCAL_LENGTH["dji-dewarp"].sd_relative * focal,
-    )
-    if number(xmp, "drone-dji:DewarpFlag") == 1.0:
-        return camera
-    return replace(camera, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2)
 
 
 def cameras_from_file(

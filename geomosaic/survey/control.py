@@ -17,6 +17,7 @@ from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
 from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
+from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import ALIASES as POS_ALIASES
 from geomosaic.survey.table import Aliases, Table, crs_of_line, read_lines, read_table
 
@@ -40,6 +41,7 @@ _FAR_M: Final = 5000.0
 _MOST_LINES: Final = 200_000
 _MOST_POINTS: Final = 20_000
 """A point each two minutes for four months of working days, measured in ten pictures each."""
+_ROUNDED_M: Final = 1e-6
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 
 
@@ -47,7 +49,8 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
     """Control points with where they were measured in pictures, and what was assumed.
 
     A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
-    lines of the same coordinates are one point. Pixels are counted from the corner of the first pixel.
+    lines of the same coordinates are one point. A point whose lines differ a little lies in their mean, with
+    half their spread added to its deviation. Pixels are counted from the corner of the first pixel.
 
     Raises: `InputError` naming the file, the line and the mend.
     """
@@ -64,20 +67,22 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
     lonlat, _, warnings = lonlat_of(table, crs)
     heights, doubts = heights_of(table, crs, lonlat)
     warnings += doubts
-    places: list[tuple[float, float, float]] = [*map(tuple, np.column_stack([lonlat, heights]).tolist())]
+    places = np.column_stack([lonlat, heights])
     named = table.texts("name")
-    names = [name or f"{lon:.8f} {lat:.8f}" for name, (lon, lat, _) in zip(named, places, strict=True)]
-    first: dict[str, int] = {}
+    names = [
+        name or f"{lon:.8f} {lat:.8f}" for name, (lon, lat, _) in zip(named, places.tolist(), strict=True)
+    ]
+    of: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         if math.isnan(heights[i]):
             mend = "give a column height_ellipsoidal_m"
             raise InputError(f"line {table.lines[i]}: point '{name}' has no height", file=path, mend=mend)
-        if places[first.setdefault(name, i)] != places[i]:
-            mend = "give each point one position"
-            raise InputError(f"line {table.lines[i]}: point '{name}' has moved", file=path, mend=mend)
-    if len(first) > _MOST_POINTS:
-        problem = f"has {len(first):,} points, more than {_MOST_POINTS:,}"
+        of.setdefault(name, []).append(i)
+    if len(of) > _MOST_POINTS:
+        problem = f"has {len(of):,} points, more than {_MOST_POINTS:,}"
         raise InputError(problem, file=path, mend="take the best of them")
+    merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
+    warnings += [_unsteady(path, merged)] if any(any(spread) for _, spread in merged.values()) else []
     seen, strangers = _measurements(table, names, frames)
     sd = [
         np.where(values > 0.0, values, usual)
@@ -90,20 +95,51 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
     points = tuple(
         ControlPoint(
             name=name,
-            lon_deg=places[i][0],
-            lat_deg=places[i][1],
-            height_ellipsoidal_m=places[i][2],
-            sd_horizontal_m=float(sd[0][i]),
-            sd_vertical_m=float(sd[1][i]),
-            check=_is_check(kinds[i], name, table.lines[i], path),
+            lon_deg=place[0],
+            lat_deg=place[1],
+            height_ellipsoidal_m=place[2],
+            sd_horizontal_m=math.hypot(sd[0][of[name][0]], spread[0] / 2.0),
+            sd_vertical_m=math.hypot(sd[1][of[name][0]], spread[1] / 2.0),
+            check=_is_check(kinds[of[name][0]], name, table.lines[of[name][0]], path),
             images=tuple(seen.get(name, ())),
         )
-        for name, i in first.items()
+        for name, (place, spread) in merged.items()
     )
     if strangers:
         text = f"{path.name}: {len(strangers)} measurements in pictures that aren't here ({some(strangers)})"
         warnings.append(Warn("control-image-missing", "", text))
     return points, warnings
+
+
+def _one_place(
+    name: str, places: Floats, table: Table, rows: Sequence[int]
+) -> tuple[tuple[float, float, float], tuple[float, float]]:
+    """Mean longitude, latitude and height of a point's lines (n, 3), and their spread in plan and height (m).
+
+    Raises: `InputError` naming the line that lies too far from the point's first.
+    """
+    plan_m = mid_latitude_offset_m(*places[0, :2], *places[:, :2].T)
+    away_m = np.maximum(np.linalg.norm(plan_m, axis=1), np.abs(places[:, 2] - places[0, 2]))
+    worst = int(np.argmax(away_m))
+    if away_m[worst] >= RESURVEYED.value - _ROUNDED_M:
+        problem = f"line {table.lines[rows[worst]]}: point '{name}' has moved by {away_m[worst]:.3g} m"
+        raise InputError(problem, file=table.path, mend="give each point one position")
+    from_first = places - places[0]
+    from_first[:, 0] = (from_first[:, 0] + 180.0) % 360.0 - 180.0 if worst else 0.0
+    lon, lat, height = (places[0] + from_first.mean(axis=0)).tolist()
+    spread_m = np.linalg.norm(np.ptp(plan_m, axis=0)), np.ptp(places[:, 2])
+    return (lon, lat, height), (float(spread_m[0]), float(spread_m[1]))
+
+
+def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]]]) -> Warn:
+    """One line for all points whose lines differ, with the largest spread."""
+    which = [name for name, (_, spread) in merged.items() if any(spread)]
+    plan_m, height_m = (max(merged[name][1][k] for name in which) for k in (0, 1))
+    text = (
+        f"{path.name}: {len(which)} of {len(merged)} points ({some(which)}) have lines that differ, by up to "
+        f"{plan_m:.3g} m in plan and {height_m:.3g} m in height; their mean is taken, with a wider deviation"
+    )
+    return Warn("control-spread", "", text)
 
 
 def _measurements(

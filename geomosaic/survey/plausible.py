@@ -66,6 +66,18 @@ ZOOM: Final = Limit(20.0, "ratio", "between frames of one make, model and size",
 BENT: Final = Limit(
     0.5, "share of the radius", "moved by distortion halfway to the corner: fisheyes reach 0.3", "Brown 1971"
 )
+OFF_CENTRE: Final = Limit(
+    0.05,
+    "share of the longer side",
+    "principal point off where it should be: mounts leave 0.01, shifting stabilisers 0.03",
+    "makers' tags: Sequoia 0.007, FC6310R 0.006",
+)
+RESURVEYED: Final = Limit(
+    1.0,
+    "m",
+    "and more apart two lines are no longer one control point, rounded or surveyed twice",
+    "RTK: 0.05 m",
+)
 SLOWEST: Final = Limit(5.0, "s", "to read a frame's rows: rolling shutters take under 0.3 s", "makers' tags")
 _NEIGHBOURS: Final = 8
 _NORMAL: Final = 1.4826

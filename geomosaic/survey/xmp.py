@@ -31,7 +31,8 @@ _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 def parse_xmp(data: bytes) -> Xmp | None:
     """The properties of the first XMP packet in some bytes: {} without a packet, None if unreadable.
 
-    Simple properties count, written as attributes or as elements; of a list the first item. Prefixes
+    Simple properties count, written as attributes or as elements; an ordered list as its items between
+    commas, of other lists the first item. Prefixes
     that the packet uses but never declares (seen in drones' firmware) are declared for it.
     """
     packet = _packet(data[:_MAX_BYTES])
@@ -75,6 +76,13 @@ def number(xmp: Xmp, *names: str) -> float | None:
     return None
 
 
+def numbers(xmp: Xmp, name: str, count: int) -> tuple[float, ...] | None:
+    """A property of so many finite numbers between commas."""
+    found = [number({name: field.strip()}, name) for field in xmp.get(name, "").split(",", count)]
+    values = tuple(value for value in found if value is not None)
+    return values if len(values) == len(found) == count else None
+
+
 def _declared(packet: bytes) -> bytes:
     used = set(re.findall(rb"[<\s]([A-Za-z][\w.-]*):[A-Za-z][\w.-]*(?=[\s=>/])", packet))
     if len(used) > _MOST_PREFIXES:
@@ -101,5 +109,8 @@ def _flat(name: str) -> str:
 
 
 def _text(element: Element) -> str:
+    ordered = [(i.text or "").strip() for i in element.iterfind(f"{{{_RDF}}}Seq/{{{_RDF}}}li")]
+    if ordered:
+        return printable(",".join(ordered))
     item = next(element.iter(f"{{{_RDF}}}li"), element)
     return printable((item.text or "").strip())

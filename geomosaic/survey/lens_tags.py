@@ -1,0 +1,134 @@
+"""The lens as its maker wrote it into the picture: XMP of DJI and of Pix4D's namespace `Camera`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+from geomosaic.camera.interior import Camera
+from geomosaic.survey.accuracy import FOCAL_LENGTH, MAKERS_DISTORTION
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.plausible import OFF_CENTRE, SLOWEST
+from geomosaic.survey.xmp import number, numbers
+
+_GLOBAL_SHUTTERS: Final = {("sequoia", 1)}
+"""Model and bands of cameras that tag the time a line takes but expose all lines at once."""
+
+
+def dji_dewarp(header: FrameHeader, blank: Camera) -> Camera | None:
+    """DewarpData: `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, pixels of the full frame, cx and cy from its middle.
+
+    A frame that was dewarped in the camera (DewarpFlag 1) has no distortion left.
+    """
+    xmp = header.xmp or {}
+    fields = {"": xmp.get("drone-dji:DewarpData", "").rpartition(";")[2]}
+    values = numbers(fields, "", 9)
+    if values is None or min(values[:2]) < 100.0:
+        return None
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = values
+    scale = _scale(header)
+    camera = _with_lens(blank, scale * (fx + fy) / 2.0, "dji-dewarp")
+    camera = replace(
+        camera,
+        principal_col_px=blank.principal_col_px + scale * cx,
+        principal_row_px=blank.principal_row_px + scale * cy,
+        distortion_sd=MAKERS_DISTORTION.sd_relative,
+    )
+    if number(xmp, "drone-dji:DewarpFlag") == 1.0:
+        return camera
+    return replace(camera, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2)
+
+
+def dji_calibrated(header: FrameHeader, blank: Camera) -> Camera | None:
+    """CalibratedFocalLength and CalibratedOpticalCenterX/Y: pixels of the full frame, from its corner."""
+    xmp = header.xmp or {}
+    focal = number(xmp, "drone-dji:CalibratedFocalLength")
+    if focal is None or focal <= 0.0:
+        return None
+    camera = _with_lens(blank, _scale(header) * focal, "dji-calibrated")
+    col, row = (number(xmp, f"drone-dji:CalibratedOpticalCenter{axis}") for axis in "XY")
+    if col is None or row is None:
+        return camera
+    return _centred(camera, (_scale(header) * col, _scale(header) * row)) or camera
+
+
+def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | None) -> Camera | None:
+    """`Camera:PerspectiveFocalLength`, `PrincipalPoint` and `PerspectiveDistortion` (R1, R2, R3, T1, T2).
+
+    Lengths are in mm, or in pixels of the full frame where `PerspectiveFocalLengthUnits` says so; the
+    principal point counts from the top left corner. The distortion is Brown's as `Camera` writes it, T1 its
+    p1 and T2 its p2. None too where the principal point lies as no lens has it: then the tags are of
+    another picture, turned or cut.
+
+    Args: pixels_per_mm: of the frame, None if nothing tells it.
+    """
+    xmp = header.xmp or {}
+    focal = number(xmp, "Camera:PerspectiveFocalLength")
+    unit = xmp.get("Camera:PerspectiveFocalLengthUnits", "").lower() or "mm"
+    in_px = _scale(header) if unit in ("px", "pixel", "pixels") else pixels_per_mm if unit == "mm" else None
+    if fisheye(header) or focal is None or focal <= 0.0 or in_px is None:
+        return None
+    camera = _with_lens(blank, focal * in_px, "xmp-perspective")
+    point = numbers(xmp, "Camera:PrincipalPoint", 2)
+    if point is not None:
+        scales = [s for s in (pixels_per_mm, _scale(header)) if s is not None]
+        placed = [_centred(camera, (s * point[0], s * point[1])) for s in scales]
+        centred = next((c for c in placed if c is not None), None)
+        if centred is None:
+            return None
+        camera = centred
+    distortion = numbers(xmp, "Camera:PerspectiveDistortion", 5)
+    if distortion is None:
+        return camera
+    k1, k2, k3, p1, p2 = distortion
+    return replace(camera, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2, distortion_sd=MAKERS_DISTORTION.sd_relative)
+
+
+def fisheye(header: FrameHeader) -> bool:
+    """Whether the tags give a fisheye lens."""
+    xmp = header.xmp or {}
+    return xmp.get("Camera:ModelType", "").lower() == "fisheye" or (
+        "Camera:FisheyePolynomial" in xmp and "Camera:PerspectiveFocalLength" not in xmp
+    )
+
+
+def readout_s(header: FrameHeader) -> float | None:
+    """`Camera:LineReadoutTime` (ns) of all rows: 0 where nothing tells one, None where it can't be."""
+    line_ns = number(header.xmp or {}, "Camera:LineReadoutTime") or 0.0
+    if (header.exif.model.lower(), header.bands) in _GLOBAL_SHUTTERS:
+        return 0.0
+    seconds = 1e-9 * line_ns * (header.exif.height_px or header.height_px)
+    return seconds if 0.0 <= seconds <= SLOWEST.value else None
+
+
+def label(header: FrameHeader) -> str:
+    """Make and model, each word once, then what tells the cameras of one rig apart."""
+    xmp = header.xmp or {}
+    words = list(dict.fromkeys(f"{header.exif.make} {header.exif.model}".split())) or ["camera"]
+    band, index = xmp.get("Camera:BandName", ""), number(xmp, "Camera:RigCameraIndex")
+    if band and "," not in band and header.bands == 1:
+        words.append(band)
+    if index is not None:
+        words.append(f"#{index:g}")
+    return " ".join(words)
+
+
+def _scale(header: FrameHeader) -> float:
+    """Pixels of the frame for one of the picture as it was taken."""
+    centre = number(header.xmp or {}, "drone-dji:CalibratedOpticalCenterX")
+    full = header.exif.width_px or (2.0 * centre if centre and centre > 0.0 else header.width_px)
+    return header.width_px / full
+
+
+def _with_lens(blank: Camera, focal_px: float, source: str) -> Camera:
+    sd_px = FOCAL_LENGTH[source].sd_relative * focal_px
+    return replace(blank, focal_length_px=focal_px, focal_length_sd_px=sd_px)
+
+
+def _centred(camera: Camera, point_px: tuple[float, float]) -> Camera | None:
+    """The camera with such a principal point, None where that is too far off the middle."""
+    off_px = math.dist(point_px, (camera.width_px / 2.0, camera.height_px / 2.0))
+    if off_px > OFF_CENTRE.value * max(camera.width_px, camera.height_px):
+        return None
+    return replace(camera, principal_col_px=point_px[0], principal_row_px=point_px[1])
