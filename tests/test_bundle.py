@@ -9,11 +9,16 @@ from adjustment_blocks import fly, hills, level
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.collinearity import exp_turn, log_turn, project
-from geomosaic.adjustment.doubts import doubtful_positions
+from geomosaic.adjustment.bundle_equations import strayed_principal_points
+from geomosaic.adjustment.bundle_model import Priors, State
+from geomosaic.adjustment.collinearity import exp_turn, interior_of, log_turn, project
+from geomosaic.adjustment.doubts import doubtful_positions, strayed_lenses
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.mounting import MOUNTING
+from geomosaic.adjustment.pose_block import interior_deviations
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
 from geomosaic.projection.ground import GroundSurface
 
@@ -186,3 +191,28 @@ def test_a_block_of_the_wrong_size_is_named() -> None:
     assert "scale-doubtful" not in [w.code for w in told]
     away = replace(poses, positions_m=poses.positions_m + [1.0, -2.0, 0.0])
     assert [w.code for w in doubtful_positions(flown.block, away, every)] == ["positions-shifted"]
+
+
+def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> None:
+    """A twentieth of 4000 px is 200 px; at the corner r = 2500 / 5000 = 0.5."""
+    sure = Camera("sure", 4000, 3000, 5000.0, 2000.0, 1500.0, focal_length_sd_px=25.0, distortion_sd=0.002)
+    loose = replace(sure, name="loose", distortion_sd=0.0)
+    priors = Priors(
+        poses=Poses(np.zeros((1, 3)), np.eye(3)[None], np.ones((1, 3)), np.ones((1, 3))),
+        cameras=(sure, loose),
+        interior_sd=np.stack([interior_deviations(c) for c in (sure, loose)]),
+        points_m=np.zeros((0, 3)),
+        points_sd_m=np.zeros((0, 3)),
+        control=np.zeros(0, dtype=bool),
+    )
+    k1, k2, k3, p1, p2 = priors.interior_sd[0, 3:8]
+    assert (k1, k2, p1, p2) == pytest.approx((0.008, 0.032, 0.004 / 3.0, 0.004 / 3.0))
+    assert (k3, *priors.interior_sd[1, 3:8]) == (0.1, 0.1, 0.1, 0.1, 0.003, 0.003)
+    interior = np.stack([interior_of(c) for c in (sure, loose)])
+    interior[0, 1:3] += [120.0, 159.0]
+    interior[1, 1:3] += [120.0, 161.0]
+    state = State(np.zeros((1, 3)), np.eye(3)[None], interior, np.zeros((0, 3)), np.zeros(len(MOUNTING)))
+    strayed = strayed_principal_points(priors, state)
+    assert np.flatnonzero(strayed).tolist() == [10, 11]
+    (warning,) = strayed_lenses((sure, loose), strayed)
+    assert (warning.code, warning.text[:7]) == ("lens-strayed", "loose: ")

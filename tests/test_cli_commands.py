@@ -165,7 +165,7 @@ def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
         (["run"], "Missing argument 'RECIPE.yaml'."),
         (["run", "toy.yaml"], "Missing option '-o'"),
         (["run", "toy.yaml", "-o", "r", "--workers", "x"], "Invalid value for '--workers'"),
-        (["run", "no.yaml", "-o", "r"], "no.yaml: can't be read (No such file or directory); give a recipe"),
+        (["run", "no.yaml", "-o", "r"], "no.yaml: there is no such file; give a recipe"),
         (["run", "toy.yaml", "-o", "/proc/r"], "/proc/r: the folder can't be made; choose another output"),
         (["run", "toy.yaml", "-o", "toy.yaml"], "toy.yaml: a file stands where a folder is needed; choose"),
         (

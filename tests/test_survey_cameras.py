@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
-from survey_files import dji_xmp, drone_frame, exif_block, picture, write_jpeg
+from survey_files import dji_xmp, drone_frame, exif_block, picture, write_jpeg, xmp_attributes
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError, InputError, UnknownNameError
@@ -17,6 +17,7 @@ from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import camera_from_header, cameras_from_file, cameras_from_headers
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.header import FrameHeader, read_header
+from geomosaic.survey.xmp import parse_xmp
 
 
 def header(
@@ -265,3 +266,109 @@ def test_several_cameras_are_told_apart() -> None:
 def test_a_drone_frame_tells_its_camera(tmp_path: Path) -> None:
     camera, source = camera_from_header(read_header(drone_frame(tmp_path / "a.jpg")))
     assert (source, camera.focal_length_px) == ("sensor-table", pytest.approx(80.0))
+
+
+SEQUOIA = {
+    "ModelType": "perspective", "PrincipalPoint": "3.042001,2.280612", "PerspectiveFocalLength": "4.812073",
+    "PerspectiveDistortion": "0.178441961,-0.4745818,0.402026402,-0.000900784,-0.000653429",
+    "LineReadoutTime": "47500",
+}  # fmt: skip
+
+
+def tagged(path: Path, bands: int = 3, size: tuple[int, int] = (288, 216), **tags: object) -> Path:
+    """A small copy of a frame whose tags are of 4608 x 3456 pixels of 1.34 um."""
+    exif = exif_block(
+        Make="Parrot", Model="Sequoia", FocalLength=Fraction("4.88"), FocalLengthIn35mmFilm=28,
+        PixelXDimension=4608, PixelYDimension=3456, FocalPlaneXResolution=Fraction("746.2687"),
+        FocalPlaneResolutionUnit=4,
+    )  # fmt: skip
+    xmp = xmp_attributes("http://pix4d.com/camera/1.0/", "Camera", **tags)
+    return write_jpeg(path, picture(*size, bands), exif, xmp)
+
+
+def test_the_makers_lens_in_pix4ds_tags(tmp_path: Path) -> None:
+    """mm of the sensor times pixels per mm, a sixteenth of the full frame; R1, R2, R3, T1, T2."""
+    choice = cameras_from_headers([read_header(tagged(tmp_path / "a.jpg", **SEQUOIA))])
+    (camera,) = choice.cameras
+    per_mm = 746.2687 / 16
+    assert camera.focal_length_px == pytest.approx(4.812073 * per_mm, rel=1e-6)
+    assert camera.focal_length_px * 16 == pytest.approx(3591.1, abs=0.1)
+    assert camera.focal_length_sd_px == pytest.approx(0.005 * camera.focal_length_px)
+    assert camera.principal_col_px == pytest.approx(3.042001 * per_mm, rel=1e-6)
+    assert camera.principal_row_px == pytest.approx(2.280612 * per_mm, rel=1e-6)
+    assert (camera.k1, camera.k2, camera.k3) == (0.178441961, -0.4745818, 0.402026402)
+    assert (camera.p1, camera.p2, camera.distortion_sd) == (-0.000900784, -0.000653429, 0.002)
+    assert camera.readout_s == pytest.approx(47.5e-6 * 3456)
+    assert [w.code for w in choice.warnings] == ["camera-assumed", "readout-by-tag"]
+    assert choice.warnings[0].text.endswith(
+        "focal length 224 px (sd 1) from xmp-perspective, principal point 142, 106 and distortion"
+    )
+    assert choice.warnings[1].text.endswith("all rows read within 0.164 s (LineReadoutTime)")
+
+
+def test_a_list_of_distortion_terms_and_lengths_in_pixels() -> None:
+    terms = "-0.1,0.2,-0.03,0.001,0.002"
+    seq = "".join(f"<r:li>{term}</r:li>" for term in terms.split(","))
+    packet = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        '<r:Description xmlns:Camera="http://pix4d.com/camera/1.0/">'
+        f"<Camera:PerspectiveDistortion><r:Seq>{seq}</r:Seq></Camera:PerspectiveDistortion>"
+        "<Camera:PerspectiveFocalLength>3500</Camera:PerspectiveFocalLength>"
+        "<Camera:PerspectiveFocalLengthUnits>px</Camera:PerspectiveFocalLengthUnits>"
+        "<Camera:PrincipalPoint>2010,1490</Camera:PrincipalPoint></r:Description></r:RDF></x:xmpmeta>"
+    )
+    xmp = parse_xmp(packet.encode())
+    camera, source = camera_from_header(header(2000, 1500, xmp, width_px=4000, height_px=3000))
+    assert (source, camera.focal_length_px) == ("xmp-perspective", 1750.0)
+    assert (camera.principal_col_px, camera.principal_row_px) == (1005.0, 745.0)
+    assert (camera.k1, camera.k2, camera.k3, camera.p1, camera.p2) == (-0.1, 0.2, -0.03, 0.001, 0.002)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"PrincipalPoint": "2.28,3.04"},
+        {"PerspectiveFocalLength": "7.5"},
+        {"PerspectiveFocalLength": "nan"},
+        {"PerspectiveFocalLengthUnits": "furlong"},
+        {"PerspectiveDistortion": "90,0,0,0,0"},
+    ],
+)
+def test_a_makers_lens_that_is_not_this_pictures_is_not_taken(tmp_path: Path, odd: dict[str, str]) -> None:
+    camera, source = camera_from_header(read_header(tagged(tmp_path / "a.jpg", **(SEQUOIA | odd))))
+    assert source == "focal-plane"
+    assert (camera.principal_col_px, camera.k1, camera.distortion_sd) == (144.0, 0.0, 0.0)
+
+
+def test_a_fisheye_lens_is_told_and_a_global_shutter_known(tmp_path: Path) -> None:
+    tags = {"ModelType": "fisheye", "FisheyePolynomial": "0,1,0.006,-0.137", "LineReadoutTime": "23076"}
+    paths = [
+        tagged(tmp_path / f"{band}.jpg", 1, **tags, BandName=band, RigCameraIndex=i, PrincipalPoint="2.5,1.7")
+        for i, band in enumerate(("Green", "Red"))
+    ]
+    choice = cameras_from_headers([read_header(p) for p in paths])
+    assert choice.names == (
+        "Parrot Sequoia Green #0 288 x 216 4.88 mm",
+        "Parrot Sequoia Red #1 288 x 216 4.88 mm",
+    )
+    assert [w.code for w in choice.warnings] == ["camera-assumed", "lens-fisheye-unmodelled"] * 2
+    assert "taken as a perspective one of 228 px (from focal-plane)" in choice.warnings[1].text
+    assert [c.readout_s for c in choice.cameras] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("line_ns", ["-5", "3e9"])
+def test_a_readout_that_cant_be(tmp_path: Path, line_ns: str) -> None:
+    path = tagged(tmp_path / "a.jpg", **(SEQUOIA | {"LineReadoutTime": line_ns}))
+    choice = cameras_from_headers([read_header(path)])
+    assert choice.cameras[0].readout_s == 0.0
+    assert [w.code for w in choice.warnings] == ["camera-assumed", "readout-absurd"]
+
+
+def test_djis_number_for_the_model() -> None:
+    xmp = {"drone-dji:CalibratedFocalLength": "3666.666504", "drone-dji:CalibratedOpticalCenterX": "2746.0"}
+    xmp["drone-dji:CalibratedOpticalCenterY"] = "1814.0"
+    exif = {"make": "DJI", "model": "FC6310R", "width_px": 5472, "focal_length_mm": 8.8}
+    camera, source = camera_from_header(header(1368, 912, xmp, **exif))
+    assert (source, camera.focal_length_px) == ("dji-calibrated", pytest.approx(916.666626))
+    assert camera.focal_length_sd_px == pytest.approx(0.01 * camera.focal_length_px)
+    assert (camera.principal_col_px, camera.principal_row_px) == (686.5, 453.5)

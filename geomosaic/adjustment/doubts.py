@@ -120,13 +120,15 @@ def drifting_heights(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list
 
 def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
     """Principal points (by `strayed_principal_points`) that the pictures drew where no lens has them."""
-    columns = [of.any() for of in strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)]
+    rows = strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)
     text = (
         "the pictures draw its principal point farther off than a lens can have it; kept as given. Something "
         "else bends the block: another kind of lens, rows read one after the other, wrong positions"
     )
     return [
-        Warn("lens-strayed", "", f"{c.name}: {text}") for c, off in zip(cameras, columns, strict=True) if off
+        Warn("lens-strayed", "", f"{c.name}: {text}")
+        for c, row in zip(cameras, rows, strict=True)
+        if row.any()
     ]
 
 

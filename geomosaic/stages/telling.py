@@ -87,12 +87,14 @@ def params_of(context: Context, stage: type[Stage]) -> Any:
 def tell_estimate(context: Context, estimate: Estimate) -> None:
     """One line and `metrics.estimate`; `OutputError` where the disk hasn't the room for the least of it.
 
-    What an earlier run left there counts as free.
+    What an earlier run left there counts as free. Memory and time depend on the workers, which results must
+    not: they are told and not kept.
     """
     left = [p.lstat() for p in context.run_folder.rglob("*")]
     before = sum(s.st_size for s in left if stat.S_ISREG(s.st_mode)) / 1e9
     free_gb = shutil.disk_usage(context.run_folder).free / 1e9
-    context.metric("estimate", asdict(estimate) | {"disk_gb": estimate.disk_gb})
+    kept = {k: v for k, v in asdict(estimate).items() if k not in ("memory_gb", "minutes")}
+    context.metric("estimate", kept | {"disk_gb": estimate.disk_gb})
     context.tell(estimate.told())
     if estimate.disk_gb[0] > free_gb + before:
         raise OutputError(
