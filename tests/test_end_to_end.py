@@ -162,7 +162,7 @@ def test_run_json_keeps_its_promise(run: Path) -> None:
         "inputs",
     } <= (told_run.keys())
     assert all({"code", "frame", "text"} == w.keys() for w in told_run["warnings"])
-    assert len(told_run["timings_s"]) == 10 and told_run["timings_s"]["matching.sift"] > 0.0
+    assert len(told_run["timings_s"]) == 11 and told_run["timings_s"]["matching.sift"] > 0.0
     (camera,) = told_run["camera"]
     assert camera["focal_length_px"] == pytest.approx(500.0, abs=10.0) and camera["focal_length_px"] != 500.0
     assert len(told_run["inputs"]["survey.read.frames"]["files"]) == 8

@@ -159,8 +159,12 @@ class Context:
         self.recorder.log("warning", f"{code}: {text}", frame=frame)
 
     def tell(self, text: str) -> None:
-        """What the user wants to know while the run is on: one line on the screen and in the recording."""
-        self.recorder.log("info", text)
+        """What the user wants to know while the run is on: one line on the screen and in the recording.
+
+        Not there with `fixed_time`: it may tell of the machine.
+        """
+        if not self.fixed_time:
+            self.recorder.log("info", text)
         if self._on_note is not None:
             self._on_note(text)
 
