@@ -162,20 +162,22 @@ def test_the_rest_is_mosaicked_and_the_damaged_are_named(
     second.write_bytes(zeroed(second.read_bytes(), 0.5))
     last.write_bytes(last.read_bytes()[:-4000])
     (frames / "notes.jpg").write_text("not a picture")
+    (frames / "folder.jpg").mkdir()
     run = tmp_path / "run"
     given = ["--pos", line.pos, "--camera", line.camera, "--adjust", "least_squares"]
     assert mosaic(frames, run, *given) == 0
     told = summary(run)
-    assert told["frames"] == {"total": 6, "tied": 3, "placed": 0, "rejected": 0, "left_out": 3}
-    assert sorted(warned(run, "frame-damaged")) == ["F0002.jpg", "F0005.jpg", "notes.jpg"]
+    out = ["F0002.jpg", "F0005.jpg", "folder.jpg", "notes.jpg"]
+    assert told["frames"] == {"total": 7, "tied": 3, "placed": 0, "rejected": 0, "left_out": 4}
+    assert sorted(warned(run, "frame-damaged")) == out
     text = next(w["text"] for w in told["warnings"] if w["frame"] == "F0002.jpg")
     assert text.startswith("left out: the image data are damaged: libjpeg says 'Corrupt JPEG data")
     with (run / "positions.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [r["frame"] for r in rows if r["status"] == "left_out"] == ["F0002.jpg", "F0005.jpg", "notes.jpg"]
+    assert [r["frame"] for r in rows if r["status"] == "left_out"] == out
     assert all(v == "" for r in rows[3:] for k, v in r.items() if k not in ("frame", "status"))
     again = read_survey(frames, pos=run / "positions.csv", camera=line.camera)
-    assert len(again.frames) == 3 == len(again.left_out)
+    assert len(again.frames) == 3 and len(again.left_out) == 4
     assert len(read_poses(run / "positions.csv", [f.name for f in again.frames], again.work_frame)) == 3
 
 

@@ -171,3 +171,18 @@ def test_tables_fit_a_hundred_columns_and_cut_no_name(
     assert "survey abababab, not recorded" in lines[at] and "\u2026" not in out
     assert (lines[at] + lines[at + 1]).count("x") == 9
     assert "parameter_8=8" in out and "pos" not in out
+
+
+@pytest.mark.parametrize("what", ["folder", "empty", "proc"])
+def test_what_is_no_recording_is_one_line(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    if what == "proc":
+        path.symlink_to("/proc/self/mem")
+    elif what == "empty":
+        path.touch()
+    else:
+        (path / "run.mcap").mkdir(parents=True)
+    assert main(["inspect", str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -162,7 +162,7 @@ def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, content: bytes
 
 
 def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="No such file"):
+    with pytest.raises(FileError, match="there is no such file"):
         read_recording(tmp_path / "run.mcap")
     with pytest.raises(FileError, match="Is a directory"):
         read_recording(tmp_path)

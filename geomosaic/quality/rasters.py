@@ -12,7 +12,7 @@ from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.doors.raster import REFERENCE, Raster, open_raster
+from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality.ssim import luma
 
@@ -62,13 +62,14 @@ def read_luma(
     """Luma and valid pixels of a window, at a reduced shape if one is given."""
     colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
     colours = colours[:3] if len(colours) >= 3 else colours[:1]
-    bands = dataset.read(
-        colours,
-        window=window,
-        out_shape=None if shape is None else (len(colours), *shape),
-        resampling=Resampling.nearest if shape is None else Resampling.average,
-    )
-    valid = dataset.dataset_mask(window=window, out_shape=shape) == 255
+    with reading(Path(dataset.name)):
+        bands = dataset.read(
+            colours,
+            window=window,
+            out_shape=None if shape is None else (len(colours), *shape),
+            resampling=Resampling.nearest if shape is None else Resampling.average,
+        )
+        valid = dataset.dataset_mask(window=window, out_shape=shape) == 255
     picture = luma(bands)
     valid &= np.isfinite(picture)
     return np.where(valid, picture, np.float32(0.0)), valid

@@ -13,6 +13,7 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError
 
 MAX_RECORD_BYTES = 128 * 2**20
@@ -42,8 +43,13 @@ class Item(NamedTuple):
 
 def opened(path: Path) -> IO[bytes]:
     """The file, open for reading. Raises FileError."""
+    check_regular(path, MEND)
     try:
+        if path.stat().st_size == 0:  # as the system's own files say of themselves (/proc)
+            raise FileError("this file is empty", file=path, mend=MEND)
         return path.open("rb")
+    except FileError:
+        raise
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=MEND) from error
 

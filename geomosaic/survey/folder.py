@@ -13,6 +13,7 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
 from geomosaic.survey.names import frame_name, natural_key
 
+_SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
 _MASK_ENDINGS: Final = ("_mask", ".mask")
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
@@ -28,7 +29,8 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
         problem = "is no folder" if folder.exists() else "there is no such folder"
         raise FileError(problem, file=folder, mend="give the folder that holds the frames")
     try:
-        files = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: natural_key(p.name))
+        entries = (p for p in folder.iterdir() if p.is_file() or p.suffix.lower() in _SUFFIXES)
+        files = sorted(entries, key=lambda p: natural_key(p.name))
     except OSError as error:
         raise FileError(f"can't be listed ({error.strerror})", file=folder) from error
     for path in (folder, *(p for p in files if not p.name.startswith("."))):
@@ -37,7 +39,7 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
     frames = [
         p
         for p in files
-        if p.suffix.lower() in JPEG_SUFFIXES | TIFF_SUFFIXES
+        if p.suffix.lower() in _SUFFIXES
         and not p.name.startswith(".")
         and not p.stem.casefold().endswith(_MASK_ENDINGS)
         and p not in inputs

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import Wholeness, wholeness
 from geomosaic.survey.header import FrameHeader, read_header
@@ -47,6 +48,7 @@ def usable(
     unreadable: dict[str, FileError] = {}
     for i, file in enumerate(files):
         try:
+            check_regular(file, "take it out of the folder")
             headers.append(read_header(file))
         except FileError as error:
             unreadable[file.name] = error
