@@ -164,7 +164,7 @@ def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, content: bytes
 def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="there is no such file"):
         read_recording(tmp_path / "run.mcap")
-    with pytest.raises(FileError, match="Is a directory"):
+    with pytest.raises(FileError, match="no regular file but a folder"):
         read_recording(tmp_path)
 
 
