@@ -83,14 +83,21 @@ def messages(path: Path, schema: str) -> Iterator[tuple[str, int, bytes]]:
 
 
 def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str, str, bytes]]:
-    """Topic, schema and bytes of all that a stage told, for `Recorder.copy`; no events, no artefacts."""
+    """Topic, schema and bytes of all that a stage told, for `Recorder.copy`; no events, no artefacts.
+
+    Raises FileError where its beginning and end can't be told.
+    """
     now = -1
     with opened(recording.path) as file:
         for item in items(recording.path, file):
             if not isinstance(item.record, Message) or item.schema == "geomosaic.Artefact":
                 continue
             if item.schema == "geomosaic.StageEvent":
-                event = StageEvent.FromString(item.record.data)
+                try:
+                    event = StageEvent.FromString(item.record.data)
+                except BROKEN as error:
+                    text = "what its stages told is damaged"
+                    raise FileError(text, file=recording.path, mend="run the recipe again") from error
                 now = -1 if event.finished else event.stage_index
             elif now == stage_index:
                 yield item.topic, item.schema, item.record.data
