@@ -132,3 +132,12 @@ def test_a_marker_cannot_reach_out_of_its_folder(toys: Toys) -> None:  # noqa: F
     (toys.run_folder / MARKER).write_text(json.dumps({"files": ["work/../../pearl", "../pearl", "/etc"]}))
     toys.run("toy.power.power=3", overwrite=True)
     assert (toys.folder / "pearl").read_text() == "x"
+
+
+def test_an_export_does_not_read_through_a_link(toys: Toys, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
+    toys.run()
+    theirs = toys.folder / "theirs.json"
+    (toys.run_folder / "run.json").rename(theirs)
+    (toys.run_folder / "run.json").symlink_to(theirs)
+    assert geomosaic("export", "vrt", toys.run_folder) == 2
+    assert "run.json: is a link, and links are not followed there" in capsys.readouterr().err

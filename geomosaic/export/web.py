@@ -8,6 +8,7 @@ import math
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -123,13 +124,16 @@ def _write_shown(mosaic_file: Path, out: Path) -> None:
 
 def _run(command: Sequence[str], check_cancelled: Callable[[], None] | None) -> None:
     """Runs a program to its end, looking every half second whether to stop it. Raises `OSError`."""
-    with subprocess.Popen(  # noqa: S603
-        command,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, **NO_SIDECARS},
-    ) as running:
+    with (
+        tempfile.TemporaryDirectory(prefix="geomosaic-tiles-") as scratch,
+        subprocess.Popen(  # noqa: S603
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **NO_SIDECARS, "TMPDIR": scratch},
+        ) as running,
+    ):
         try:
             while True:
                 try:

@@ -16,8 +16,8 @@ _MAX_BYTES = 64 << 20  # names and hashes of 400,000 frames
 
 
 def read_summary(run_folder: Path) -> dict[str, Any]:
-    """run.json of a finished run. Raises `FileError` if there is none."""
-    path = run_folder / RUN_JSON
+    """run.json of a finished run. Raises `FileError` if there is none, `LinkError` for a link."""
+    path = files.path_within(run_folder, RUN_JSON)
     if not path.exists():
         raise FileError(
             f"is no finished run ({RUN_JSON} is missing)", file=run_folder, mend="give a run's folder"
@@ -39,7 +39,7 @@ def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: ty
     try:
         return decode(files.read_own(files.path_within(run_folder, str(entry.get("file")))), kind)
     except (OSError, ValueError):
-        recording = read_recording(run_folder / RECORDING)
+        recording = read_recording(files.path_within(run_folder, RECORDING))
     for kept in reversed(recording.artefacts):
         if kept.name == name and kept.fingerprint == entry.get("fingerprint"):
             return decode(artefact_data(recording, kept), kind)
