@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import NoReturn
 
 from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.errors import GeomosaicError
@@ -17,17 +16,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     with stoppable() as stop:
         exit_code = _main(argv, stop)
     return exit_code if stop.signal is None else stop.exit_code
-
-
-def entry() -> NoReturn:
-    """The program: `main`, and once it was stopped the process's end, for which no library is waited."""
-    exit_code = main()
-    if exit_code > 128:
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError, AttributeError):
-                stream.flush()
-        os._exit(exit_code)
-    sys.exit(exit_code)
 
 
 def _main(argv: Sequence[str] | None, stop: Stop) -> int:
@@ -95,4 +83,4 @@ def _unheard() -> int:
 
 
 if __name__ == "__main__":
-    entry()
+    sys.exit(main())

@@ -23,6 +23,7 @@ from geomosaic.pipeline.stage import Stage
 
 _KEY = re.compile(r"(given-)?[0-9a-f]{40}")
 _ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))
+_MOST_ENTRY_BYTES = 64 << 20
 _ENTRY, _CALLS, _ARTEFACT, _SPOOL, _ITEMS = "entry.json", "calls", ".artefact", "calls.part", "items"
 
 Manifest = Mapping[str, Mapping[str, str]]
@@ -117,7 +118,7 @@ class StageCache:
         """The outcome, if it is there, whole, and the files the stage wrote are unchanged."""
         try:
             folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
-            entry = json.loads(files.read_own(folder / _ENTRY))
+            entry = json.loads(files.read_own(folder / _ENTRY, _MOST_ENTRY_BYTES))
             written = {str(name): str(mark) for name, mark in entry["files"].items()}
             for name, mark in written.items():
                 if self._hashes.of_written(self._folder.within(name)) != mark:
@@ -137,7 +138,7 @@ class StageCache:
             notes = Notes.from_plain(entry["notes"])
             self._folder.note(written)
             return Finished(outputs, notes, calls, (folder, *beside))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError):
             return None
 
     def _names_only_inputs(self, artefact: bytes) -> bool:
