@@ -16,7 +16,7 @@ from geomosaic.adjustment.doubts import doubtful_positions, strayed_lenses
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.adjustment.pose_block import interior_deviations
+from geomosaic.adjustment.beliefs import interior_deviations
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
