@@ -9,6 +9,7 @@ from adjustment_blocks import fly, hills, level
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geomosaic.adjustment.beliefs import interior_deviations
 from geomosaic.adjustment.bundle_equations import strayed_principal_points
 from geomosaic.adjustment.bundle_model import Priors, State
 from geomosaic.adjustment.collinearity import exp_turn, interior_of, log_turn, project
@@ -16,7 +17,6 @@ from geomosaic.adjustment.doubts import doubtful_positions, strayed_lenses
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.adjustment.beliefs import interior_deviations
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
