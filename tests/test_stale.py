@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -18,7 +19,7 @@ from test_pipeline_toy import Numbers
 
 from geomosaic.errors import FileError
 from geomosaic.pipeline import hashes
-from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes
+from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes, fingerprint_of_file
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.simulate.survey import SimulatedSurvey
 
@@ -219,6 +220,25 @@ def test_an_artefact_that_names_another_file_of_the_machine_is_not_taken(toys: T
         toys.done()
         toys.run()
         assert ("read" in toys.done()) == redone
+
+
+def test_an_artefact_of_any_size_is_not_held_in_memory_to_be_judged(toys: Toys) -> None:  # noqa: F811
+    """A sparse file costs a stranger nothing; its hash may be right."""
+    toys.run()
+    folder = entry_of(toys, "toy.read")
+    artefact = folder / "numbers.artefact"
+    with artefact.open("r+b") as file:
+        file.truncate(200 << 20)
+    entry = json.loads((folder / "entry.json").read_text())
+    with artefact.open("rb") as file:
+        entry["outputs"]["numbers"] = fingerprint_of_file(file)
+    (folder / "entry.json").write_text(json.dumps(entry))
+    toys.done()
+    tracemalloc.start()
+    toys.run()
+    most_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert toys.done() == ["read", "tell"] and most_bytes < 100 << 20
 
 
 @pytest.mark.parametrize("name", ["entry.json", "calls", "numbers.artefact"])

@@ -85,6 +85,51 @@ def test_a_command_ends_in_time_with_the_signal_s_code(number: int, code: int, t
     assert process.returncode != 0 and (then != "pass" or err == "geomosaic: stopped\n")
 
 
+def test_a_long_call_of_a_library_holds_up_no_stop() -> None:
+    """Python's own handlers wait until such a call comes back."""
+    code = (
+        "import hashlib, sys, geomosaic.cli.main as main\n"
+        "def long(argv, stop):\n"
+        "    print('ready', flush=True)\n"
+        "    hashlib.pbkdf2_hmac('sha512', b'a', b'b', 10**9)\n"
+        "main._main = long\n"
+        "sys.exit(main.main())"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    time.sleep(0.2)
+    started = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (143, "geomosaic: stopped\n")
+    assert time.monotonic() - started < 10.0
+
+
+def test_a_stopped_program_waits_for_nothing_at_its_exit() -> None:
+    """What a library still wants to do at exit, such as writing a raster, could take a minute."""
+    code = (
+        "import sys, time, geomosaic.cli.main as main\n"
+        "class Slow:\n"
+        "    def __del__(self): time.sleep(60)\n"
+        "def stopped(argv, stop):\n"
+        "    sys.kept = Slow()\n"
+        "    print('ready', flush=True)\n"
+        "    try: time.sleep(60)\n"
+        "    except KeyboardInterrupt: return 130\n"
+        "main._main = stopped\n"
+        "sys.exit(main.main())"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGINT)
+    started = time.monotonic()
+    process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert time.monotonic() - started < 2.0
+
+
 def test_a_signal_that_is_ignored_stays_so() -> None:
     """As under nohup, or in the background of a script."""
     code = (

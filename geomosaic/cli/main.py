@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 from collections.abc import Sequence
@@ -14,6 +15,8 @@ from geomosaic.errors import GeomosaicError
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command and returns the exit code; a failure is one line on stderr."""
     with stoppable() as stop:
+        if argv is None:  # the program itself: registered first, so that it comes last
+            atexit.register(stop.leave)
         exit_code = _main(argv, stop)
     return exit_code if stop.signal is None else stop.exit_code
 

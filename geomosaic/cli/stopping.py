@@ -12,12 +12,17 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_S = 2.5
 """How long a command may take to stop by itself. People wait 3 s before they press again or kill."""
 
 
 class Stop:
-    """Whether the user asked for an end, and by which signal."""
+    """Whether the user asked for an end, and by which signal.
+
+    The system writes each signal into a pipe at the moment it comes, also while the main thread is deep in a
+    library and Python's own handlers wait; a watch reads it there.
+    """
 
     def __init__(self) -> None:
         self.signal: int | None = None
@@ -28,18 +33,28 @@ class Stop:
         return 128 + (self.signal or signal.SIGINT)
 
     def ask(self, number: int, _frame: FrameType | None) -> None:
-        """The signals' handler: stops the main thread where it is, and watches that it ends."""
-        if self.signal is None:
-            self.signal = number
-            threading.Thread(target=self._end_at_last, daemon=True).start()
+        """The signals' handler: stops the main thread where it is."""
+        self.signal = self.signal or number
         raise KeyboardInterrupt
 
-    def _end_at_last(self) -> None:
+    def watch(self, pipe: int) -> None:
         """Ends a process that a library holds. As after a kill, finished work is kept; workers follow."""
-        time.sleep(GRACE_S)
-        with suppress(OSError):
-            os.write(2, b"geomosaic: stopped\n")
-        os._exit(self.exit_code)
+        while number := os.read(pipe, 1):
+            if number[0] in SIGNALS:
+                self.signal = self.signal or number[0]
+                time.sleep(GRACE_S)
+                with suppress(OSError):
+                    os.write(2, b"geomosaic: stopped\n")
+                os._exit(self.exit_code)
+        os.close(pipe)
+
+    def leave(self) -> None:
+        """The last of a program's doings at its exit: no library waits for a disk or a thread after it."""
+        if self.signal is not None:
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError, ValueError, AttributeError):
+                    stream.flush()
+            os._exit(self.exit_code)
 
 
 @contextmanager
@@ -49,7 +64,11 @@ def stoppable() -> Iterator[Stop]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+    numbers = [n for n in SIGNALS if signal.getsignal(n) is not signal.SIG_IGN]
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    threading.Thread(target=stop.watch, args=(read,), daemon=True).start()
+    pipe_before = signal.set_wakeup_fd(write, warn_on_full_buffer=False)
     before = {number: signal.signal(number, stop.ask) for number in numbers}
     hook = sys.unraisablehook
 
@@ -64,3 +83,5 @@ def stoppable() -> Iterator[Stop]:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+        signal.set_wakeup_fd(pipe_before)
+        os.close(write)

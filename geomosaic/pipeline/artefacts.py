@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import io
 import itertools
 import json
@@ -19,7 +20,7 @@ import zipfile
 from collections.abc import Iterable
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -37,6 +38,11 @@ _KINDS = "biufcSU"
 def fingerprint_of_bytes(data: bytes) -> str:
     """BLAKE2b with 160 bits, in hexadecimal: the one hash of the pipeline."""
     return blake2b(data, digest_size=20).hexdigest()
+
+
+def fingerprint_of_file(file: BinaryIO) -> str:
+    """As `fingerprint_of_bytes`, of an open file, piece by piece."""
+    return hashlib.file_digest(file, lambda: blake2b(digest_size=20)).hexdigest()  # type: ignore[arg-type]
 
 
 def fingerprint_of_json(value: Any) -> str:
@@ -127,8 +133,8 @@ def dataclasses_in(annotation: Any, found: dict[str, type] | None = None) -> dic
     return found
 
 
-def decode(data: bytes, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
-    """The artefact of a type (a dataclass, or an annotation such as `tuple[Camera, ...]`) from bytes.
+def decode(data: bytes | BinaryIO, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
+    """The artefact of a type (a dataclass, or an annotation such as `tuple[Camera, ...]`) from its bytes.
 
     `also` names more classes the file may hold. Raises `FileError` if the bytes are anything else.
     """
@@ -136,9 +142,7 @@ def decode(data: bytes, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
     for cls in also:
         dataclasses_in(cls, known)
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as file:
-            if any(m.compress_type != zipfile.ZIP_STORED or m.file_size > len(data) for m in file.infolist()):
-                raise ValueError("it is compressed")
+        with _opened(data) as file:
             value = _value(json.loads(file.read(_TREE)), file, known)
     except _NOT_WHOLE as error:
         raise FileError(f"this is no whole artefact of type {type_name(as_type)} ({error})") from error
@@ -183,10 +187,20 @@ def _fields(cls: Any) -> tuple[tuple[str, Any], ...]:
     return tuple((f.name, hints[f.name]) for f in dataclasses.fields(cls) if f.init)
 
 
-def texts_in(data: bytes) -> list[str]:
+def _opened(data: bytes | BinaryIO) -> zipfile.ZipFile:
+    """Raises `ValueError` for a member that is not stored as it is, or tells of more than the file holds."""
+    stream = io.BytesIO(data) if isinstance(data, bytes) else data
+    size = stream.seek(0, io.SEEK_END)
+    file = zipfile.ZipFile(stream)
+    if any(m.compress_type != zipfile.ZIP_STORED or m.file_size > size for m in file.infolist()):
+        raise ValueError("it is compressed")
+    return file
+
+
+def texts_in(data: bytes | BinaryIO) -> list[str]:
     """Every text and path that an artefact's bytes hold. Raises `FileError` if they are none."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as file:
+        with _opened(data) as file:
             waiting, found = [json.loads(file.read(_TREE))], []
     except _NOT_WHOLE as error:
         raise FileError(f"this is no whole artefact ({error})") from error

@@ -9,10 +9,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import decode, encode, fingerprint_of_bytes, fingerprint_of_json, texts_in
+from geomosaic.pipeline.artefacts import (
+    decode,
+    encode,
+    fingerprint_of_bytes,
+    fingerprint_of_file,
+    fingerprint_of_json,
+    texts_in,
+)
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.given import Given
 from geomosaic.pipeline.hashes import FileHashes
@@ -49,12 +56,14 @@ class Held:
 
     def data(self) -> bytes:
         """The artefact's bytes."""
-        return files.read_own(self.path)
+        with files.open_own(self.path) as file:
+            return file.read()
 
     def value(self) -> Any:
         """The artefact itself."""
         if self._value is _MISSING:
-            self._value = decode(self.data(), self.type)
+            with files.open_own(self.path) as file:
+                self._value = decode(file, self.type)
         return self._value
 
 
@@ -126,14 +135,15 @@ class StageCache:
             outputs = {}
             for name, kind in stage.outputs.items():
                 path = folder / f"{name}{_ARTEFACT}"
-                data = files.read_own(path)
-                content = fingerprint_of_bytes(data)
-                if content != entry["outputs"][name] or not self._names_only_inputs(data):
-                    return None
+                with files.open_own(path) as file:
+                    content = fingerprint_of_file(file)
+                    if content != entry["outputs"][name] or not self._names_only_inputs(file):
+                        return None
                 outputs[name] = Held(kind, _fingerprint(content, written, lineage), path, lineage)
             calls = folder / _CALLS
-            if fingerprint_of_bytes(files.read_own(calls)) != entry["calls"]:
-                return None
+            with files.open_own(calls) as file:
+                if fingerprint_of_file(file) != entry["calls"]:
+                    return None
             beside = [self._folder.within(name) for name in (*written, *entry["items"])]
             notes = Notes.from_plain(entry["notes"])
             self._folder.note(written)
@@ -141,7 +151,7 @@ class StageCache:
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError):
             return None
 
-    def _names_only_inputs(self, artefact: bytes) -> bool:
+    def _names_only_inputs(self, artefact: BinaryIO) -> bool:
         """Whether every file on this machine that an artefact names is one this run reads."""
         inputs = self._hashes.inputs()
         allowed = inputs | {path.parent for path in inputs}
@@ -170,7 +180,8 @@ class StageCache:
             files.write_bytes(path, data)
             mark = _fingerprint(contents[name], written, lineage)
             outputs[name] = Held(kind, mark, path, lineage, values[name])
-        told = fingerprint_of_bytes(files.read_own(calls))
+        with files.open_own(calls) as file:
+            told = fingerprint_of_file(file)
         calls = calls.replace(folder / _CALLS)
         entry = {
             "outputs": contents,

@@ -253,7 +253,8 @@ class Context:
         for i, path in enumerate(paths):
             if path is not None and os.path.lexists(path):
                 try:
-                    done[i] = decode(files.read_own(path), returns)
+                    with files.open_own(path) as kept:
+                        done[i] = decode(kept, returns)
                 except (OSError, FileError):
                     files.remove(path)
         waiting = [i for i in range(len(items)) if i not in done]

@@ -11,7 +11,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeGuard
+from typing import Any, BinaryIO, TypeGuard
 
 from geomosaic.errors import GeomosaicError, LinkError, OutputError
 
@@ -146,13 +146,19 @@ def path_within(folder: Path, name: str) -> Path:
     return at
 
 
-def read_own(path: Path, most_bytes: int | None = None) -> bytes:
-    """A file of a run folder, never through a link. Raises `OSError`, `ValueError` beyond `most_bytes`."""
+@contextmanager
+def open_own(path: Path) -> Iterator[BinaryIO]:
+    """A file of a run folder, opened to be read, never through a link. Raises `OSError`."""
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(handle, "rb") as file:
-        told = os.fstat(file.fileno())
-        if not stat.S_ISREG(told.st_mode):
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(errno.EINVAL, "no regular file", str(path))
-        if most_bytes is not None and told.st_size > most_bytes:
+        yield file
+
+
+def read_own(path: Path, most_bytes: int) -> bytes:
+    """All of a small file of a run folder, as `open_own`. Raises `ValueError` beyond `most_bytes`."""
+    with open_own(path) as file:
+        if os.fstat(file.fileno()).st_size > most_bytes:
             raise ValueError(f"{path} is larger than {most_bytes} bytes")
         return file.read()

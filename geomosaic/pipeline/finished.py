@@ -37,7 +37,8 @@ def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: ty
     if not isinstance(entry, dict) or entry.get("type") != type_name(kind):
         raise FileError(f"this run made no '{name}'", file=run_folder, mend="run a recipe that does")
     try:
-        return decode(files.read_own(files.path_within(run_folder, str(entry.get("file")))), kind)
+        with files.open_own(files.path_within(run_folder, str(entry.get("file")))) as file:
+            return decode(file, kind)
     except (OSError, ValueError):
         recording = read_recording(files.path_within(run_folder, RECORDING))
     for kept in reversed(recording.artefacts):
