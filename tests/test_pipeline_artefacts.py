@@ -123,6 +123,8 @@ def pickled() -> bytes:
         pickle.dumps((1, 2)),
         zipped({"is": "os:system", "fields": {}}),
         zipped({"is": type_name(Camera), "fields": {}}),
+        zipped({"is": type_name(Inner), "fields": []}),
+        zipped({"dict": 3}),
         zipped({"is": type_name(Inner), "fields": {"xs": 1, "ys": 2}}),
         zipped({"tuple": [1] * 100_000}, how=zipfile.ZIP_DEFLATED),
         zipped({"array": 0}),

@@ -24,6 +24,7 @@ STAGES = (
     "matching.sift",
     "adjustment.solve",
     "mosaic.compose",
+    "quality.verdict",
     "export.cog",
     "export.layers",
     "quality.compare",
@@ -184,6 +185,12 @@ def execute(
             given=given,
             reporter=reporter,
         )
+    verdict = summary.get("verdict")
+    if isinstance(verdict, dict):
+        why = f" {verdict['cause']};" if verdict["cause"] else ""
+        print(f"{'verdict':<10} {verdict['grade']}:{why} {verdict['text']}")
+        if verdict["mend"]:
+            print(f"{'mend':<10} {verdict['mend']}")
     for name, file in RESULTS.items():
         if (output / file).exists():
             print(f"{name:<10} {output / file}")

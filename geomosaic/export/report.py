@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 from markupsafe import Markup
 from pyproj import CRS
@@ -28,6 +27,7 @@ from geomosaic.export.report_page import (
     timings_plot,
 )
 from geomosaic.export.report_solved import solved_section
+from geomosaic.export.report_verdict import verdict_section
 from geomosaic.export.solved import ground_reason
 from geomosaic.export.svg import short
 from geomosaic.matching.model import TiePoints
@@ -36,6 +36,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
+from geomosaic.quality.verdict import Verdict
 from geomosaic.survey.model import Survey
 
 _MOST_ROWS = 3000
@@ -58,6 +59,7 @@ def render_report(
     mosaic_file: Path,
     summary: Mapping[str, Any],
     comparison: Comparison | None = None,
+    verdict: Verdict | None = None,
 ) -> str:
     """The page's HTML.
 
@@ -81,12 +83,14 @@ def render_report(
     rows = parts.frame_rows(placement, ties, orientation)
     ground = _ground(adjusted, summary)
     svg = markup
+    judged = verdict_section(survey, verdict)
     return template("report.html").render(
         css=part("report.css"),
         form_script=part("score_form.js"),
         title="Mosaic of " + plural(len(names), "frame"),
         facts=_facts(survey, placement, ties, adjusted, mosaic, summary, picture.covered_m2),
-        verdict=_verdict(adjusted, pairs.rms_m, placement.ground_pixel_m),
+        verdict=judged.lead,
+        judged=judged,
         warnings=grouped_warnings(summary),
         overview=svg(drawn),
         crowded=len(names) > 60,
@@ -177,17 +181,3 @@ def _taken(survey: Survey) -> tuple[str, str]:
         return "–", "the frames have no time"
     first, last = (datetime.fromtimestamp(t, tz=UTC) for t in (min(times), max(times)))
     return f"{first:%Y-%m-%d}", f"{first:%H:%M:%S} to {last:%H:%M:%S} UTC"
-
-
-def _verdict(adjusted: Adjusted, rms_m: parts.Floats, ground_pixel_m: float) -> str:
-    """One sentence on how well the frames agree."""
-    known = rms_m[np.isfinite(rms_m)]
-    if not known.size:
-        return "No pair of frames is tied: the frames lie where their positions and attitudes put them."
-    typical = float(np.median(known)) / ground_pixel_m
-    words = "well within a pixel" if typical < 0.5 else "to about a pixel" if typical < 1.5 else "roughly"
-    odd = len(adjusted.status) - adjusted.status.count("tied")
-    more = f" {plural(odd, 'frame')} not tied: see the table of frames." if odd else ""
-    return (
-        f"Tied frames agree {words}: the typical pair is left with {short(typical, 'ground px')} RMS.{more}"
-    )

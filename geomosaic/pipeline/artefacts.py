@@ -28,7 +28,10 @@ from geomosaic.errors import FileError
 
 T = TypeVar("T")
 
-_NOT_WHOLE = (ValueError, KeyError, TypeError, IndexError, zipfile.BadZipFile, EOFError, RecursionError)
+_NOT_WHOLE = (
+    *(ValueError, KeyError, TypeError, IndexError, AttributeError),
+    *(zipfile.BadZipFile, EOFError, RecursionError, MemoryError),
+)
 
 _TREE = "tree.json"
 _TIMELESS = (1980, 1, 1, 0, 0, 0)

@@ -12,6 +12,7 @@ from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
+from geomosaic.quality.verdict import Verdict
 from geomosaic.survey.model import Survey
 
 
@@ -21,13 +22,13 @@ class ExportReport(Stage):
     id = "export.report"
     display_name = "Write the report"
     group = "Export"
-    version = 2
+    version = 3
     cached = False
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
         "mosaic": Mosaic, "mosaic_file": RunFile,
     }  # fmt: skip
-    optional_inputs: ClassVar[dict[str, type]] = {"comparison": Comparison}
+    optional_inputs: ClassVar[dict[str, type]] = {"comparison": Comparison, "verdict": Verdict}
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
     results: ClassVar[tuple[str, ...]] = ("report.html",)
 
@@ -41,6 +42,7 @@ class ExportReport(Stage):
             mosaic=inputs["mosaic"],
             mosaic_file=context.path_of(inputs["mosaic_file"]),
             comparison=inputs.get("comparison"),
+            verdict=inputs.get("verdict"),
             summary=context.summary(),
         )
         with context.writing("report.html") as path:

@@ -1,0 +1,256 @@
+"""Whether a mosaic can be trusted: good, doubtful or bad, for what reason, and what would mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.quality.residual_pattern import ResidualPattern
+from geomosaic.quality.seam_check import SeamCheck
+
+GRADES = ("good", "doubtful", "bad")
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the mend if it isn't
+    good, and why the limits are where they are."""
+
+    good: float
+    bad: float
+    unit: str
+    cause: str
+    mend: str
+    reason: str
+
+
+CRITERIA: Mapping[str, Criterion] = {
+    "image deviation": Criterion(
+        1.0,
+        3.0,
+        "px",
+        "pictures and camera disagree: rolling shutter while turning, another lens, moving ground",
+        "give the lens and the readout time (--camera)",
+        "a map is promised to a pixel and called wrong beyond three; keypoints are good to a third of one",
+    ),
+    "pattern of residuals": Criterion(
+        0.5,
+        2.0,
+        "px",
+        "residuals repeat at the same places of the frames: another lens than given, or a rolling shutter",
+        "give the lens and the readout time (--camera)",
+        "half a pixel is where a step at a seam begins to be seen",
+    ),
+    "seams": Criterion(
+        1.0,
+        3.0,
+        "px",
+        "the ground jumps at the seams",
+        "see the other figures; on relief give an elevation model (--dem)",
+        "the median of all places, as for the image deviation",
+    ),
+    "worst tenth of the seams": Criterion(
+        3.0,
+        np.inf,
+        "px",
+        "the ground jumps at some seams: things that stand above it, or single frames out of place",
+        "look at the seams in the report; an elevation model (--dem) helps with what stands above ground",
+        "houses without a surface model jump by more, while the map around them is right",
+    ),
+    "frames not tied": Criterion(
+        0.0,
+        1.0 / 3.0,
+        "share",
+        "frames that match no other lie where their own positions say",
+        "leave them out, or fly with more overlap",
+        "a position is worth metres, so one such frame is a visible fault, a third of them no map",
+    ),
+    "frames in other parts": Criterion(
+        0.0,
+        1.0 / 3.0,
+        "share",
+        "the frames hang together in several parts, each placed by its own positions",
+        "frames between the parts, or control points in each",
+        "as for frames that are not tied",
+    ),
+    "tie points disregarded": Criterion(
+        0.3,
+        0.6,
+        "share",
+        "many tie points disagree: repeating patterns, moving ground, or another kind of camera",
+        "look at the pairs with the largest residuals in the report",
+        "by chance one in a thousand is; beyond a half the solve follows the wrong ones",
+    ),
+    "control points": Criterion(
+        3.0,
+        6.0,
+        "deviations",
+        "a control or check point lies far from where the pictures put it",
+        "check its coordinates and where it was marked",
+        "of a few dozen honest coordinates none is beyond three, of a million none beyond six",
+    ),
+}
+
+_WARNED: Mapping[str, tuple[str, str, str]] = {
+    "bundle-failed": (
+        "bad",
+        "the adjustment failed; frames are only laid beside each other",
+        "more overlap, or positions of more frames",
+    ),
+    "scale-doubtful": (
+        "doubtful",
+        "the block's scale disagrees with the positions",
+        "check the focal length and the positions, or give control points",
+    ),
+    "positions-shifted": (
+        "doubtful",
+        "positions and control lie apart",
+        "check the datum and the height system of both",
+    ),
+    "pose-not-determined": (
+        "doubtful",
+        "tie points don't determine the poses of some frames",
+        "look at those frames; more overlap there",
+    ),
+    "lens-strayed": (
+        "doubtful",
+        "no lens bends pictures as these are bent",
+        "give the lens and the readout time (--camera)",
+    ),
+}
+"""Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""
+_DISREGARDED = 0.1
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One reason: a figure and its grade; the likely cause and the mend where it isn't good."""
+
+    name: str
+    value: float
+    unit: str
+    grade: str
+    cause: str = ""
+    mend: str = ""
+
+    @property
+    def figure(self) -> str:
+        """The value with its unit."""
+        return f"{self.value:.0%}" if self.unit == "share" else f"{self.value:.2f} {self.unit}".strip()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The worst grade of all evidence, with the cause and the mend of what weighs most.
+
+    absolute_sd_m: what the adjustment states of where the typical tied frame lies on the ground, one
+    deviation of a horizontal coordinate; NaN for methods that state none. seams, patterns: what it was drawn
+    from.
+    """
+
+    grade: str
+    text: str
+    cause: str
+    mend: str
+    evidence: tuple[Evidence, ...]
+    absolute_sd_m: float
+    seams: SeamCheck
+    patterns: tuple[ResidualPattern, ...]
+
+
+def verdict_of(
+    adjusted: Adjusted,
+    seams: SeamCheck,
+    patterns: tuple[ResidualPattern, ...],
+    parts: Sequence[Sequence[int]],
+    used: Collection[int],
+    flying_height_m: float,
+) -> Verdict:
+    """Grades all that is known of a mosaic without its truth.
+
+    Args: parts: frames that hang together by tie points; used: frames that gave pixels.
+    """
+    figures = _agreement(adjusted, patterns) | _seams(seams) | _held_together(adjusted, parts, used)
+    warned = {w.code for w in adjusted.warnings}
+    evidence = (
+        *(_judged(name, value) for name, value in figures.items()),
+        *(Evidence(code, 1.0, "", *told) for code, told in _WARNED.items() if code in warned),
+    )
+    worst = max(evidence, key=lambda e: GRADES.index(e.grade))
+    return Verdict(
+        grade=worst.grade,
+        text=_text(adjusted, figures),
+        cause=f"{worst.cause} ({worst.name} {worst.figure})" if worst.unit and worst.cause else worst.cause,
+        mend=worst.mend,
+        evidence=evidence,
+        absolute_sd_m=_absolute_sd_m(adjusted, flying_height_m),
+        seams=seams,
+        patterns=patterns,
+    )
+
+
+def _judged(name: str, value: float) -> Evidence:
+    criterion = CRITERIA[name]
+    grade = GRADES[int(value > criterion.good) + int(value > criterion.bad)]
+    if grade == "good":
+        return Evidence(name, value, criterion.unit, grade)
+    return Evidence(name, value, criterion.unit, grade, criterion.cause, criterion.mend)
+
+
+def _held_together(
+    adjusted: Adjusted, parts: Sequence[Sequence[int]], used: Collection[int]
+) -> dict[str, float]:
+    """Shares of the mosaic's frames that hang on their own positions, or in another part than most."""
+    tied = {i for i in used if adjusted.status[i] == "tied"}
+    largest = max((len(tied.intersection(part)) for part in parts), default=0)
+    return {
+        "frames not tied": (len(used) - len(tied)) / max(len(used), 1),
+        "frames in other parts": (len(tied) - largest) / max(len(used), 1),
+    }
+
+
+def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dict[str, float]:
+    """How far pictures, camera and control agree in the adjustment, as far as the method says."""
+    found = {}
+    if "sigma_px" in adjusted.figures:
+        found["image deviation"] = adjusted.figures["sigma_px"]
+    if patterns:
+        found["pattern of residuals"] = max(p.systematic_px for p in patterns)
+    if adjusted.image_residuals is not None and len(adjusted.image_residuals.weight):
+        disregarded = adjusted.image_residuals.weight < _DISREGARDED
+        found["tie points disregarded"] = float(disregarded.mean())
+    off = [float(np.abs(c.residual_m / c.sd_m).max()) for c in adjusted.control]
+    if any(np.isfinite(off)):
+        found["control points"] = float(np.nanmax(off))
+    return found
+
+
+def _seams(seams: SeamCheck) -> dict[str, float]:
+    length = seams.length_px[np.isfinite(seams.length_px)]
+    if not length.size:
+        return {}
+    return {
+        "seams": float(np.median(length)),
+        "worst tenth of the seams": float(np.quantile(length, 0.9)),
+    }
+
+
+def _absolute_sd_m(adjusted: Adjusted, flying_height_m: float) -> float:
+    """Median over the tied frames of the deviation of the ground below: position and tilts together."""
+    tied = [i for i, s in enumerate(adjusted.status) if s == "tied"]
+    if adjusted.pose_covariance is None or not tied:
+        return float("nan")
+    h = flying_height_m
+    down = np.array([[1.0, 0.0, 0.0, 0.0, -h, 0.0], [0.0, 1.0, 0.0, h, 0.0, 0.0]])
+    on_ground = down @ adjusted.pose_covariance[tied] @ down.T
+    return float(np.median(np.sqrt(np.trace(on_ground, axis1=1, axis2=2) / 2.0)))
+
+
+def _text(adjusted: Adjusted, figures: Mapping[str, float]) -> str:
+    """How many frames are tied, and how well they agree."""
+    words = [f"{adjusted.status.count('tied')} of {len(adjusted.status)} frames tied"]
+    words += [f"{name} {figures[name]:.2f} px" for name in ("image deviation", "seams") if name in figures]
+    return ", ".join(words)

@@ -1,0 +1,86 @@
+"""Whether the mosaic can be trusted, from all that is known of it without its truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.matching.model import TiePoints
+from geomosaic.mosaic.model import Mosaic
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.graph import connected_parts
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.residual_pattern import residual_patterns
+from geomosaic.quality.seam_check import check_seams
+from geomosaic.quality.verdict import Verdict, verdict_of
+from geomosaic.survey.model import Survey
+
+
+class QualityVerdict(Stage):
+    """Checks the seams in the pixels, the residuals for patterns, and judges; it changes nothing."""
+
+    id = "quality.verdict"
+    display_name = "Judge the mosaic"
+    group = "Quality"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
+    }  # fmt: skip
+    outputs: ClassVar[dict[str, type]] = {"verdict": Verdict}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Judges, and says it in run.json where nobody can miss it."""
+        survey: Survey = inputs["survey"]
+        adjusted: Adjusted = inputs["adjusted"]
+        mosaic: Mosaic = inputs["mosaic"]
+        seams = check_seams(
+            survey.frames,
+            adjusted.poses,
+            adjusted.cameras,
+            survey.work_frame,
+            inputs["ground"],
+            mosaic.grid,
+            mosaic.seamlines,
+            threads=params.threads,
+            progress=lambda done, total: context.progress(done, total, "seams"),
+        )
+        image = adjusted.image_residuals
+        at = adjusted.poses.positions_m
+        pairs = [(p.left, p.right) for p in inputs["ties"].pairs]
+        verdict = verdict_of(
+            adjusted,
+            seams,
+            () if image is None else residual_patterns(image, adjusted.cameras),
+            connected_parts(len(survey.frames), pairs),
+            mosaic.frames_used,
+            float(np.median(at[:, 2] - inputs["ground"].up_at(at[:, 0], at[:, 1]))),
+        )
+        context.report("verdict", told(verdict))
+        if verdict.grade != "good":
+            context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.mend}")
+        known = seams.length_px[np.isfinite(seams.length_px)]
+        context.metric("seams.median_px", float(np.median(known)) if known.size else None)
+        context.metric("seams.measured", int(known.size))
+        context.metric("seams.asked", len(seams.left))
+        return {"verdict": verdict}
+
+
+def told(verdict: Verdict) -> dict[str, Any]:
+    """What run.json says of it."""
+    return {
+        "grade": verdict.grade,
+        "text": verdict.text,
+        "cause": verdict.cause,
+        "mend": verdict.mend,
+        "absolute_sd_m": verdict.absolute_sd_m,
+        "evidence": [asdict(e) for e in verdict.evidence],
+    }

@@ -1,0 +1,168 @@
+"""Whether a mosaic is called good only where it is: seams in the pixels, patterns of residuals, the verdict."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic_scenes import CRS, GSD_M, HOME, make_survey
+from small_surveys import mosaic, small_survey, summary
+
+from geomosaic.adjustment.model import Adjusted, ControlResidual, ImageResiduals
+from geomosaic.camera.interior import Camera
+from geomosaic.mosaic.compose import compose
+from geomosaic.mosaic.grid import output_grid
+from geomosaic.mosaic.model import Mosaic
+from geomosaic.mosaic.views import frame_views
+from geomosaic.projection.ground import flat_ground
+from geomosaic.quality.residual_pattern import CELLS, residual_patterns
+from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
+from geomosaic.quality.verdict import CRITERIA, verdict_of
+from geomosaic.survey.model import Warn
+
+CAMERA = Camera("cam", 800, 600, 700.0, 400.0, 300.0)
+NO_SEAMS = SeamCheck(
+    *(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 2))
+)
+
+
+def composed(folder: Path, moved_m: tuple[float, float] = (0.0, 0.0)) -> tuple[SeamCheck, Mosaic]:
+    """Two by three frames, the poses of the second line moved; the seams of their mosaic."""
+    survey, poses, ground = make_survey(folder / "frames")
+    off = np.zeros((len(poses), 3))
+    off[3:, :2] = moved_m
+    poses = replace(poses, positions_m=poses.positions_m + off)
+    cameras = [survey.camera_of(i) for i in range(len(poses))]
+    used = [True] * len(poses)
+    views = frame_views(HOME, CRS, poses, cameras, used, ground)
+    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
+    mosaic = compose(survey, poses, cameras, used, ground, grid, folder / "mosaic.tif")
+    seams = check_seams(survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines)
+    return seams, mosaic
+
+
+def test_ground_goes_on_across_right_seams(tmp_path: Path) -> None:
+    seams, mosaic = composed(tmp_path)
+    known = np.isfinite(seams.length_px)
+    assert known.sum() >= 5 and np.all(seams.left < seams.right)
+    assert np.all(seams.length_px[known] < 0.05)
+    assert len(seam_places(mosaic.seamlines, 64.0, most=3)) == 3
+
+
+def test_a_moved_line_is_seen_with_its_sign(tmp_path: Path) -> None:
+    """Where the right frame shows the ground minus where the left one does: 1.5 m east is 6 cols, 0.75 m south
+    3 rows, between the lines and nowhere else."""
+    seams, _ = composed(tmp_path, (1.5, -0.75))
+    across = (seams.left < 3) & (seams.right >= 3) & np.isfinite(seams.length_px)
+    along = ~((seams.left < 3) & (seams.right >= 3)) & np.isfinite(seams.length_px)
+    assert across.sum() >= 2 and along.sum() >= 2
+    # The work frame's north is turned against the grid's by the convergence, 0.5 degrees here.
+    assert seams.displacement_px[across] == pytest.approx(np.tile([6.0, 3.0], (across.sum(), 1)), abs=0.1)
+    assert np.all(seams.length_px[along] < 0.05)
+
+
+def residuals(mean_px: np.ndarray, noise_px: float, frames: int = 8) -> ImageResiduals:
+    """Two hundred points in each frame, each with its cell's mean and noise."""
+    rng = np.random.default_rng(4)
+    frame = np.repeat(np.arange(frames), 200)
+    at = rng.uniform(0.0, [800.0, 600.0], (len(frame), 2))
+    cell = (at / [800.0, 600.0] * CELLS).astype(int)
+    off = mean_px[cell[:, 1], cell[:, 0]] + rng.normal(0.0, noise_px, at.shape)
+    return ImageResiduals(frame, at, off, np.ones(len(frame)))
+
+
+def test_a_pattern_is_told_from_noise() -> None:
+    rows = np.arange(CELLS[1])
+    bent = np.zeros((CELLS[1], CELLS[0], 2))
+    bent[..., 0] = (rows - 2.5)[:, None]
+    (found,) = residual_patterns(residuals(bent, 0.4), [CAMERA] * 8)
+    assert found.mean_px[5, 1] == pytest.approx([2.5, 0.0], abs=0.3)
+    assert found.systematic_px == pytest.approx(np.sqrt((np.arange(-2.5, 3.0) ** 2).mean()), rel=0.05)
+    (none,) = residual_patterns(residuals(np.zeros_like(bent), 0.4), [CAMERA] * 8)
+    assert none.systematic_px < 0.4 / np.sqrt(1600 / 48)  # a cell's mean by chance
+
+
+def test_frames_too_few_for_a_pattern_show_none() -> None:
+    shifted = np.full((CELLS[1], CELLS[0], 2), 3.0)
+    (found,) = residual_patterns(residuals(shifted, 0.1, frames=3), [CAMERA] * 3)
+    assert found.systematic_px == 0.0 and np.isnan(found.mean_px).all()
+
+
+def outcome(**more: object) -> Adjusted:
+    """Five tied frames with all figures good."""
+    made_up = {
+        "poses": None, "cameras": (CAMERA,) * 5, "status": ("tied",) * 5, "rounds": (), "residuals_m": (),
+        "ground": flat_ground(HOME, 100.0, 100.0), "figures": {"sigma_px": 0.4},
+        "pose_covariance": np.tile(np.diag([0.3, 0.3, 1.0, 1e-6, 1e-6, 1e-6]) ** 2, (5, 1, 1)),
+    }  # fmt: skip
+    return Adjusted(**{**made_up, **more})  # type: ignore[arg-type]
+
+
+def seams_of(*length_px: float) -> SeamCheck:
+    n = len(length_px)
+    at = np.zeros((n, 2))
+    return SeamCheck(
+        np.zeros(n, int), np.ones(n, int), at, np.full(n, 9), np.array([[x, 0.0] for x in length_px])
+    )
+
+
+def grade(adjusted: Adjusted, seams: SeamCheck = NO_SEAMS, parts: tuple[range, ...] = (range(5),)) -> str:
+    return verdict_of(adjusted, seams, (), parts, range(5), 100.0).grade
+
+
+def test_each_figure_can_spoil_the_verdict() -> None:
+    lost = ControlResidual("GCP", True, 4, np.array([0.05, 0.35, 0.0]), np.array([0.1, 0.1, 0.1]))
+    heard = np.r_[np.ones(60), np.full(40, 0.01)]
+    some = ImageResiduals(np.zeros(100, int), np.zeros((100, 2)), np.zeros((100, 2)), heard)
+    assert grade(outcome()) == "good"
+    assert grade(outcome(figures={"sigma_px": 1.5})) == "doubtful"
+    assert grade(outcome(figures={"sigma_px": 14.7})) == "bad"
+    assert grade(outcome(), seams_of(0.2, 0.3, 0.4)) == "good"
+    assert grade(outcome(), seams_of(0.2, 2.0, 2.2)) == "doubtful"
+    assert grade(outcome(), seams_of(*[0.2] * 8, 9.0, 9.0)) == "doubtful"
+    assert grade(outcome(), seams_of(4.0, 5.0, 6.0)) == "bad"
+    assert grade(outcome(status=("tied",) * 4 + ("placed",))) == "doubtful"
+    assert grade(outcome(status=("tied",) * 2 + ("placed",) * 3)) == "bad"
+    assert grade(outcome(), parts=(range(3), range(3, 5))) == "bad"
+    assert grade(outcome(control=(lost,))) == "doubtful"
+    assert grade(outcome(image_residuals=some)) == "doubtful"
+    assert grade(outcome(warnings=(Warn("scale-doubtful", "", "x"),))) == "doubtful"
+    assert grade(outcome(warnings=(Warn("bundle-failed", "", "x"),))) == "bad"
+
+
+def test_places_that_show_nothing_say_nothing() -> None:
+    assert grade(outcome(), seams_of(np.nan, np.nan)) == "good"
+
+
+def test_the_worst_figure_gives_cause_and_mend() -> None:
+    verdict = verdict_of(outcome(figures={"sigma_px": 14.7}), seams_of(1.5), (), (range(5),), range(5), 100.0)
+    assert verdict.cause.endswith("(image deviation 14.70 px)") and verdict.mend
+    assert verdict.text == "5 of 5 frames tied, image deviation 14.70 px, seams 1.50 px"
+    assert [e.name for e in verdict.evidence if e.grade != "good"][:2] == ["image deviation", "seams"]
+    # 0.3 m of the position and 1e-6 rad x 100 m of the tilt
+    assert verdict.absolute_sd_m == pytest.approx(np.hypot(0.3, 1e-4), rel=1e-9)
+
+
+def test_limits_grow_from_good_to_bad_and_have_reasons() -> None:
+    assert all(c.good < c.bad and c.reason and c.mend for c in CRITERIA.values())
+
+
+def test_a_mosaic_by_positions_alone_is_not_called_good(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0.4 m of noise are four pixels: people can't miss it, in the first line, in run.json, in the report."""
+    survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=3)
+    run = tmp_path / "run"
+    assert mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera, "--adjust", "none") == 0
+    told = summary(run)["verdict"]
+    assert told["grade"] in ("doubtful", "bad") and told["cause"] and told["mend"]
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith(f"verdict    {told['grade']}: ") and out[1] == f"mend       {told['mend']}"
+    assert [w["code"] for w in summary(run)["warnings"]].count(f"verdict-{told['grade']}") == 1
+    page = (run / "report.html").read_text(encoding="utf-8")
+    first = page[page.index("<h1>") :][:600]
+    assert {"doubtful": "Doubtful:", "bad": "Bad:"}[told["grade"]] in first
+    json.dumps(told)
