@@ -156,6 +156,7 @@ def _orthority(name: str, entry: Entry, path: Path) -> Camera:
         principal_row_px=height / 2.0 + size * get("cy", 0.0),
         **{k: get(k, 0.0) for k in TERMS},
         focal_length_sd_px=focal * FOCAL_LENGTH["camera-file"].sd_relative,
+        kind="brown",
     )
 
 
