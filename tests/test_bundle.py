@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,10 +10,18 @@ from adjustment_blocks import fly, hills, level
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geomosaic.adjustment import collinearity
 from geomosaic.adjustment.beliefs import interior_deviations
 from geomosaic.adjustment.bundle_equations import strayed_principal_points
 from geomosaic.adjustment.bundle_model import Priors, State
-from geomosaic.adjustment.collinearity import exp_turn, interior_of, log_turn, project
+from geomosaic.adjustment.collinearity import (
+    exp_turn,
+    image_from_ground,
+    interior_of,
+    kinds_of,
+    log_turn,
+    project,
+)
 from geomosaic.adjustment.doubts import doubtful_positions, strayed_lenses
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
@@ -39,16 +48,20 @@ def test_project_is_the_pose_and_camera() -> None:
     at = np.array([[31.0, 44.0, 3.0], [12.0, 20.0, -2.0]])
     camera = replace(flown.block.cameras[0], p1=0.003, p2=-0.002, k2=0.04)
     interior = np.array([1000.0, 402.0, 297.0, -0.02, 0.04, 0.0, 0.003, -0.002])
+    cameras = camera, replace(camera, kind="fisheye")
     two = [7, 2]
-    image, *_ = project(
-        flown.truth.positions_m[two], flown.truth.rotations[two], np.tile(interior, (2, 1)), at
-    )
+    seen = flown.truth.positions_m[two], flown.truth.rotations[two], np.tile(interior, (2, 1)), at
+    kinds = kinds_of(cameras)
+    image, *_ = project(*seen, kinds=kinds)
+    assert image_from_ground(*seen, kinds=kinds) == pytest.approx(image, abs=1e-9)
     for k, i in enumerate(two):
-        assert image[k] == pytest.approx(flown.truth[i].image_from_ground(camera, at[k]), abs=1e-9)
+        assert image[k] == pytest.approx(flown.truth[i].image_from_ground(cameras[k], at[k]), abs=1e-9)
 
 
-def test_derivatives_against_differences() -> None:
+@pytest.mark.parametrize("kinds", [None, np.arange(40) % 2], ids=["brown", "brown and fisheye"])
+def test_derivatives_against_differences(kinds: np.ndarray | None) -> None:
     positions, rotations, interior, points = _observations(40, 3)
+    project = partial(collinearity.project, kinds=kinds)
     _, by_pose, by_interior, by_point = project(positions, rotations, interior, points)
 
     def slope(plus: np.ndarray, minus: np.ndarray, step: float) -> np.ndarray:

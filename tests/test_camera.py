@@ -1,5 +1,7 @@
 """Rotations, distortion and collinearity, with absolute and non-symmetric numbers."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import LENSES, opencv_terms
 from geomosaic.camera.rotation import Rotation
 
 RIGHT, TOP, VIEW = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
@@ -128,7 +131,9 @@ def test_projection_agrees_with_opencv() -> None:
     cv_from_camera = np.diag([1.0, -1.0, -1.0])
     r = cv_from_camera @ pose.rotation.matrix.T
     k = np.array([[3100.0, 0, 2012.0], [0, 3100.0, 1489.0], [0, 0, 1]])
-    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(r)[0], -r @ pose.position_m, k, CAMERA.distortion)
+    expected, _ = cv2.projectPoints(
+        points, cv2.Rodrigues(r)[0], -r @ pose.position_m, k, opencv_terms("brown", CAMERA.terms, 1.0)
+    )
     found = pose.image_from_ground(CAMERA, points)
     assert found == pytest.approx(expected[:, 0], abs=1e-6)
 
@@ -137,6 +142,81 @@ def test_projection_agrees_with_opencv() -> None:
 def test_undistortion_undoes_distortion(col: float, row: float) -> None:
     ray = CAMERA.ray_from_image([col, row])
     assert CAMERA.image_from_camera(ray * 37.0) == pytest.approx([col, row], abs=1e-6)
+
+
+FISHEYE = Camera("eye", 4000, 3000, 1600.0, 2012.0, 1489.0, -0.03, 0.012, -0.004, 0.001, kind="fisheye")
+
+
+def test_a_fisheye_is_opencvs() -> None:
+    rng = np.random.default_rng(5)
+    points = rng.normal([0.0, 0.0, 3.0], [3.0, 3.0, 0.3], (40, 3))
+    k = np.array([[1600.0, 0.0, 2011.5], [0.0, 1600.0, 1488.5], [0.0, 0.0, 1.0]])
+    terms = opencv_terms("fisheye", FISHEYE.terms, FISHEYE.radius_limit)
+    wanted = cv2.fisheye.projectPoints(points[None], np.zeros(3), np.zeros(3), k, terms)[0][0] + 0.5
+    seen = FISHEYE.image_from_camera(points * [1.0, -1.0, -1.0])
+    inside = np.isfinite(seen).all(axis=1)
+    assert inside.sum() > 20
+    assert seen[inside] == pytest.approx(wanted[inside], abs=1e-8)
+
+
+def test_a_fisheye_by_hand() -> None:
+    """45 degrees to the right and straight on; equidistant: 0.7854 of the focal length, Brown's pinhole: 1."""
+    plain = Camera("eye", 4000, 3000, 1000.0, 2000.0, 1500.0, kind="fisheye")
+    assert plain.image_from_camera([1.0, 0.0, -1.0]) == pytest.approx([2785.398, 1500.0], abs=1e-3)
+    assert plain.image_from_camera([0.0, 0.0, -1.0]) == pytest.approx([2000.0, 1500.0])
+    assert plain.ray_from_image([2785.398163, 1500.0]) == pytest.approx([1.0, 0.0, -1.0], abs=1e-9)
+    bent = replace(plain, k1=0.1, p2=-0.2)  # 785.398 (1 + 0.1 * 0.61685 - 0.2 * 0.785398)
+    assert bent.image_from_camera([0.0, -1.0, -1.0]) == pytest.approx([2000.0, 2210.476], abs=1e-3)
+
+
+@given(st.floats(1.0, 3999.0), st.floats(1.0, 2999.0), st.floats(-0.1, 0.1), st.floats(-0.05, 0.05))
+def test_a_fisheye_undone(col: float, row: float, k1: float, p2: float) -> None:
+    camera = replace(FISHEYE, focal_length_px=2200.0, k1=k1, p2=p2)
+    assert camera.image_from_camera(camera.ray_from_image([col, row])) == pytest.approx([col, row], abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", list(LENSES))
+def test_slopes_and_terms_are_those_of_differences(kind: str) -> None:
+    lens, terms = LENSES[kind], np.array([-0.06, 0.02, -0.004, 0.003, -0.002])
+    x, y = np.random.default_rng(2).normal(0.0, 0.5, (2, 30))
+    x[0] = y[0] = 1e-9  # on the axis
+
+    def bent(terms: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.stack(lens.bent(terms, x, y, x * x + y * y))
+
+    step = 1e-6
+    by_x = (bent(terms, x + step, y) - bent(terms, x - step, y)) / (2.0 * step)
+    by_y = (bent(terms, x, y + step) - bent(terms, x, y - step)) / (2.0 * step)
+    slopes = lens.slopes(terms, x, y, x * x + y * y)
+    assert np.stack(slopes) == pytest.approx(np.stack([by_x[0], by_x[1], by_y[1]]), abs=1e-7)
+    assert by_y[0] == pytest.approx(by_x[1], abs=1e-7)
+    for k, found in enumerate(lens.by_terms(x, y, x * x + y * y)):
+        d = np.eye(5)[k]
+        assert np.stack(found) == pytest.approx(bent(terms + d, x, y) - bent(terms, x, y), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", list(LENSES))
+def test_single_precision_is_the_same_lens(kind: str) -> None:
+    x, y = np.random.default_rng(3).normal(0.0, 0.4, (2, 50)).astype(np.float32)
+    terms = np.array([-0.06, 0.02, -0.004, 0.003, -0.002])
+    single = LENSES[kind].bent(terms.astype(np.float32), x, y, x * x + y * y)
+    double = LENSES[kind].bent(
+        terms, x.astype(float), y.astype(float), x.astype(float) ** 2 + y.astype(float) ** 2
+    )
+    assert single[0].dtype == np.float32
+    assert np.stack(single) == pytest.approx(np.stack(double), abs=1e-6)
+
+
+def test_where_a_fisheye_is_no_lens_any_more() -> None:
+    """It may not fold back (here at 0.79 rad) and ends at 86 degrees; a picture turned keeps its even terms."""
+    folding = replace(FISHEYE, k1=-0.6, k2=0.0, k3=0.0, focal_length_px=4000.0, width_px=9000)
+    assert np.isnan(folding.image_from_camera([1.1, 0.0, -1.0])).all()
+    assert folding.radius_limit == pytest.approx(np.tan(np.sqrt(1.0 / 1.8)), rel=1e-2)
+    wide = replace(FISHEYE, focal_length_px=900.0)
+    assert np.isnan(wide.image_from_camera([15.0, 0.0, -1.0])).all()
+    assert np.isfinite(wide.ray_from_image(wide.corners_px)).all()
+    even = replace(FISHEYE, p1=0.02, p2=-0.01)
+    assert (even.turned(1).p1, even.turned(1).p2) == (0.02, -0.01)
 
 
 def test_nothing_is_seen_behind_or_far_beside_the_camera() -> None:

@@ -43,14 +43,15 @@ def exact(ground: GroundSurface, pose: Pose, camera: Camera, west: float, north:
 
 @pytest.mark.parametrize("ground", [flat_ground(HOME, 431.5, 600.0), hills()], ids=["flat", "dem"])
 @pytest.mark.parametrize("tilt_deg", [0.0, 12.0, 35.0])
-def test_the_warp_is_the_exact_path_for_tilted_frames_with_distortion(ground, tilt_deg):
+@pytest.mark.parametrize("lens", [LENS, replace(LENS, kind="fisheye", k3=0.001)], ids=["brown", "fisheye"])
+def test_the_warp_is_the_exact_path_for_tilted_frames_with_distortion(ground, tilt_deg, lens):
     west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2) + np.array([-60.0, 70.0])
     pose = Pose(
         np.array([12.0, -31.0, 120.0]), Rotation.from_yaw_pitch_roll(0.6, np.radians(tilt_deg), -0.07)
     )
     window = ground_window(CRS, HOME, ground, west, north, 0.5, 256, 256)
-    col, row = frame_from_map(window, pose, LENS)
-    want = exact(ground, pose, LENS, west, north, 0.5, 256)
+    col, row = frame_from_map(window, pose, lens)
+    want = exact(ground, pose, lens, west, north, 0.5, 256)
     inside = (want > 0.0).all(axis=-1) & (want < [4000.0, 3000.0]).all(axis=-1)
     assert inside.mean() > 0.3
     assert np.abs(col - want[..., 0])[inside].max() < 0.02

@@ -8,6 +8,8 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from survey_files import dji_xmp, drone_frame, exif_block, picture, write_jpeg, xmp_attributes
 
@@ -79,6 +81,45 @@ def test_plain_yaml_of_our_own(tmp_path: Path) -> None:
     assert (right.name, right.focal_length_sd_px) == ("right", pytest.approx(0.475))
 
 
+def test_opensfm_fisheyes(tmp_path: Path) -> None:
+    """Two terms, and OpenCV's four."""
+    opencv = {
+        "projection_type": "fisheye_opencv",
+        "width": 4000,
+        "height": 3000,
+        "focal_x": 0.4,
+        "focal_y": 0.4,
+    }
+    opencv |= {"c_x": 0.01, "c_y": -0.005, "k1": -0.03, "k2": 0.012, "k3": -0.009, "k4": 0.004}
+    two = {"projection_type": "fisheye", "width": 4000, "height": 3000, "focal": 0.5, "k1": -0.04, "k2": 0.01}
+    cameras = {c.name: c for c in read_cameras(written(tmp_path, {"four": opencv, "two": two}))}
+    camera = cameras["two"]
+    assert (camera.kind, camera.focal_length_px, *camera.terms) == (
+        "fisheye",
+        2000.0,
+        -0.04,
+        0.01,
+        0.0,
+        0.0,
+        0.0,
+    )
+    theta = np.linspace(0.05, 1.2, 9)
+    seen = cameras["four"].image_from_camera(np.stack([np.sin(theta), 0.0 * theta, -np.cos(theta)], axis=1))
+    k = np.array([[1600.0, 0.0, 2039.5], [0.0, 1600.0, 1479.5], [0.0, 0.0, 1.0]])
+    points = np.stack([np.sin(theta), 0.0 * theta, np.cos(theta)], axis=1)[None]
+    terms = np.array([-0.03, 0.012, -0.009, 0.004])
+    wanted = cv2.fisheye.projectPoints(points, np.zeros(3), np.zeros(3), k, terms)[0][0] + 0.5
+    assert seen == pytest.approx(wanted, abs=1e-6)
+
+
+def test_a_fisheye_in_our_own_yaml(tmp_path: Path) -> None:
+    text = "width_px: 100\nheight_px: 80\nfocal_length_px: 60\nkind: {}\nk1: -0.02\n"
+    camera = read_cameras(written(tmp_path, text.format("fisheye"), "c.yaml"))[0]
+    assert (camera.kind, camera.k1) == ("fisheye", -0.02)
+    with pytest.raises(UnknownNameError, match="fisheye"):
+        read_cameras(written(tmp_path, text.format("fish"), "c.yaml"))
+
+
 def test_orthority_yaml(tmp_path: Path) -> None:
     text = "DMC:\n  type: pinhole\n  im_size: [640, 1152]\n  focal_len: 120.0\n"
     text += "  sensor_size: [92.16, 165.888]\n  cx: 0.01\n"
@@ -95,7 +136,7 @@ def test_orthority_yaml(tmp_path: Path) -> None:
         ("a: !!python/object/apply:os.system ['true']", "c.yaml", "is no valid YAML"),
         ("[]", "c.json", "holds no cameras"),
         ("just text", "c.yaml", "holds no cameras"),
-        ({"a": {"projection_type": "fisheye", "width": 1}}, "c.json", "projection 'fisheye' isn't handled"),
+        ({"a": {"projection_type": "dual", "width": 1}}, "c.json", "projection 'dual' isn't handled"),
         ({"a": {**BROWN, "focal_y": 0.7}}, "c.json", "differ by more than 1 %"),
         ({"a": {**BROWN, "k1": "NaN"}}, "c.json", "camera 'a' has 'NaN' for k1; give it as a number"),
         ({"a": {k: v for k, v in BROWN.items() if k != "width"}}, "c.json", "camera 'a' has no width"),
@@ -340,8 +381,71 @@ def test_a_makers_lens_that_is_not_this_pictures_is_not_taken(tmp_path: Path, od
     assert (camera.principal_col_px, camera.k1, camera.distortion_sd) == (144.0, 0.0, 0.0)
 
 
+MSP = {  # of a Sequoia's green camera; 3.75 um pixels
+    "ModelType": "fisheye",
+    "FisheyePolynomial": "0,1,0.00592627,-0.136981656",
+    "FisheyeAffineMatrix": "1676.825547004,0,0,1676.825547004",
+    "PrincipalPoint": "2.487934,1.754932",
+}
+
+
+def told(xmp: dict[str, str]) -> FrameHeader:
+    exif = {"pixels_per_mm": 1000.0 / 3.75, "focal_length_mm": 3.98, "make": "Parrot", "model": "Sequoia"}
+    return header(1280, 960, xmp, **exif)
+
+
+def test_the_makers_fisheye_in_pix4ds_tags() -> None:
+    """Pixels by hand: 0.3 rad is 0.19099 of a right angle, rho 0.19025 of the image circle's 1676.83 px."""
+    camera, source = camera_from_header(told({f"Camera:{k}": v for k, v in MSP.items()}))
+    assert (source, camera.kind) == ("xmp-fisheye", "fisheye")
+    assert camera.focal_length_px == pytest.approx(1067.5003, abs=1e-3)
+    assert (camera.principal_col_px, camera.principal_row_px) == pytest.approx((663.449, 467.982), abs=1e-3)
+    at = camera.image_from_camera([np.sin(0.3), 0.0, -np.cos(0.3)])
+    share = 2.0 * 0.3 / np.pi
+    rho = share + 0.00592627 * share**2 - 0.136981656 * share**3
+    assert at == pytest.approx([663.4491 + 1676.825547 * rho, 467.9819], abs=1e-3)
+    assert at[0] == pytest.approx(982.458, abs=1e-2)
+    assert 0.0 < camera.distortion_sd < 0.01
+
+
+def test_a_fourth_power_is_taken_up_by_the_others() -> None:
+    camera, _ = camera_from_header(
+        told({f"Camera:{k}": v for k, v in (MSP | {"FisheyePolynomial": "0,1,0.006,-0.14,0.05"}).items()})
+    )
+    theta = np.linspace(0.01, 0.7, 9)
+    share = 2.0 * theta / np.pi
+    rho = share + 0.006 * share**2 - 0.14 * share**3 + 0.05 * share**4
+    at = camera.image_from_camera(np.stack([np.sin(theta), 0.0 * theta, -np.cos(theta)], axis=1))
+    assert at[:, 0] == pytest.approx(663.4491 + 1676.825547 * rho, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"FisheyePolynomial": "0.2,1,0.006,-0.137"},
+        {"FisheyePolynomial": "0,1,0.006"},
+        {"FisheyePolynomial": "0,1,0,0,1e308"},
+        {"FisheyeAffineMatrix": "1e308,0,0,1e308"},
+        {"FisheyeAffineMatrix": "1676,0,0,1500"},
+        {"FisheyeAffineMatrix": "1676,90,0,1676"},
+        {"FisheyeAffineMatrix": "-1676,0,0,-1676"},
+        {"PrincipalPoint": "900.0,10.0"},
+    ],
+)
+def test_a_fisheye_that_no_tag_tells_rightly_is_equidistant(odd: dict[str, str]) -> None:
+    xmp = {f"Camera:{k}": v for k, v in (MSP | odd).items()}
+    camera, source = camera_from_header(told(xmp))
+    assert (source, camera.kind, camera.terms.any(), camera.distortion_sd) == (
+        "focal-plane",
+        "fisheye",
+        False,
+        0.0,
+    )
+    assert camera.focal_length_px == pytest.approx(1061.333, abs=1e-3)
+
+
 def test_a_fisheye_lens_is_told_and_a_global_shutter_known(tmp_path: Path) -> None:
-    tags = {"ModelType": "fisheye", "FisheyePolynomial": "0,1,0.006,-0.137", "LineReadoutTime": "23076"}
+    tags = {"ModelType": "fisheye", "LineReadoutTime": "23076"}
     paths = [
         tagged(tmp_path / f"{band}.jpg", 1, **tags, BandName=band, RigCameraIndex=i, PrincipalPoint="2.5,1.7")
         for i, band in enumerate(("Green", "Red"))
@@ -351,9 +455,9 @@ def test_a_fisheye_lens_is_told_and_a_global_shutter_known(tmp_path: Path) -> No
         "Parrot Sequoia Green #0 288 x 216 4.88 mm",
         "Parrot Sequoia Red #1 288 x 216 4.88 mm",
     )
-    assert [w.code for w in choice.warnings] == ["camera-assumed", "lens-fisheye-unmodelled"] * 2
-    assert "taken as a perspective one of 228 px (from focal-plane)" in choice.warnings[1].text
-    assert [c.readout_s for c in choice.cameras] == [0.0, 0.0]
+    assert [w.code for w in choice.warnings] == ["camera-assumed"] * 2
+    assert "228 px (sd 5) from focal-plane of a fisheye lens, whose distortion" in choice.warnings[1].text
+    assert [(c.readout_s, c.kind) for c in choice.cameras] == [(0.0, "fisheye")] * 2
 
 
 @pytest.mark.parametrize("line_ns", ["-5", "3e9"])

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Priors
 from geomosaic.adjustment.chosen_ground import DEM_SD_M, flying_height_m
-from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.mounting import Mounting
 from geomosaic.adjustment.terrain import Terrain
@@ -16,8 +15,9 @@ from geomosaic.placement.graph import connected_parts
 
 Floats = NDArray[np.float64]
 
-# Prior deviations of what a lens is not known to do, and of a focal length without a stated one.
-_LENS_SD = {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.003, "p2": 0.003}
+# Prior deviations of what a lens is not known to do, in the order of `lens.TERMS`; 0 for a fisheye's even
+# powers, which no lens has. And of a focal length without a stated one.
+_LENS_SD = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)}
 _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
 _READOUT_SD_S = 0.05
@@ -58,11 +58,10 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     """
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
     principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
-    lens = [_LENS_SD[name] for name in INTERIOR[3:8]]
+    lens = _LENS_SD[camera.kind]
     if camera.distortion_sd:
         corner = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px
-        moves = np.array([corner**2, corner**4, corner**6, 3.0 * corner, 3.0 * corner])
-        lens = np.minimum(lens, camera.distortion_sd / moves).tolist()
+        lens = np.minimum(lens, camera.distortion_sd / camera.lens.shares(corner)).tolist()
     return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
 
 

@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Factors, Priors, State
-from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of, passing, project
+from geomosaic.adjustment.collinearity import (
+    INTERIOR,
+    image_from_ground,
+    interior_of,
+    kinds_of,
+    passing,
+    project,
+)
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
 from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
@@ -129,10 +136,11 @@ def trust_of(priors: Priors) -> Floats:
 
 def observed(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: State
-) -> tuple[Floats, Floats, Floats, Floats, Floats | None]:
+) -> tuple[Floats, Floats, Floats, Floats, Floats | None, Ints | None]:
     """What `project` and `image_from_ground` take, a row an observation."""
     camera, velocities = camera_of[tracks.frame], priors.poses.velocities_m_per_s
     heights = np.array([c.height_px for c in priors.cameras])[camera]
+    kinds = kinds_of(priors.cameras)
     return (
         state.positions[tracks.frame],
         state.rotations[tracks.frame],
@@ -143,6 +151,7 @@ def observed(
             tracks.image_px[:, 1],
             heights,
         ),
+        None if kinds is None else kinds[camera],
     )
 
 

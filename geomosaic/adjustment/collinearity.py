@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import LENSES, TERMS, Lens
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -15,11 +18,7 @@ INTERIOR = (
     "focal_length_px",
     "principal_col_px",
     "principal_row_px",
-    "k1",
-    "k2",
-    "k3",
-    "p1",
-    "p2",
+    *TERMS,
     "readout_s",
 )
 
@@ -35,10 +34,15 @@ def image_from_ground(
     interior: Floats,
     points_m: Floats,
     passing_m_per_s: Floats | None = None,
+    kinds: Ints | None = None,
 ) -> Floats:
     """Image coordinates (m, 2) as `project` gives them, without derivatives."""
     _, u, v, _ = _directions(positions_m, rotations, interior, points_m, passing_m_per_s)
-    return np.stack(_distorted(interior, u, v)[:2], axis=-1) * interior[:, :1] + interior[:, 1:3]
+    bent = np.empty((len(u), 2))
+    for lens, which in _lenses(kinds):
+        x, y = u[which], v[which]
+        bent[which] = np.stack(lens.bent(interior[which, 3:8].T, x, y, x * x + y * y), axis=-1)
+    return bent * interior[:, :1] + interior[:, 1:3]
 
 
 def project(
@@ -47,6 +51,7 @@ def project(
     interior: Floats,
     points_m: Floats,
     passing_m_per_s: Floats | None = None,
+    kinds: Ints | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Image coordinates and their derivatives, one row an observation.
 
@@ -55,18 +60,24 @@ def project(
 
     Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR,
         points_m (m, 3). passing_m_per_s (m, 3): by what the projection centre moves for each second of
-        readout until the observation's row is read, see `passing`.
+        readout until the observation's row is read, see `passing`. kinds (m,): of lenses, see `kinds_of`.
     Returns: image_px (m, 2); by_pose (m, 2, 6): position, then turn in rad; by_interior (m, 2, 9);
         by_point (m, 2, 3). NaN behind the camera.
     """
     d, u, v, z = _directions(positions_m, rotations, interior, points_m, passing_m_per_s)
-    xd, yd, r2, s = _distorted(interior, u, v)
-    f, _, _, k1, k2, k3, p1, p2 = interior[:, :8].T
-    image = np.stack([interior[:, 1] + f * xd, interior[:, 2] + f * yd], axis=-1)
-    ds = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-    mixed = 2.0 * u * v * ds + 2.0 * p1 * u + 2.0 * p2 * v
-    by_u = [s + 2.0 * u * u * ds + 2.0 * p1 * v + 6.0 * p2 * u, mixed]
-    by_v = [mixed, s + 2.0 * v * v * ds + 6.0 * p1 * v + 2.0 * p2 * u]
+    f = interior[:, 0]
+    bent, slopes = np.empty((2, len(u))), np.empty((3, len(u)))
+    by_interior = np.zeros((len(u), 2, len(INTERIOR)))
+    for lens, which in _lenses(kinds):
+        x, y = u[which], v[which]
+        r_sq, terms = x * x + y * y, interior[which, 3:8].T
+        bent[:, which] = lens.bent(terms, x, y, r_sq)
+        slopes[:, which] = lens.slopes(terms, x, y, r_sq)
+        for column, (across, down) in enumerate(lens.by_terms(x, y, r_sq), 3):
+            by_interior[which, 0, column] = f[which] * across
+            by_interior[which, 1, column] = f[which] * down
+    image = (bent * f).T + interior[:, 1:3]
+    by_u, by_v = slopes[:2], slopes[1:]
     by_camera = np.empty((len(u), 2, 3))
     for axis in range(2):
         by_camera[:, axis, 0] = -by_u[axis]
@@ -81,15 +92,8 @@ def project(
         by_pose[:, :, 3 + axis] = (
             by_point[:, :, one] * d[:, two, None] - by_point[:, :, two] * d[:, one, None]
         )
-    by_interior = np.zeros((len(u), 2, len(INTERIOR)))
-    by_interior[:, 0, 0], by_interior[:, 1, 0] = xd, yd
+    by_interior[:, :, 0] = bent.T
     by_interior[:, 0, 1] = by_interior[:, 1, 2] = 1.0
-    fu, fv = f * u, f * v
-    for column, power in ((3, r2), (4, r2 * r2), (5, r2 * r2 * r2)):
-        by_interior[:, 0, column], by_interior[:, 1, column] = fu * power, fv * power
-    by_interior[:, 0, 6] = by_interior[:, 1, 7] = 2.0 * fu * v
-    by_interior[:, 1, 6] = f * (r2 + 2.0 * v * v)
-    by_interior[:, 0, 7] = f * (r2 + 2.0 * u * u)
     if passing_m_per_s is not None:
         by_interior[:, :, 8] = -np.einsum("maj,mj->ma", by_point, passing_m_per_s)
     return image, by_pose, by_interior, by_point
@@ -108,14 +112,19 @@ def _directions(
     return d, -x / z, y / z, z
 
 
-def _distorted(interior: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """u and v after distortion, the squared radius, and the radial factor, (m,) each."""
-    _, _, _, k1, k2, k3, p1, p2 = interior[:, :8].T
-    r2 = u * u + v * v
-    s = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    xd = u * s + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
-    yd = v * s + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
-    return xd, yd, r2, s
+def kinds_of(cameras: Sequence[Camera]) -> Ints | None:
+    """Numbers of the cameras' kinds of lens in `lens.LENSES`, None if all have the first one."""
+    names = list(LENSES)
+    kinds = np.array([names.index(c.kind) for c in cameras], dtype=np.intp)
+    return kinds if kinds.any() else None
+
+
+def _lenses(kinds: Ints | None) -> list[tuple[Lens, Ints | slice]]:
+    """The lenses that occur, each with the rows it bends."""
+    lenses = list(LENSES.values())
+    if kinds is None:
+        return [(lenses[0], slice(None))]
+    return [(lenses[k], np.flatnonzero(kinds == k)) for k in np.unique(kinds)]
 
 
 def passing(velocities_m_per_s: Floats | None, row_px: Floats, heights_px: Floats) -> Floats | None:

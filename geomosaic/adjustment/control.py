@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import MEASURED_SD_PX, Bundle, Priors
-from geomosaic.adjustment.collinearity import interior_of, passing, project
+from geomosaic.adjustment.collinearity import interior_of, kinds_of, passing, project
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
@@ -164,6 +164,7 @@ def _place(
     interior = np.stack([interior_of(cameras[i]) for i in frames])
     velocities = None if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frames]
     passed = passing(velocities, image_px[:, 1], np.array([cameras[i].height_px for i in frames]))
+    kinds = kinds_of([cameras[i] for i in frames])
     level = np.zeros((3, 3))
     if single:
         level[2, 2] = (MEASURED_SD_PX / max(abs(surveyed_m[2] - at_m[2]), 1e-3)) ** 2
@@ -172,7 +173,7 @@ def _place(
             return None
         many = np.broadcast_to(at_m, (len(frames), 3))
         image, by_pose, by_interior, by_point = project(
-            poses.positions_m[frames], poses.rotations[frames], interior, many, passed
+            poses.positions_m[frames], poses.rotations[frames], interior, many, passed, kinds
         )
         if not np.isfinite(image).all():
             return None

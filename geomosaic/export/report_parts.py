@@ -178,6 +178,7 @@ def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tupl
     for camera in survey.cameras:
         if camera.name in used:
             title = f"{camera.name}, {camera.width_px} × {camera.height_px} px"
+            title += "" if camera.kind == "brown" else f", {camera.kind}"
             rows = [
                 (
                     name,

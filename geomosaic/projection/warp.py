@@ -122,7 +122,7 @@ def frame_from_map(
     coefficients = shifted @ pose.rotation.matrix
     vertical = window.vertical @ pose.rotation.matrix
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
-    limit = _radius_limit_sq(camera)
+    limit = camera.radius_limit**2
     velocity = np.zeros(3) if pose.velocity_m_per_s is None else pose.velocity_m_per_s @ pose.rotation.matrix
     rolling = camera.readout_s != 0.0 and bool(velocity.any())
     col = np.empty((v.size, u.size), dtype=np.float32)
@@ -163,29 +163,12 @@ def _image_from_ideal(
     f = np.float32(camera.focal_length_px)
     r_sq = x * x + y * y
     x[r_sq > limit_sq] = np.nan
-    if np.any(camera.distortion):
-        k1, k2, p1, p2, k3 = camera.distortion.astype(np.float32)
-        scale = r_sq * (k1 + r_sq * (k2 + r_sq * k3)) if k2 or k3 else r_sq * k1
-        if p1 or p2:
-            xy = np.float32(2.0) * (p1 * y + p2 * x)
-            scale += xy
-            np.add(x, x * scale + p2 * r_sq, out=col)
-            np.add(y, y * scale + p1 * r_sq, out=row)
-        else:
-            np.add(x, x * scale, out=col)
-            np.add(y, y * scale, out=row)
-    else:
-        col[:], row[:] = x, y
-    for out, centre in ((col, camera.principal_col_px), (row, camera.principal_row_px)):
-        out *= f
+    bent = camera.lens.bent(camera.terms.astype(np.float32), x, y, r_sq)
+    centres = camera.principal_col_px, camera.principal_row_px
+    for axis, out, centre in zip(bent, (col, row), centres, strict=True):
+        np.multiply(axis, f, out=out)
         out += np.float32(centre)
     row[np.isnan(col)] = np.nan
-
-
-def _radius_limit_sq(camera: Camera) -> float:
-    """Square of the ideal radius a little outside the frame: past it the polynomial may fold back."""
-    rays = camera.ray_from_image(camera.border_px())
-    return 1.1 * float((rays[:, :2] ** 2).sum(axis=1).max())
 
 
 def _axis(n: int) -> Floats:

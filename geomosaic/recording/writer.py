@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geomosaic import __version__
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import opencv_terms
 from geomosaic.errors import InputError
 from geomosaic.recording.messagefile import MessageFile
 from geomosaic.recording.messages import (
@@ -332,8 +333,8 @@ class Recorder:
             frame_id=_text(name),
             width=camera.width_px,
             height=camera.height_px,
-            distortion_model="plumb_bob",
-            D=camera.distortion,
+            distortion_model="plumb_bob" if camera.kind == "brown" else "kannala_brandt",
+            D=opencv_terms(camera.kind, camera.terms, camera.radius_limit),
             K=[f, 0.0, col, 0.0, f, row, 0.0, 0.0, 1.0],
             R=np.eye(3).ravel(),
             P=[f, 0.0, col, 0.0, 0.0, f, row, 0.0, 0.0, 0.0, 1.0, 0.0],

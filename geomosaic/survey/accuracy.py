@@ -66,6 +66,7 @@ FOCAL_LENGTH: Final = {
     "camera-file": FocalAccuracy(0.005, "calibrated, but maybe on another day or block"),
     "dji-dewarp": FocalAccuracy(0.005, "the maker's calibration of this camera, in the XMP"),
     "xmp-perspective": FocalAccuracy(0.005, "the maker's calibration of this camera, in Pix4D's tags"),
+    "xmp-fisheye": FocalAccuracy(0.005, "the same, of a fisheye lens"),
     "dji-calibrated": FocalAccuracy(0.01, "the maker's number for the model, to the digit its design's"),
     "focal-plane": FocalAccuracy(0.02, "nominal focal length and sensor size"),
     "sensor-table": FocalAccuracy(0.02, "nominal focal length and sensor size"),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import LENSES, TERMS
 from geomosaic.doors.files import printable
 from geomosaic.doors.plain import read_json, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
@@ -16,12 +17,18 @@ from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
 
 _MAX_BYTES: Final = {".json": 128 << 20, ".yaml": 256 << 10}  # JSON may be a whole reconstruction
-_DISTORTION: Final = ("k1", "k2", "k3", "p1", "p2")
-_OPENSFM_MODELS: Final = frozenset({"perspective", "simple_radial", "radial", "brown"})
+_OPENSFM_MODELS: Final = {
+    "perspective": "brown",
+    "simple_radial": "brown",
+    "radial": "brown",
+    "brown": "brown",
+    "fisheye": "fisheye",
+    "fisheye_opencv": "fisheye",
+}
 _ORTHORITY_MODELS: Final = frozenset({"pinhole", "brown", "opencv"})
 _PLAIN_KEYS: Final = (
     "name", "width_px", "height_px", "focal_length_px", "focal_length_mm", "pixel_size_um",
-    "principal_col_px", "principal_row_px", "focal_length_sd_px", "readout_s", *_DISTORTION,
+    "principal_col_px", "principal_row_px", "focal_length_sd_px", "readout_s", "kind", *TERMS,
 )  # fmt: skip
 _MEND: Final = "see docs/inputs.md for the camera file's keys"
 
@@ -87,6 +94,10 @@ def _opensfm(name: str, entry: Entry, path: Path) -> Camera:
     width, height = get("width"), get("height")
     size = max(width, height)
     focal = size * _one_focal(name, get("focal") if "focal" in entry else get("focal_x"), entry, get, path)
+    kind, terms = _OPENSFM_MODELS[entry["projection_type"]], [get(k, 0.0) for k in TERMS]
+    if kind == "fisheye":
+        terms[3:] = get("k4", 0.0), 0.0
+    k1, k2, k3, p1, p2 = terms
     return Camera(
         name=name,
         width_px=round(width),
@@ -94,8 +105,13 @@ def _opensfm(name: str, entry: Entry, path: Path) -> Camera:
         focal_length_px=focal,
         principal_col_px=width / 2.0 + size * get("c_x", 0.0),
         principal_row_px=height / 2.0 + size * get("c_y", 0.0),
-        **{k: get(k, 0.0) for k in _DISTORTION},
+        k1=k1,
+        k2=k2,
+        k3=k3,
+        p1=p1,
+        p2=p2,
         focal_length_sd_px=focal * FOCAL_LENGTH["camera-file"].sd_relative,
+        kind=kind,
     )
 
 
@@ -138,8 +154,9 @@ def _orthority(name: str, entry: Entry, path: Path) -> Camera:
         focal_length_px=focal,
         principal_col_px=width / 2.0 + size * get("cx", 0.0),
         principal_row_px=height / 2.0 + size * get("cy", 0.0),
-        **{k: get(k, 0.0) for k in _DISTORTION},
+        **{k: get(k, 0.0) for k in TERMS},
         focal_length_sd_px=focal * FOCAL_LENGTH["camera-file"].sd_relative,
+        kind="brown",
     )
 
 
@@ -148,6 +165,9 @@ def _plain(name: str, entry: Entry, path: Path) -> Camera:
     for key in entry:
         if key not in _PLAIN_KEYS:
             raise UnknownNameError("camera key", str(key), _PLAIN_KEYS, file=path)
+    kind = entry.get("kind", "brown")
+    if kind not in LENSES:
+        raise UnknownNameError("kind of lens", str(kind), LENSES, file=path)
     get = _getter(name, entry, path)
     if "focal_length_px" in entry or "focal_length_mm" not in entry:
         focal = get("focal_length_px")
@@ -161,8 +181,9 @@ def _plain(name: str, entry: Entry, path: Path) -> Camera:
         focal_length_px=focal,
         principal_col_px=get("principal_col_px", width / 2.0),
         principal_row_px=get("principal_row_px", height / 2.0),
-        **{k: get(k, 0.0) for k in _DISTORTION},
+        **{k: get(k, 0.0) for k in TERMS},
         focal_length_sd_px=get("focal_length_sd_px", focal * FOCAL_LENGTH["camera-file"].sd_relative),
+        kind=kind,
     )
 
 

@@ -15,7 +15,15 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.header import FrameHeader
-from geomosaic.survey.lens_tags import dji_calibrated, dji_dewarp, fisheye, label, readout_s, xmp_perspective
+from geomosaic.survey.lens_tags import (
+    dji_calibrated,
+    dji_dewarp,
+    fisheye,
+    label,
+    readout_s,
+    xmp_fisheye,
+    xmp_perspective,
+)
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import frame_name
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
@@ -35,6 +43,7 @@ _BESIDE_35MM: Final = 0.15
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",
+    "xmp-fisheye": "FisheyePolynomial",
     "dji-calibrated": "CalibratedFocalLength",
 }
 _GIVE: Final = "give the camera's interior orientation with --camera FILE (docs/inputs.md)"
@@ -83,14 +92,11 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
     text = f"{camera.name}: focal length {focal} (sd {camera.focal_length_sd_px:.0f}) from {source}"
     if source in _TAGS:
         text += f", principal point {camera.principal_col_px:.0f}, {camera.principal_row_px:.0f}"
-        text += " and distortion" if camera.distortion.any() else ""
+        text += " and distortion" if camera.terms.any() else ""
+    if camera.kind == "fisheye":
+        text += " of a fisheye lens"
+        text += "" if camera.terms.any() else ", whose distortion the adjustment has to find"
     out = [Warn("camera-assumed", "", text)]
-    if fisheye(header):
-        text = (
-            f"{camera.name}: a fisheye lens by its tags, which isn't modelled; taken as a perspective one of "
-            f"{focal} (from {source}) whose distortion the adjustment has to find"
-        )
-        out.append(Warn("lens-fisheye-unmodelled", "", text))
     if camera.readout_s:
         text = f"{camera.name}: a rolling shutter, all rows read within {camera.readout_s:.3g} s"
         out.append(Warn("readout-by-tag", "", f"{text} (LineReadoutTime)"))
@@ -126,16 +132,27 @@ def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
     )
     name = f"{label(header)} {width} x {height}{zoom}"
     scale = width / exif.width_px if exif.width_px else 1.0
-    blank = Camera(name, width, height, 1.0, width / 2.0, height / 2.0, readout_s=readout_s(header) or 0.0)
+    blank = Camera(
+        name,
+        width,
+        height,
+        1.0,
+        width / 2.0,
+        height / 2.0,
+        readout_s=readout_s(header) or 0.0,
+        kind="fisheye" if fisheye(header) else "brown",
+    )
     from_35mm = None
     if exif.focal_length_35mm is not None:
         diagonal = math.hypot(width, height) if width <= 1.55 * height else 1.25 * width
         from_35mm = exif.focal_length_35mm * diagonal / FILM_DIAGONAL_MM
     per_mm = None if exif.pixels_per_mm is None else exif.pixels_per_mm * scale
     sensor = SENSOR_WIDTHS_MM.get(exif.model.lower())
+    of_mm = per_mm or (width / sensor if sensor else None)
     makers = {
         "dji-dewarp": dji_dewarp(header, blank),
-        "xmp-perspective": xmp_perspective(header, blank, per_mm or (width / sensor if sensor else None)),
+        "xmp-perspective": xmp_perspective(header, blank, of_mm),
+        "xmp-fisheye": xmp_fisheye(header, blank, of_mm),
         "dji-calibrated": dji_calibrated(header, blank),
     }
     wrong = ""

@@ -7,11 +7,14 @@ from dataclasses import replace
 from typing import Final
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import TERMS, fisheye_terms
 from geomosaic.survey.accuracy import FOCAL_LENGTH, MAKERS_DISTORTION
 from geomosaic.survey.header import FrameHeader
-from geomosaic.survey.plausible import OFF_CENTRE, SLOWEST
+from geomosaic.survey.plausible import OFF_CENTRE, SLOWEST, focal_length_can_be
 from geomosaic.survey.xmp import number, numbers
 
+_SQUARE: Final = 0.01
+"""Of a fisheye's affine matrix: by how much of its size it may be none of square pixels."""
 _GLOBAL_SHUTTERS: Final = {("sequoia", 1)}
 """Model and bands of cameras that tag the time a line takes but expose all lines at once."""
 
@@ -69,20 +72,41 @@ def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | N
     in_px = _scale(header) if unit in ("px", "pixel", "pixels") else pixels_per_mm if unit == "mm" else None
     if fisheye(header) or focal is None or focal <= 0.0 or in_px is None:
         return None
-    camera = _with_lens(blank, focal * in_px, "xmp-perspective")
-    point = numbers(xmp, "Camera:PrincipalPoint", 2)
-    if point is not None:
-        scales = [s for s in (pixels_per_mm, _scale(header)) if s is not None]
-        placed = [_centred(camera, (s * point[0], s * point[1])) for s in scales]
-        centred = next((c for c in placed if c is not None), None)
-        if centred is None:
-            return None
-        camera = centred
+    camera = _at_principal_point(_with_lens(blank, focal * in_px, "xmp-perspective"), header, pixels_per_mm)
     distortion = numbers(xmp, "Camera:PerspectiveDistortion", 5)
-    if distortion is None:
+    if distortion is None or camera is None:
         return camera
     k1, k2, k3, p1, p2 = distortion
     return replace(camera, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2, distortion_sd=MAKERS_DISTORTION.sd_relative)
+
+
+def xmp_fisheye(header: FrameHeader, blank: Camera, pixels_per_mm: float | None) -> Camera | None:
+    """`Camera:FisheyePolynomial`, `FisheyeAffineMatrix` and `PrincipalPoint`.
+
+    Pix4D's fisheye (support.pix4d.com, "How are the internal and external camera parameters defined", 2.2):
+    with θ = 2/π of the angle from the axis and ρ = p0 + p1 θ + p2 θ² + p3 θ³ (+ p4 θ⁴), a picture's point is
+    the affine matrix (c, d, e, f; in pixels) times ρ along the direction, from the principal point. None
+    where p0 isn't 0 or the pixels aren't square, which is none of our lenses.
+    """
+    xmp = header.xmp or {}
+    polynomial = numbers(xmp, "Camera:FisheyePolynomial", 4) or numbers(xmp, "Camera:FisheyePolynomial", 5)
+    affine = numbers(xmp, "Camera:FisheyeAffineMatrix", 4)
+    if not fisheye(header) or polynomial is None or affine is None:
+        return None
+    c, d, e, f = (_scale(header) * value for value in affine)
+    if c <= 0.0 or max(abs(c - f), abs(d), abs(e)) > _SQUARE * c or polynomial[0] or polynomial[1] <= 0.0:
+        return None
+    radius = {n: (c + f) / 2.0 * p * (2.0 / math.pi) ** n for n, p in enumerate(polynomial) if n and p}
+    can_be = focal_length_can_be(radius[1], blank.width_px, blank.height_px)
+    if not can_be or not all(map(math.isfinite, radius.values())):
+        return None
+    widest_rad = math.hypot(blank.width_px, blank.height_px) / 2.0 / radius[1]
+    focal_px, terms = fisheye_terms(radius, widest_rad)
+    camera = _at_principal_point(_with_lens(blank, focal_px, "xmp-fisheye"), header, pixels_per_mm)
+    if camera is None:
+        return None
+    named = dict(zip(TERMS, terms.tolist(), strict=True))
+    return replace(camera, **named, kind="fisheye", distortion_sd=MAKERS_DISTORTION.sd_relative)
 
 
 def fisheye(header: FrameHeader) -> bool:
@@ -119,6 +143,16 @@ def _scale(header: FrameHeader) -> float:
     centre = number(header.xmp or {}, "drone-dji:CalibratedOpticalCenterX")
     full = header.exif.width_px or (2.0 * centre if centre and centre > 0.0 else header.width_px)
     return header.width_px / full
+
+
+def _at_principal_point(camera: Camera, header: FrameHeader, pixels_per_mm: float | None) -> Camera | None:
+    """The camera with the tags' principal point, in mm or pixels; None where it can be neither."""
+    point = numbers(header.xmp or {}, "Camera:PrincipalPoint", 2)
+    if point is None:
+        return camera
+    scales = [s for s in (pixels_per_mm, _scale(header)) if s is not None]
+    placed = [_centred(camera, (s * point[0], s * point[1])) for s in scales]
+    return next((c for c in placed if c is not None), None)
 
 
 def _with_lens(blank: Camera, focal_px: float, source: str) -> Camera:

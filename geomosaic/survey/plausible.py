@@ -155,8 +155,8 @@ def lens_problem(camera: Camera) -> str:
     if not (-width <= col <= 2 * width and -height <= row <= 2 * height):
         return f"a principal point at {col:.5g}, {row:.5g} for {width} x {height} px can't be"
     half = math.hypot(width, height) / 4.0 / camera.focal_length_px
-    radial = half**2 * (camera.k1 + half**2 * (camera.k2 + half**2 * camera.k3))
-    if not max(abs(radial), 3.0 * half * abs(camera.p1), 3.0 * half * abs(camera.p2)) <= BENT.value:
+    shares = camera.terms * camera.lens.shares(half)
+    if not max(abs(shares[:3].sum()), *abs(shares[3:])) <= BENT.value:
         return "its distortion moves points halfway to the corner by more than half as far; it can't be"
     if not abs(camera.readout_s) <= SLOWEST.value:
         return f"a readout of {camera.readout_s:g} s can't be"
