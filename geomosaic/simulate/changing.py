@@ -1,4 +1,4 @@
-"""What is different in every frame: the glitter of water, and cars under way."""
+"""What is different in every frame: the glitter of water, cars under way, crowns in the wind."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ Pixels = NDArray[np.uint8]
 _PAINTS: tuple[Colour, ...] = ((225, 225, 228), (40, 42, 46), (150, 34, 30), (44, 66, 120), (196, 180, 60))
 _LANE_M = 1.6
 _GLITTER = 9.0
+_SWAY_REACH = 1.6
 
 
 def glitter(
@@ -72,3 +73,37 @@ def paint_cars(window: Pixels, cars: Floats, west_m: float, north_m: float, pixe
         paint = _PAINTS[int(colour * len(_PAINTS))]
         for length, width, value in ((2.2, 0.9, paint), (1.1, 0.75, (46, 50, 56)), (0.75, 0.72, paint)):
             fill_polygon(window, box_m(x, y, along, length, width), west_m, north_m, pixel_m, value)
+
+
+def gusts(trees: Floats, wind_m: float, rng: np.random.Generator) -> Floats:
+    """How far the wind bends each crown in one frame (n, 2) east and north, sd wind_m: a gust and its own."""
+    common, own = rng.standard_normal(2), rng.standard_normal((len(trees), 2))
+    return np.asarray(wind_m * (0.6 * common + 0.8 * own))
+
+
+def sway(
+    window: Pixels, west_m: float, north_m: float, pixel_m: float, trees: Floats, bent_m: Floats
+) -> Pixels:
+    """A window (rows, cols, 3) whose crowns are moved by bent_m (n, 2): most in their middle, at
+    _SWAY_REACH of their radius not at all.
+
+    Args: trees: (n, 4) as `Landscape.trees_in`.
+    """
+    rows, cols = window.shape[:2]
+    moved = np.zeros((rows, cols, 2), dtype=np.float32)
+    for (east, north, radius, _), bent in zip(trees, bent_m, strict=True):
+        reach = _SWAY_REACH * radius / pixel_m
+        x, y = (east - west_m) / pixel_m - 0.5, (north_m - north) / pixel_m - 0.5
+        x_0, x_1 = max(int(x - reach), 0), min(int(x + reach) + 2, cols)
+        y_0, y_1 = max(int(y - reach), 0), min(int(y + reach) + 2, rows)
+        if x_0 < x_1 and y_0 < y_1:
+            off_sq = ((np.arange(x_0, x_1) - x) ** 2 + ((np.arange(y_0, y_1) - y) ** 2)[:, None]) / reach**2
+            weight = np.maximum(1.0 - off_sq, 0.0) ** 2
+            moved[y_0:y_1, x_0:x_1] += weight[..., None] * (bent / [pixel_m, -pixel_m])
+    x_map, y_map = np.meshgrid(np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32))
+    return np.asarray(
+        cv2.remap(
+            window, x_map - moved[..., 0], y_map - moved[..., 1], cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    )  # fmt: skip

@@ -13,6 +13,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.simulate.landscape import Bounds, Landscape
 from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.readout import Readout
 from geomosaic.simulate.render import World
 
 Floats = NDArray[np.float64]
@@ -48,7 +49,7 @@ def true_points(
     plan: SurveyPlan,
     camera: Camera,
     poses: Poses,
-    readouts_m: Floats,
+    readouts: Sequence[Readout],
     world: World,
     bounds_m: Sequence[Bounds],
 ) -> list[SurveyedPoint]:
@@ -56,8 +57,7 @@ def true_points(
 
     Every third is a check point. Nothing that stands near them hides them.
 
-    Args: readouts_m (n, 3): how far each camera moves while its rows are read (`sight_of`); bounds_m: what
-        each frame sees of the map.
+    Args: readouts: how each frame is read; bounds_m: what each sees of the map.
     Raises: `InputError` if there is no room for so many.
     """
     rng = plan.rng("control")
@@ -70,7 +70,7 @@ def true_points(
     for i in plan.kept:
         west, south, east, north = bounds_m[i]
         near = ((en >= [west, south]) & (en <= [east, north])).all(axis=1)
-        px[i, near] = _stored_px(plan, camera, poses, readouts_m, i, enu[near])
+        px[i, near] = _stored_px(plan, camera, poses, readouts[i], i, enu[near])
     size = np.array([camera.width_px, camera.height_px])
     inside = np.asarray(((px > _EDGE_PX) & (px < size - _EDGE_PX)).all(axis=2))
     places = np.flatnonzero(inside.sum(axis=0) >= _LEAST_FRAMES)
@@ -125,13 +125,10 @@ def gcp_list(points: Sequence[SurveyedPoint], names: Sequence[str], crs: str) ->
 
 
 def _stored_px(
-    plan: SurveyPlan, camera: Camera, poses: Poses, readouts_m: Floats, i: int, enu_m: Floats
+    plan: SurveyPlan, camera: Camera, poses: Poses, readout: Readout, i: int, enu_m: Floats
 ) -> Floats:
-    """Where frame i, as it is stored, shows points (k, 3): each row from where the camera is then."""
-    px = poses[i].image_from_ground(camera, enu_m)
-    for _ in range(4 if np.any(readouts_m[i]) else 0):
-        moved = (px[:, 1:] / camera.height_px - 0.5) * readouts_m[i]
-        px = poses[i].image_from_ground(camera, enu_m - moved)
+    """Where frame i, as it is stored, shows points (k, 3)."""
+    px = readout.image_from_ground(camera, poses[i], enu_m)
     return np.asarray([camera.width_px, camera.height_px] - px if i in plan.turned_frames() else px)
 
 

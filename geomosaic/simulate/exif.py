@@ -14,7 +14,10 @@ from geomosaic.errors import InputError
 
 _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1}
 _XMP_HEADER: Final = b"http://ns.adobe.com/xap/1.0/\0"
-_DJI: Final = "http://www.dji.com/drone-dji/1.0/"
+_NAMESPACES: Final = {
+    "drone-dji": "http://www.dji.com/drone-dji/1.0/",
+    "Camera": "http://pix4d.com/camera/1.0/",
+}
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,7 @@ def camera_tags(
     focal_mm: float,
     pixels_per_mm: Fraction,
     focal_35mm: int,
+    exposure_s: Fraction,
 ) -> tuple[list[Tag], list[Tag]]:
     """IFD0 and Exif IFD of a picture: who took it, when (UTC), its size and focal length.
 
@@ -105,7 +109,7 @@ def camera_tags(
         short_tag(0x0213, 1),
     ]
     exif = [
-        rational_tag(0x829A, Fraction(1, 800)),
+        rational_tag(0x829A, exposure_s),
         rational_tag(0x829D, Fraction(28, 10)),
         short_tag(0x8827, 100),
         Tag(0x9000, 7, b"0230"),
@@ -144,14 +148,16 @@ def gps_tags(time_s: float, lon_deg: float, lat_deg: float, height_m: float | No
     return tags
 
 
-def dji_xmp(values: Mapping[str, str]) -> bytes:
-    """An XMP packet with `drone-dji` attributes as DJI writes them."""
-    attributes = "\n".join(f"   drone-dji:{key}={quoteattr(value)}" for key, value in values.items())
+def xmp_packet(values: Mapping[str, str]) -> bytes:
+    """An XMP packet of attributes by their names, such as `Camera:BandName`."""
+    used = sorted({name.partition(":")[0] for name in values}, reverse=True)
+    spaces = " ".join(f'xmlns:{prefix}="{_NAMESPACES[prefix]}"' for prefix in used)
+    attributes = "\n".join(f"   {name}={quoteattr(value)}" for name, value in values.items())
     return (
         '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
         '<x:xmpmeta xmlns:x="adobe:ns:meta/">\n'
         ' <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">\n'
-        f'  <rdf:Description rdf:about="DJI Meta Data" xmlns:drone-dji="{_DJI}"\n{attributes}/>\n'
+        f'  <rdf:Description rdf:about="DJI Meta Data" {spaces}\n{attributes}/>\n'
         ' </rdf:RDF>\n</x:xmpmeta>\n<?xpacket end="w"?>'
     ).encode()
 

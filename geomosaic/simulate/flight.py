@@ -13,12 +13,18 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.simulate.paths import course_of
 from geomosaic.simulate.plan import SurveyPlan
 
 Floats = NDArray[np.float64]
 
 START_S = datetime(2024, 6, 12, 9, 30, tzinfo=UTC).timestamp()
-_TURN_S = 20.0
+_BATTERY_S = 600.0
+_EACH_S = 3.0
+_CLIMB_M_PER_S = 2.0
+_CLIMB_TO = 0.7
+_OBLIQUE_DEG, _HORIZON_DEG = (35.0, 60.0), (75.0, 88.0)
+_GROUND_TAG_SD_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -28,7 +34,8 @@ class Flight:
     lon_lat_height: (n, 3) geodetic; yaw_pitch_roll_deg: (n, 3) body angles, see `Attitude`, against the
     north and the vertical of each frame; poses: the same in the work frame; time_s: (n,) since 1970;
     line: (n,) number of the flight line;
-    velocity_m_per_s: (n, 3) along the planned course, level, in the work frame.
+    velocity_m_per_s: (n, 3) along the planned course, level, in the work frame; role: (n,) `survey`, or
+    `take_off`, `landing`, `oblique` or `horizon` of frames that belong in no map; battery: (n,) from 0.
     """
 
     work_frame: LocalFrame
@@ -38,6 +45,8 @@ class Flight:
     time_s: Floats
     line: NDArray[np.int64]
     velocity_m_per_s: Floats
+    role: tuple[str, ...]
+    battery: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class Observed:
 
     position_errors_m: (n, 3) east, north, up; attitude_errors_deg: (n, 3) yaw, pitch, roll. Outliers and
     wrong headings are in the errors, and not in the standard deviations that the POS states.
-    height_offset_m: (n,) what of the height error is the GPS's: bias and drift, which a barometer is free of.
+    height_above_take_off_m: (n,) by barometer, free of what is the GPS's: bias, drift, a battery's offset.
     """
 
     lon_lat_height: Floats
@@ -55,39 +64,81 @@ class Observed:
     attitude_errors_deg: Floats
     outlier: NDArray[np.bool_]
     yaw_wrong: NDArray[np.bool_]
-    height_offset_m: Floats
+    height_above_take_off_m: Floats
 
 
 def fly(plan: SurveyPlan) -> Flight:
     """The true flight of a plan."""
-    return _paper(plan) if plan.kind == "paper" else _planned(plan)
+    return _with_others(plan, _paper(plan) if plan.kind == "paper" else _planned(plan))
 
 
 def _planned(plan: SurveyPlan) -> Flight:
-    """Lines side by side to the right of the heading, centred on the plan's place, flown with wander."""
-    lines = 1 if plan.kind == "line" else plan.lines
-    n, along_n = plan.frames, plan.frames_per_line
-    base = (1.0 - plan.forward_overlap) * plan.height_px * plan.ground_pixel_m
-    apart = (1.0 - plan.side_overlap) * plan.width_px * plan.ground_pixel_m
-    line, k = np.divmod(np.arange(n), along_n)
-    backward = (line % 2 == 1) & plan.serpentine
-    k = np.where(backward, along_n - 1 - k, k)
-    forward_m, right_m = (k - (along_n - 1) / 2.0) * base, (line - (lines - 1) / 2.0) * apart
-
-    rng = plan.rng("flight")
-    wander = rng.standard_normal((n, 6))
+    """The planned course about the plan's place, flown with wander."""
+    course = course_of(plan)
+    n = len(course.at_m)
+    forward_m, right_m = course.at_m.T
+    wander = plan.rng("flight").standard_normal((n, 6))
     heading = np.radians(plan.heading_deg)
     east = forward_m * np.sin(heading) + right_m * np.cos(heading) + plan.wander_m * wander[:, 0]
     north = forward_m * np.cos(heading) - right_m * np.sin(heading) + plan.wander_m * wander[:, 1]
     work_frame = LocalFrame(plan.lon_deg, plan.lat_deg, plan.ground_height_m)
     geodetic = work_frame.geodetic_from_enu(np.stack([east, north, np.zeros(n)], axis=-1))
     geodetic[:, 2] = plan.ground_height_m + plan.height_above_ground_m + plan.wander_m * wander[:, 2]
-    yaw = plan.heading_deg + np.where(backward, 180.0, 0.0) + plan.wander_yaw_deg * wander[:, 3]
+    yaw = plan.heading_deg + course.nose_deg + plan.wander_yaw_deg * wander[:, 3]
     attitude = np.column_stack([yaw % 360.0, plan.wander_tilt_deg * wander[:, 4:]])
-    time_s = START_S + np.arange(n) * base / plan.speed_m_per_s + line * _TURN_S
-    course = heading + np.where(backward, np.pi, 0.0)
-    velocity = plan.speed_m_per_s * np.column_stack([np.sin(course), np.cos(course), np.zeros(n)])
-    return _flight(work_frame, geodetic, attitude, time_s, line, velocity)
+    ahead = heading + np.radians(course.course_deg)
+    velocity = plan.speed_m_per_s * np.column_stack([np.sin(ahead), np.cos(ahead), np.zeros(n)])
+    return _flight(work_frame, geodetic, attitude, START_S + course.time_s, course.line, velocity)
+
+
+def _with_others(plan: SurveyPlan, flight: Flight) -> Flight:
+    """The flight with the second battery's pause, and with frames at take-off, of the view and at landing.
+
+    On the way up and down frames are taken straight below, above the first and below the last place; oblique
+    frames and those of the horizon come after the survey, from its places, in any direction.
+    """
+    n = len(flight.poses)
+    second = (np.arange(n) >= (n + 1) // 2) & bool(plan.battery_offset_m or plan.battery_height_offset_m)
+    rng = plan.rng("others")
+    view = plan.oblique_frames + plan.horizon_frames
+    at = np.concatenate(
+        [
+            np.zeros(plan.take_off_frames, dtype=np.int64),
+            np.arange(n),
+            rng.integers(0, n, view),
+            np.full(plan.landing_frames, n - 1),
+        ]
+    )
+    role = (
+        *["take_off"] * plan.take_off_frames,
+        *["survey"] * n,
+        *["oblique"] * plan.oblique_frames,
+        *["horizon"] * plan.horizon_frames,
+        *["landing"] * plan.landing_frames,
+    )
+    if len(at) == n and not second.any():
+        return flight
+    geodetic, attitude = flight.lon_lat_height[at], flight.yaw_pitch_roll_deg[at]
+    velocity, line = flight.velocity_m_per_s[at], flight.line[at]
+    for name, sign in (("take_off", 1.0), ("landing", -1.0)):
+        mine = np.flatnonzero(np.array(role) == name)
+        share = _CLIMB_TO * (np.arange(len(mine)) + 0.5) / max(len(mine), 1)
+        above = geodetic[mine, 2] - plan.ground_height_m
+        geodetic[mine, 2] = plan.ground_height_m + above * share[:: int(sign)]
+        velocity[mine] = [0.0, 0.0, sign * _CLIMB_M_PER_S]
+    for name, tilts_deg in (("oblique", _OBLIQUE_DEG), ("horizon", _HORIZON_DEG)):
+        mine = np.flatnonzero(np.array(role) == name)
+        attitude[mine, 0] = rng.uniform(0.0, 360.0, len(mine))
+        attitude[mine, 1] = rng.uniform(*tilts_deg, len(mine))
+        velocity[mine] = 0.0
+    line[np.array(role) != "survey"] = -1
+    pause = np.where(second, _BATTERY_S, 0.0)
+    step = _EACH_S * np.arange(1, view + plan.landing_frames + 1)
+    before = _EACH_S * np.arange(plan.take_off_frames, 0, -1)
+    time_s = flight.time_s + pause
+    time_s = np.concatenate([time_s[0] - before, time_s, time_s[-1] + step])
+    battery = np.concatenate([np.zeros(len(before)), second, np.full(len(step), second[-1])]).astype(np.int64)
+    return _flight(flight.work_frame, geodetic, attitude, time_s, line, velocity, role, battery)
 
 
 def paper_table() -> list[dict[str, float]]:
@@ -127,15 +178,18 @@ def _flight(
     time_s: Floats,
     line: NDArray[np.int64],
     velocity_m_per_s: Floats,
+    role: tuple[str, ...] = (),
+    battery: NDArray[np.int64] | None = None,
 ) -> Flight:
     n = len(geodetic)
+    role, battery = role or ("survey",) * n, np.zeros(n, dtype=np.int64) if battery is None else battery
     poses = Poses(
         work_frame.enu_from_geodetic(*geodetic.T),
         rotations_in(work_frame, geodetic, attitude_deg),
         np.zeros((n, 3)),
         np.zeros((n, 3)),
     )
-    return Flight(work_frame, geodetic, attitude_deg, poses, time_s, line, velocity_m_per_s)
+    return Flight(work_frame, geodetic, attitude_deg, poses, time_s, line, velocity_m_per_s, role, battery)
 
 
 def rotations_in(work_frame: LocalFrame, geodetic: Floats, attitude_deg: Floats) -> Floats:
@@ -161,7 +215,9 @@ def observe(plan: SurveyPlan, flight: Flight) -> Observed:
     bias_m = position_bias(plan)
     since_s = flight.time_s - flight.time_s[0]
     offset_m = bias_m[2] + plan.height_drift_m * since_s / max(float(since_s[-1]), 1.0)
+    offset_m = offset_m + plan.battery_height_offset_m * flight.battery
     errors_m += np.column_stack([np.tile(bias_m[:2], (n, 1)), offset_m])
+    errors_m[:, :2] += flight.battery[:, None] * battery_offset(plan)
     rng = plan.rng("outliers")
     outlier, yaw_wrong = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     outlier[rng.permutation(n)[: plan.gps_outliers]] = True
@@ -171,13 +227,36 @@ def observe(plan: SurveyPlan, flight: Flight) -> Observed:
     yaw_wrong[rng.permutation(n)[: round(plan.yaw_wrong_share * n)]] = True
     errors_deg[:, 0] += np.where(yaw_wrong, rng.uniform(30.0, 330.0, n), 0.0)
     stale = flight.line == plan.stale_yaw_line - 1
-    if stale.any():
+    if plan.stale_yaw_line and stale.any():
         true_deg = flight.yaw_pitch_roll_deg[:, 0]
         last = int(np.flatnonzero(stale)[0]) - 1
         errors_deg[stale, 0] = true_deg[last] + errors_deg[last, 0] - true_deg[stale]
         yaw_wrong |= stale
 
     geodetic = flight.work_frame.geodetic_from_enu(flight.poses.positions_m + errors_m)
+    above_m = geodetic[:, 2] - offset_m - plan.ground_height_m - plan.take_off_up_m
+    told_m = _altitudes(plan, geodetic[:, 2], above_m)
+    errors_m[:, 2] += told_m - geodetic[:, 2]
+    geodetic[:, 2] = told_m
     attitude = flight.yaw_pitch_roll_deg + errors_deg
     attitude[:, 0] %= 360.0
-    return Observed(geodetic, attitude, errors_m, errors_deg, outlier, yaw_wrong, offset_m)
+    return Observed(geodetic, attitude, errors_m, errors_deg, outlier, yaw_wrong, above_m)
+
+
+def battery_offset(plan: SurveyPlan) -> Floats:
+    """East and north (2,) by which positions of the second battery are off those of the first."""
+    direction = plan.rng("battery").uniform(0.0, 2.0 * np.pi)
+    return plan.battery_offset_m * np.array([np.sin(direction), np.cos(direction)])
+
+
+def _altitudes(plan: SurveyPlan, height_m: Floats, above_take_off_m: Floats) -> Floats:
+    """What the tags give as altitude: the height flown, or something else that passes for it; in steps."""
+    noise = plan.rng("altitude").standard_normal(len(height_m))
+    told = {
+        "flown": height_m,
+        "take_off": above_take_off_m,
+        "constant": np.full(len(height_m), height_m[0]),
+        "ground": plan.ground_height_m + _GROUND_TAG_SD_M * noise,
+    }[plan.altitude]
+    step = plan.altitude_step_m
+    return np.asarray(np.round(told / step) * step if step else told)

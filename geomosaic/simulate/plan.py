@@ -11,8 +11,23 @@ import numpy as np
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.simulate.fisheye import Fisheye
 
-KINDS = {"block": "parallel flight lines", "line": "one flight line", "paper": "Yue et al. 2021, table 2"}
+KINDS = {
+    "block": "parallel flight lines",
+    "line": "one flight line",
+    "crossed": "parallel flight lines, then the same again across them",
+    "spiral": "outward from the middle",
+    "free": "flown by hand, wandering about",
+    "paper": "Yue et al. 2021, table 2",
+}
+ALTITUDES = {
+    "flown": "height above the datum, with its errors",
+    "take_off": "height above the take-off",
+    "constant": "that of the first frame in every frame",
+    "ground": "the ground's, whatever the flying height",
+}
+LENSES = ("brown", "fisheye")
 POS_IN = ("both", "csv", "exif")
 FORMATS = ("jpeg", "tiff8", "tiff16")
 PAPER_SIZE_PX = (5344, 4008)
@@ -49,6 +64,11 @@ class SurveyPlan:
     wander_m: float = 1.0
     wander_tilt_deg: float = 1.0
     wander_yaw_deg: float = 2.0
+    take_off_frames: int = 0
+    landing_frames: int = 0
+    oblique_frames: int = 0
+    horizon_frames: int = 0
+    duplicates: int = 0
 
     width_px: int = 1000
     height_px: int = 750
@@ -59,7 +79,9 @@ class SurveyPlan:
     p2: float = 0.0
     principal_col_offset_px: float = 0.0
     principal_row_offset_px: float = 0.0
+    lens: str = "brown"
     lens_told: bool = True
+    lens_in_tags: bool = False
     focal_error: float = 0.0
 
     dem: Path | None = None
@@ -71,6 +93,8 @@ class SurveyPlan:
     water_share: float = 0.0
     smooth_forest_share: float = 0.0
     moving_cars: float = 0.0
+    wind_in_trees_m: float = 0.0
+    clouds: float = 0.0
 
     position_sd_m: float = 1.5
     height_sd_m: float = 2.0
@@ -91,12 +115,26 @@ class SurveyPlan:
     position_bias_m: float = 0.0
     height_bias_m: float = 0.0
     height_drift_m: float = 0.0
+    altitude: str = "flown"
+    altitude_step_m: float = 0.0
+    take_off_up_m: float = 0.0
+    battery_offset_m: float = 0.0
+    battery_height_offset_m: float = 0.0
+    no_gps: str = ""
     control_points: int = 0
 
     exposure_sd: float = 0.0
+    auto_exposure: float = 0.0
     vignetting: float = 0.0
     blur_px: float = 0.0
+    exposure_time_s: float = 0.0
+    blurred: str = ""
     rolling_shutter_s: float = 0.0
+    readout_told: bool = False
+    vibration_deg_per_s: float = 0.0
+    vibration_hz: float = 6.0
+    gyroscope_told: bool = False
+    gyroscope_sd_deg_per_s: float = 0.0
     pixel_noise: float = 1.0
 
     format: str = "jpeg"
@@ -108,10 +146,12 @@ class SurveyPlan:
             ("kind of survey", self.kind, KINDS),
             ("frame format", self.format, FORMATS),
             ("place for the POS", self.pos_in, POS_IN),
+            ("altitude", self.altitude, ALTITUDES),
+            ("lens", self.lens, LENSES),
         ):
             if name not in known:
                 raise UnknownNameError(kind, name, known)
-        positive = ("scale", "height_above_ground_m", "ground_pixel_m", "speed_m_per_s",
+        positive = ("scale", "height_above_ground_m", "ground_pixel_m", "speed_m_per_s", "vibration_hz",
                     "relief_wavelength_m", "lines", "frames_per_line", "stated_sd_factor")  # fmt: skip
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -121,38 +161,70 @@ class SurveyPlan:
                 raise InputError(f"{field.name} is {value}", mend="give a number above 0")
             if field.name.endswith(("_sd", "_sd_m", "_sd_deg")) and value is not None and value < 0:
                 raise InputError(f"{field.name} is {value}", mend="give 0 or more")
-        if not (0.0 <= self.forward_overlap < 1.0 and 0.0 <= self.side_overlap < 1.0):
-            raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
-        if min(self.water_share, self.smooth_forest_share, self.moving_cars, self.rolling_shutter_s) < 0.0:
-            raise InputError("a share, number or time is below 0", mend="give 0 or more")
-        if self.water_share + self.smooth_forest_share > 1.0:
-            raise InputError("water and forest cover more than all land", mend="give shares that sum to 1")
-        if self.dem is not None and self.relief_m:
-            raise InputError("both a DEM and hills are given", mend="leave one of dem and relief_m away")
+        self._check_shares()
+        self._check_tags()
         if min(self.width_px, self.height_px) < 64:
             raise InputError("frames smaller than 64 pixels", mend="give a larger width_px and height_px")
-        if self.format != "jpeg" and self.pos_in != "csv":
-            raise InputError("TIFF frames are written without EXIF", mend="give pos_in csv")
-        if self.stale_yaw_line and not 2 <= self.stale_yaw_line <= (
-            self.lines if self.kind == "block" else 1
-        ):
+        lines = self.lines if self.kind in ("block", "crossed") else 1
+        if self.stale_yaw_line and not 2 <= self.stale_yaw_line <= lines * (1 + (self.kind == "crossed")):
             raise InputError(
                 f"stale_yaw_line is {self.stale_yaw_line}",
                 mend="give the number of a later flight line, or 0",
             )
-        self.turned_frames()
+        for field in ("lost", "turned", "no_gps", "blurred"):
+            self.numbered(field)
         if not self.kept:
             raise InputError("all frames are lost", mend="leave some of them in")
+        if self.duplicates > len(self.kept):
+            raise InputError("more duplicates than frames", mend="give fewer duplicates")
+
+    def _check_shares(self) -> None:
+        if not (0.0 <= self.forward_overlap < 1.0 and 0.0 <= self.side_overlap < 1.0):
+            raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
+        if min(self.water_share, self.smooth_forest_share, self.moving_cars, self.rolling_shutter_s,
+               self.wind_in_trees_m, self.exposure_time_s, self.vibration_deg_per_s,
+               self.altitude_step_m, self.gyroscope_sd_deg_per_s) < 0.0:  # fmt: skip
+            raise InputError("a share, number or time is below 0", mend="give 0 or more")
+        if min(self.take_off_frames, self.landing_frames, self.oblique_frames, self.horizon_frames,
+               self.duplicates) < 0:  # fmt: skip
+            raise InputError("a number of frames is below 0", mend="give 0 or more")
+        if not (0.0 <= self.clouds <= 1.0 and 0.0 <= self.auto_exposure <= 1.0):
+            raise InputError("a share is outside 0 to 1", mend="give a share such as 0.3")
+        if self.water_share + self.smooth_forest_share > 1.0:
+            raise InputError("water and forest cover more than all land", mend="give shares that sum to 1")
+        if self.dem is not None and self.relief_m:
+            raise InputError("both a DEM and hills are given", mend="leave one of dem and relief_m away")
+
+    def _check_tags(self) -> None:
+        if self.format != "jpeg" and self.pos_in != "csv":
+            raise InputError("TIFF frames are written without EXIF", mend="give pos_in csv")
+        if self.pos_in == "csv" and (self.gyroscope_told or self.readout_told or self.lens_in_tags):
+            raise InputError("tags are asked for in frames without tags", mend="give pos_in exif or both")
+        if self.rolling_shutter_s == 0.0:
+            for field in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
+                if getattr(self, field):
+                    raise InputError(
+                        f"{field} without a rolling shutter", mend="give rolling_shutter_s above 0"
+                    )
+        if self.lens == "fisheye" and (self.p1 or self.p2):
+            raise InputError("a fisheye has no decentring here", mend="leave p1 and p2 at 0")
 
     @property
     def frames(self) -> int:
-        """How many frames the survey has."""
-        return {"paper": 9, "line": self.frames_per_line}.get(self.kind, self.lines * self.frames_per_line)
+        """How many frames were taken in all; copies of files (`duplicates`) don't count."""
+        others = self.take_off_frames + self.oblique_frames + self.horizon_frames + self.landing_frames
+        return self.planned_frames + others
+
+    @property
+    def planned_frames(self) -> int:
+        """How many frames the survey itself has, without those at take-off, at landing and of the view."""
+        n = self.lines * self.frames_per_line
+        return {"paper": 9, "line": self.frames_per_line, "crossed": 2 * n}.get(self.kind, n)
 
     @property
     def kept(self) -> tuple[int, ...]:
         """Indices (from 0) of the frames that aren't lost."""
-        lost = self._numbered("lost", self.lost)
+        lost = self.numbered("lost")
         return tuple(i for i in range(self.frames) if i not in lost)
 
     def camera(self) -> Camera:
@@ -161,7 +233,8 @@ class SurveyPlan:
         if self.kind == "paper":
             width, height = (round(n * self.scale) for n in PAPER_SIZE_PX)
             focal = PAPER_HEIGHT_M / PAPER_PIXEL_M * self.scale
-        return Camera(
+        kind = Fisheye if self.lens == "fisheye" else Camera
+        return kind(
             name="simulated",
             width_px=width,
             height_px=height,
@@ -178,19 +251,11 @@ class SurveyPlan:
     def told_camera(self) -> Camera:
         """The camera as the camera file tells it: perhaps a wrong focal length, perhaps no distortion."""
         true = self.camera()
-        told = dataclasses.replace(true, focal_length_px=true.focal_length_px * (1.0 + self.focal_error))
+        focal = true.focal_length_px * (1.0 + self.focal_error)
         if self.lens_told:
-            return told
-        return dataclasses.replace(
-            told,
-            principal_col_px=true.width_px / 2.0,
-            principal_row_px=true.height_px / 2.0,
-            k1=0.0,
-            k2=0.0,
-            k3=0.0,
-            p1=0.0,
-            p2=0.0,
-        )
+            return dataclasses.replace(true, focal_length_px=focal)
+        middle = true.width_px / 2.0, true.height_px / 2.0
+        return Camera(true.name, true.width_px, true.height_px, focal, *middle)
 
     @property
     def pixel_m(self) -> float:
@@ -199,12 +264,12 @@ class SurveyPlan:
 
     def turned_frames(self) -> frozenset[int]:
         """Indices (from 0) of the frames whose pixels are turned."""
-        return self._numbered("turned", self.turned)
+        return self.numbered("turned")
 
-    def _numbered(self, field: str, text: str) -> frozenset[int]:
-        """Indices (from 0) of frames, from text such as `4-6, 9` (from 1)."""
+    def numbered(self, field: str) -> frozenset[int]:
+        """Indices (from 0) of the frames that a field names in text such as `4-6, 9` (from 1)."""
         found: set[int] = set()
-        for part in filter(None, (p.strip() for p in text.split(","))):
+        for part in filter(None, (p.strip() for p in getattr(self, field).split(","))):
             match = re.fullmatch(r"(\d+)(?:\s*-\s*(\d+))?", part)
             first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
             if not 1 <= first <= last <= self.frames:

@@ -55,7 +55,7 @@ def write_ortho(
     crs: str,
     ground: Ground,
     seen_m: Sequence[Bounds],
-    footprints_m: Sequence[Floats],
+    footprints_m: Sequence[Floats | None],
     progress: Callable[[int, int], None],
 ) -> Texture:
     """The ground's picture wherever a frame looks, RGB with an internal mask of the footprints' union.
@@ -65,7 +65,8 @@ def write_ortho(
     outside every frame's box stay empty; pixels between a footprint and its box hold the ground too,
     but are masked.
 
-    Args: seen_m: each frame's west, south, east, north; footprints_m: each frame's outline (n, 2).
+    Args: seen_m: each frame's west, south, east, north; footprints_m: each frame's outline (n, 2), None of
+        those that don't belong in a map.
     """
     side = BLOCK_PX * ground.pixel_m
     margin = MARGIN_PX * ground.pixel_m
@@ -112,7 +113,7 @@ def write_ortho(
             window = Window(x, y, BLOCK_PX, BLOCK_PX)
             texture[y : y + BLOCK_PX, x : x + BLOCK_PX] = tile[inner, inner]
             out.write(np.moveaxis(square_mean(tile)[inner, inner], -1, 0), window=window)
-            frames = [footprints_m[i] for i in touched[row, col]]
+            frames = [f for i in touched[row, col] if (f := footprints_m[i]) is not None]
             out.write_mask(_mask(ground, row, col, frames), window=window)
             progress(done + 1, len(touched))
     return Texture(texture, west_m, north_m, ground.pixel_m)

@@ -14,9 +14,9 @@ from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.simulate.landscape import Bounds, Building
+from geomosaic.simulate.readout import Readout
 from geomosaic.simulate.relief import RasterRelief, Relief
 from geomosaic.simulate.trees import Tree, raise_trees
 
@@ -29,6 +29,10 @@ _STRIP_PX = 256
 _OVERSAMPLING = 2
 _COARSE_PX = 2
 _BEYOND_PX = 4
+_ROWS_PER_SHAKE = 12
+_SLANT_HAZY, _SLANT_END = 1.5, 3.0
+"""Tangents of a ray's angle with the vertical: from where on haze hides the ground, and where it ends."""
+_HAZE, _SKY, _SKY_RAD = (198.0, 206.0, 212.0), (96.0, 142.0, 200.0), 0.5
 _WALL = np.array([176.0, 168.0, 154.0])
 
 
@@ -63,7 +67,7 @@ class World:
         if self.relief.amplitude_m == 0.0:
             return level
         lowest = GroundSurface("flat", 0.0, 0.0, 1.0, np.full((1, 1), self._lowest_up(pose)))
-        outline = footprint(pose, camera, lowest)
+        outline = outline_of(camera, pose, lowest)
         spacing = self.relief.mesh_m
         low, high = outline[:, :2].min(axis=0) - 20.0, outline[:, :2].max(axis=0) + 20.0
         east = np.arange(low[0], high[0] + spacing, spacing)
@@ -82,12 +86,25 @@ class World:
         )
 
 
+def outline_of(camera: Camera, pose: Pose, ground: GroundSurface, per_side: int = 8) -> Floats:
+    """A frame's outline on the ground (4 * per_side, 3), as far as it is seen through the haze."""
+    origin, ray = Readout().rays(camera, pose, camera.border_px(per_side))
+    return ground.intersect(origin, _lowered(ray))
+
+
+def _lowered(ray: Floats) -> Floats:
+    """Rays that meet the ground no farther off than _SLANT_END times the height: flatter ones are lowered."""
+    level = np.hypot(ray[..., 0], ray[..., 1])
+    return np.concatenate([ray[..., :2], np.minimum(ray[..., 2], -level / _SLANT_END)[..., None]], axis=-1)
+
+
 @dataclass(frozen=True)
 class Sight:
     """Where each pixel of a frame looks: cubic splines through rays traced every _STEP_PX pixels.
 
     East, north and height of the ground on the map, and how east and north move along the ray per metre
-    of height. Between the nodes the splines are off by less than 0.001 pixel on smooth ground.
+    of height. Between the nodes the splines are off by less than 0.001 pixel on smooth ground. elevation: of
+    the ray above the horizon (rad), where haze and sky are seen.
     """
 
     easting: RectBivariateSpline
@@ -97,23 +114,22 @@ class Sight:
     north_per_m: RectBivariateSpline
     bounds_m: Bounds
     """West, south, east, north of all that is seen."""
+    elevation: RectBivariateSpline | None = None
 
 
-def sight_of(camera: Camera, pose: Pose, world: World, readout_m: Floats | None = None) -> Sight:
-    """Trace a frame's rays to the ground. Rays that miss it would make NaN: keep the horizon out.
-
-    readout_m: (3,) how far the camera moves while its rows are read, from the first row to the last; the
-    pose is that of the middle row.
-    """
+def sight_of(camera: Camera, pose: Pose, world: World, readout: Readout | None = None) -> Sight:
+    """Trace a frame's rays to the ground, or to where haze hides it."""
+    readout = readout or Readout()
     step_px = float(np.clip(world.relief.detail_m * camera.focal_length_px / 4.0 / _depth_m(pose, world),
                             4.0, _STEP_PX))  # fmt: skip
+    if readout.shakes:
+        shake_px = camera.height_px / readout.time_s / float(readout.frequency_hz.max())
+        step_px = float(np.clip(shake_px / _ROWS_PER_SHAKE, 1.0, step_px))
     rows, cols = (_nodes(n, step_px) for n in (camera.height_px, camera.width_px))
     image = np.stack(np.meshgrid(cols, rows), axis=-1)
-    origin = np.broadcast_to(pose.position_m, (*image.shape[:2], 3))
-    if readout_m is not None:
-        origin = origin + (image[..., 1:] / camera.height_px - 0.5) * readout_m
-    ground = world.surface_under(pose, camera).intersect(origin, pose.ray_from_image(camera, image))
-    ray = pose.ray_from_image(camera, image)
+    origin, seen = readout.rays(camera, pose, image)
+    ray = _lowered(seen)
+    ground = world.surface_under(pose, camera).intersect(origin, ray)
     at, above = (world.map_from_enu(p) for p in (ground, ground + ray / ray[..., 2:] * 10.0))
     rise = (above[..., :2] - at[..., :2]) / (above[..., 2:] - at[..., 2:])
     layers = (at[..., 0], at[..., 1], at[..., 2], rise[..., 0], rise[..., 1])
@@ -121,7 +137,9 @@ def sight_of(camera: Camera, pose: Pose, world: World, readout_m: Floats | None 
     splines = [RectBivariateSpline(rows, cols, z) for z in layers]
     east, north, height, east_per_m, north_per_m = splines
     bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    return Sight(east, north, height, east_per_m, north_per_m, bounds)
+    up = np.arctan2(seen[..., 2], np.hypot(seen[..., 0], seen[..., 1]))
+    elevation = RectBivariateSpline(rows, cols, up) if up.max() > -np.arctan(1.0 / _SLANT_HAZY) else None
+    return Sight(east, north, height, east_per_m, north_per_m, bounds, elevation)
 
 
 def _depth_m(pose: Pose, world: World) -> float:
@@ -173,7 +191,19 @@ def render(
             seen[window][hit] = colour[hit]
         size = (camera.width_px, bottom - top)
         out[top:bottom] = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        if sight.elevation is not None:
+            up = sight.elevation(np.arange(top, bottom) + 0.5, np.arange(camera.width_px) + 0.5)
+            _haze(out[top:bottom], up)
     return out
+
+
+def _haze(light: Floats32, up_rad: Floats) -> None:
+    """Hide what is far behind haze, and paint the sky above the horizon (in place)."""
+    slant = 1.0 / np.tan(np.clip(-up_rad, 1e-3, 1.57))
+    hidden = np.clip((slant - _SLANT_HAZY) / (_SLANT_END - _SLANT_HAZY), 0.0, 1.0)
+    blue = np.clip(up_rad / _SKY_RAD, 0.0, 1.0)[..., None]
+    far = (1.0 - blue) * np.array(_HAZE) + blue * np.array(_SKY)
+    light += (hidden**2 * (3.0 - 2.0 * hidden))[..., None].astype(np.float32) * (far - light)
 
 
 def _samples(start_px: int, end_px: int) -> Floats:

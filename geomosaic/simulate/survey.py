@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,25 +11,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
-from geomosaic.projection.footprint import footprint
 from geomosaic.simulate import control
-from geomosaic.simulate.changing import cars_at, glitter, paint_cars
-from geomosaic.simulate.flight import Flight, Observed, fly, observe, position_bias
+from geomosaic.simulate.changing import cars_at, glitter, gusts, paint_cars, sway
+from geomosaic.simulate.flight import Flight, Observed, battery_offset, fly, observe, position_bias
 from geomosaic.simulate.landscape import Bounds, Landscape
+from geomosaic.simulate.light import automatic_gain, clouds_shade, motion_blur, shaken
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.rasters import Texture, write_cover, write_heights, write_ortho
+from geomosaic.simulate.readout import Readout, readout_of
 from geomosaic.simulate.relief import Relief, hills, raster_height_m, raster_relief
-from geomosaic.simulate.render import Sight, World, develop, render, sight_of
+from geomosaic.simulate.render import Sight, World, develop, outline_of, render, sight_of
 from geomosaic.simulate.spread import in_threads
 from geomosaic.simulate.terrain import Ground
 from geomosaic.simulate.write import (
     CAR_COLUMNS,
     POSITIONS_COLUMNS,
     car_rows,
+    copies_of,
     frame_bytes,
     frame_name,
     opensfm_camera,
@@ -63,20 +64,25 @@ class SimulatedSurvey:
     control: Path | None
     gcp_list: Path | None
     true_control: Path | None
+    dirty: Path | None = None
 
 
 def _silent(done: int, total: int, text: str) -> None:
     pass
 
 
-def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -> SimulatedSurvey:
+def simulate_frames(
+    out: Path, plan: SurveyPlan, progress: Progress = _silent, drawn: Mapping[str, Any] | None = None
+) -> SimulatedSurvey:
     """Write a survey: frames, pos.csv, cameras.json, and truth/ with poses, ortho, DEM and every error drawn.
 
+    drawn: what chance made of the plan (`dirty.DirtySurvey.told`), for truth/dirty.json.
     Equal plans write equal bytes. A folder that holds frames which this function didn't write is left
     alone (`OutputError`).
     """
     names = [frame_name(plan, i) for i in range(plan.frames)]
-    _check_folder(out, [names[i] for i in plan.kept])
+    copies = copies_of(plan)
+    _check_folder(out, [*(names[i] for i in plan.kept), *copies.values()])
     if plan.dem is not None:
         plan = dataclasses.replace(
             plan, ground_height_m=raster_height_m(plan.dem, plan.lon_deg, plan.lat_deg)
@@ -86,6 +92,9 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
     camera, told = plan.camera(), plan.told_camera()
     world = world_of(plan, flight)
     paths = _paths(out, plan)
+    if drawn is not None:
+        paths = dataclasses.replace(paths, dirty=out / "truth" / "dirty.json")
+        write_json(out / "truth" / "dirty.json", drawn)
 
     write_json(paths.truth, _truth(plan, flight, observed, world, names))
     write_json(out / "truth" / "cameras.json", opensfm_camera(camera))
@@ -95,7 +104,7 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
     if paths.pos:
         write_csv(paths.pos, *pos_rows(plan, observed))
 
-    readouts = flight.velocity_m_per_s * plan.rolling_shutter_s
+    readouts = [readout_of(plan, flight, i) for i in range(plan.frames)]
     sights = [sight_of(camera, flight.poses[i], world, readouts[i]) for i in range(plan.frames)]
     if plan.control_points:
         bounds = [s.bounds_m for s in sights]
@@ -115,11 +124,13 @@ def simulate_frames(out: Path, plan: SurveyPlan, progress: Progress = _silent) -
             write_csv(paths.moving_cars, CAR_COLUMNS, rows)
 
         def picture(i: int) -> bytes:
-            light = _frame(plan, camera, flight.poses[i], world, sights[i], texture, cars[i], i)
+            light = _frame(plan, camera, flight, readouts[i], world, sights[i], texture, cars[i], i)
             return frame_bytes(plan, told, flight, observed, i, light)
 
         for n, (i, data) in enumerate(zip(plan.kept, in_threads(picture, plan.kept), strict=True)):
-            write_bytes(paths.frames / names[i], data)
+            for name in (names[i], copies.get(i)):
+                if name:
+                    write_bytes(paths.frames / name, data)
             progress(n + 1, len(plan.kept), "frames")
     finally:
         scratch.unlink(missing_ok=True)
@@ -150,8 +161,9 @@ def world_of(plan: SurveyPlan, flight: Flight) -> World:
         return level
     camera = plan.camera()
     outlines = [
-        footprint(flight.poses[i], camera, level.surface_under(flight.poses[i], camera), per_side=12)
+        outline_of(camera, flight.poses[i], level.surface_under(flight.poses[i], camera), per_side=12)
         for i in range(plan.frames)
+        if flight.role[i] == "survey"
     ]
     shares = np.linspace(0.0, 1.0, 9)[:, None, None]
     inside = [o.mean(axis=0) + (o - o.mean(axis=0)) * shares for o in outlines]
@@ -170,7 +182,8 @@ def world_of(plan: SurveyPlan, flight: Flight) -> World:
 def _frame(
     plan: SurveyPlan,
     camera: Camera,
-    pose: Pose,
+    flight: Flight,
+    readout: Readout,
     world: World,
     sight: Sight,
     texture: Texture,
@@ -178,6 +191,7 @@ def _frame(
     i: int,
 ) -> NDArray[np.float32]:
     """One frame as it is stored, values of [0, 255]."""
+    pose = flight.poses[i]
     if plan.buildings_stand:
         west, south, east, north = sight.bounds_m
         near = landscape_of(plan).buildings_in((west - 20, south - 20, east + 20, north + 20))
@@ -187,11 +201,30 @@ def _frame(
     ground, west_m, north_m = texture.window(sight.bounds_m)
     glitter(ground, west_m, north_m, plan.pixel_m, landscape_of(plan), plan.rng("water", i))
     paint_cars(ground, cars, west_m, north_m, plan.pixel_m)
-    moved_px = plan.rolling_shutter_s * plan.speed_m_per_s / plan.pixel_m
+    if plan.wind_in_trees_m:
+        trees = landscape_of(plan).trees_in(sight.bounds_m)
+        bent_m = gusts(trees, plan.wind_in_trees_m, plan.rng("gusts", i))
+        ground = sway(ground, west_m, north_m, plan.pixel_m, trees, bent_m)
+    moved_px = readout.moved_px(camera, plan.pixel_m)
     light = render(camera, pose, world, sight, ground, west_m, north_m, plan.pixel_m, moved_px)
-    gain = exposure_gain(plan, i)
+    if plan.clouds:
+        shade = clouds_shade(plan, sight, float(flight.time_s[i]), camera.width_px, camera.height_px)
+        light *= shade[..., None]
+    if plan.exposure_time_s:
+        light = motion_blur(light, smear_px(plan, camera, flight, i))
+    if i in plan.numbered("blurred"):
+        light = shaken(plan, light, i)
+    gain = exposure_gain(plan, i) * automatic_gain(plan.auto_exposure, light)
     light = develop(light, gain, plan.vignetting, plan.blur_px, plan.pixel_noise, plan.rng("pixels", i))
     return light[::-1, ::-1] if i in plan.turned_frames() else light
+
+
+def smear_px(plan: SurveyPlan, camera: Camera, flight: Flight, i: int) -> Floats:
+    """Col and row (2,) by which the picture of the ground moves while frame i is exposed."""
+    right, up, _ = flight.poses.rotations[i].T @ flight.velocity_m_per_s[i]
+    above_m = float(flight.lon_lat_height[i, 2]) - plan.ground_height_m
+    per_m = camera.focal_length_px / max(above_m, 1.0)
+    return plan.exposure_time_s * per_m * np.array([-right, up])
 
 
 def landscape_of(plan: SurveyPlan) -> Landscape:
@@ -218,7 +251,9 @@ def _write_ground(
     border = camera.border_px(32)
     outlines = [
         np.column_stack([s.easting.ev(border[:, 1], border[:, 0]), s.northing.ev(border[:, 1], border[:, 0])])
-        for s in sights
+        if role == "survey"
+        else None
+        for s, role in zip(sights, flight.role, strict=True)
     ]
     landscape = landscape_of(plan)
     crs = world.projection.crs
@@ -248,7 +283,8 @@ def _truth(
     plan: SurveyPlan, flight: Flight, observed: Observed, world: World, names: list[str]
 ) -> dict[str, Any]:
     """truth.json: the plan, the world, the errors drawn for each frame, and what is wrong on purpose."""
-    turned = plan.turned_frames()
+    turned, blurred, no_gps = (plan.numbered(field) for field in ("turned", "blurred", "no_gps"))
+    out = [flight.role[i].replace("survey", "blurred" if i in blurred else "") for i in range(plan.frames)]
     frames = [
         {
             "frame": name,
@@ -261,7 +297,11 @@ def _truth(
             "exposure_gain": exposure_gain(plan, i),
             "turned": i in turned,
             "yaw_wrong": bool(observed.yaw_wrong[i]),
-            "gps_outlier": bool(observed.outlier[i]),
+            "gps_outlier": bool(observed.outlier[i]) and i not in no_gps,
+            "no_gps": i in no_gps,
+            "battery": int(flight.battery[i]) + 1,
+            "leave_out": out[i],
+            **_shake(plan, flight, i),
         }
         for i, name in ((i, names[i]) for i in plan.kept)
     ]
@@ -281,6 +321,11 @@ def _truth(
         "camera": dataclasses.asdict(plan.camera()),
         "camera_of_turned_frames": dataclasses.asdict(plan.camera().turned(2)),
         "position_bias_m": position_bias(plan).tolist(),
+        "battery_offset_m": battery_offset(plan).tolist(),
+        "leave_out": [
+            *({"frame": f["frame"], "reason": f["leave_out"]} for f in frames if f["leave_out"]),
+            *({"frame": copy, "reason": "duplicate", "of": names[i]} for i, copy in copies_of(plan).items()),
+        ],
         "frames": frames,
         "warnings": [
             {"code": code, "frame": f["frame"], "text": text}
@@ -288,6 +333,20 @@ def _truth(
             for key, code, text in kinds
             if f[key]
         ],
+    }
+
+
+def _shake(plan: SurveyPlan, flight: Flight, i: int) -> dict[str, Any]:
+    """How the platform shook while a frame was read, see `Readout`; nothing where it didn't."""
+    readout = readout_of(plan, flight, i)
+    if not readout.shakes:
+        return {}
+    return {
+        "vibration": {
+            "rate_rad_per_s": readout.rate_rad_per_s.tolist(),
+            "frequency_hz": readout.frequency_hz.tolist(),
+            "phase_rad": readout.phase_rad.tolist(),
+        }
     }
 
 

@@ -20,14 +20,18 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.exif import camera_tags, dji_xmp, gps_tags, tiff_bytes, with_segments
-from geomosaic.simulate.flight import Flight, Observed, rotations_in
+from geomosaic.simulate.exif import camera_tags, gps_tags, tiff_bytes, with_segments, xmp_packet
+from geomosaic.simulate.fisheye import Fisheye
+from geomosaic.simulate.flight import START_S, Flight, Observed, rotations_in
 from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.readout import gyroscope_tag, readout_of
 from geomosaic.survey.cameras import FILM_DIAGONAL_MM
 
 Floats = NDArray[np.float64]
 MAKE, MODEL = "geomosaic", "simulated"
 SENSOR_WIDTH_MM = Fraction(132, 10)
+_USUAL_EXPOSURE_S = Fraction(1, 800)
+_BOOTED_S = 900.0
 
 POS_COLUMNS = (
     "frame", "lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg",
@@ -111,23 +115,63 @@ def frame_bytes(
     per_mm = Fraction(told.width_px) / SENSOR_WIDTH_MM
     focal_35mm = max(round(told.focal_length_px * FILM_DIAGONAL_MM / math.hypot(*size)), 1)
     focal_mm = told.focal_length_px / float(per_mm)
-    main, exif = camera_tags(float(flight.time_s[i]), MAKE, MODEL, size, focal_mm, per_mm, focal_35mm)
+    exposure_s = Fraction(round(plan.exposure_time_s * 1e6), 1_000_000) or _USUAL_EXPOSURE_S
+    main, exif = camera_tags(
+        float(flight.time_s[i]), MAKE, MODEL, size, focal_mm, per_mm, focal_35mm, exposure_s
+    )
     if plan.pos_in == "csv":
         return with_segments(jpeg, tiff_bytes(main, exif, []), None)
     lon, lat, height = (float(v) for v in observed.lon_lat_height[i])
     gps = gps_tags(float(flight.time_s[i]), lon, lat, height if plan.height_told else None)
-    return with_segments(jpeg, tiff_bytes(main, exif, gps), dji_xmp(_dji(plan, observed, i)))
+    xmp = _dji(plan, observed, i) | _camera_xmp(plan, told, flight, i)
+    return with_segments(
+        jpeg,
+        tiff_bytes(main, exif, [] if i in plan.numbered("no_gps") else gps),
+        xmp_packet(xmp) if xmp else None,
+    )
+
+
+def copies_of(plan: SurveyPlan) -> dict[int, str]:
+    """Names of copied files by the index of the frame they are copies of."""
+    chosen = plan.rng("duplicates").permutation(plan.kept)[: plan.duplicates]
+    return {int(i): frame_name(plan, int(i)).replace(".", " (1).") for i in sorted(chosen)}
+
+
+def _camera_xmp(plan: SurveyPlan, told: Camera, flight: Flight, i: int) -> dict[str, str]:
+    """What Pix4D's namespace tells of lens, readout and gyroscope, as a Parrot Sequoia writes it."""
+    tags = {}
+    mm = float(SENSOR_WIDTH_MM) / told.width_px
+    if plan.lens_in_tags:
+        tags["PrincipalPoint"] = f"{told.principal_col_px * mm:.6f},{told.principal_row_px * mm:.6f}"
+        if isinstance(told, Fisheye):
+            half_turn_px = told.focal_length_px * math.pi / 2.0
+            tags["ModelType"] = "fisheye"
+            tags["FisheyeAffineMatrix"] = f"{half_turn_px:.6f},0,0,{half_turn_px:.6f}"
+            tags["FisheyePolynomial"] = f"0,1,0,{told.k1 * (math.pi / 2.0) ** 2:.9f}"
+        else:
+            terms = (told.k1, told.k2, told.k3, told.p1, told.p2)
+            tags["ModelType"] = "perspective"
+            tags["PerspectiveFocalLength"] = f"{told.focal_length_px * mm:.6f}"
+            tags["PerspectiveFocalLengthUnits"] = "mm"
+            tags["PerspectiveDistortion"] = ",".join(f"{term:.9f}" for term in terms)
+    if plan.readout_told:
+        tags["LineReadoutTime"] = str(round(1e9 * plan.rolling_shutter_s / told.height_px))
+    if plan.gyroscope_told:
+        first_row_s = float(flight.time_s[i]) - START_S + _BOOTED_S - 0.5 * plan.rolling_shutter_s
+        tags["IMUAngularVelocity"] = gyroscope_tag(
+            plan, readout_of(plan, flight, i), round(1e6 * first_row_s), i
+        )
+    return {f"Camera:{name}": value for name, value in tags.items()}
 
 
 def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
     """DJI's tags: gimbal pitch -90 at the nadir, signs written out. The aircraft itself flies level."""
     tags = {}
-    if plan.height_told:
+    if plan.height_told and i not in plan.numbered("no_gps"):
         height = float(observed.lon_lat_height[i, 2])
         tags["AbsoluteAltitude"] = f"{height:+.3f}"
-        if plan.relative_height_told:  # counted by a barometer from the take-off: no bias of the datum
-            above = height - float(observed.height_offset_m[i]) - plan.ground_height_m
-            tags["RelativeAltitude"] = f"{above:+.3f}"
+        if plan.relative_height_told:
+            tags["RelativeAltitude"] = f"{observed.height_above_take_off_m[i]:+.3f}"
     if plan.attitude_told:
         yaw, pitch, roll = gimbal_deg(observed.yaw_pitch_roll_deg[i])
         heading = (float(observed.yaw_pitch_roll_deg[i, 0]) + 180.0) % 360.0 - 180.0
@@ -139,7 +183,7 @@ def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
             "FlightYawDegree": f"{heading:+.2f}",
             "FlightPitchDegree": "+0.00",
         }
-    return tags
+    return {f"drone-dji:{name}": value for name, value in tags.items()}
 
 
 def gimbal_deg(yaw_pitch_roll_deg: Floats) -> tuple[float, float, float]:
@@ -156,6 +200,11 @@ def gimbal_deg(yaw_pitch_roll_deg: Floats) -> tuple[float, float, float]:
     return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(roll))
 
 
+def _files(plan: SurveyPlan) -> list[tuple[int, str]]:
+    """Every frame's index and file name, copies after the others."""
+    return [(i, frame_name(plan, i)) for i in plan.kept] + list(copies_of(plan).items())
+
+
 def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list[str]]]:
     """The POS table with the standard deviations that it states; columns that aren't told are left out."""
     hidden = (
@@ -166,10 +215,12 @@ def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list
     stated = (plan.position_sd_m, plan.height_sd_m, yaw_sd_deg, plan.tilt_sd_deg)
     sd = [plan.stated_sd_factor * s for s in stated]
     rows = []
-    for i in plan.kept:
+    for i, name in _files(plan):
+        if i in plan.numbered("no_gps"):
+            continue
         lon, lat, height = observed.lon_lat_height[i]
         yaw, pitch, roll = observed.yaw_pitch_roll_deg[i]
-        values = [frame_name(plan, i), f"{lon:.9f}", f"{lat:.9f}", f"{height:.4f}",
+        values = [name, f"{lon:.9f}", f"{lat:.9f}", f"{height:.4f}",
                   *(f"{a:.5f}" for a in (yaw, pitch, roll)), *(f"{s:g}" for s in sd)]  # fmt: skip
         rows.append([v for c, v in zip(POS_COLUMNS, values, strict=True) if c not in hidden])
     return [c for c in POS_COLUMNS if c not in hidden], rows
@@ -188,7 +239,7 @@ def true_positions(
     rows = []
     turned = plan.turned_frames()
     said = rotations_in(flight.work_frame, observed.lon_lat_height, observed.yaw_pitch_roll_deg)
-    for i in plan.kept:
+    for i, name in _files(plan):
         lon, lat, height = flight.lon_lat_height[i]
         local = Rotation.from_yaw_pitch_roll(*np.radians(flight.yaw_pitch_roll_deg[i]))
         stored = local.turned(2) if i in turned else local
@@ -201,7 +252,7 @@ def true_positions(
         cosine = (np.trace(between) - 1.0) / 2.0
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
         rows.append(
-            [frame_name(plan, i), "tied", f"{lon:.10f}", f"{lat:.10f}",
+            [name, "tied", f"{lon:.10f}", f"{lat:.10f}",
              *(f"{v:.5f}" for v in (height, east, north)),
              *(f"{a:.7f}" for a in (yaw % 360.0, pitch - 90.0, roll, *opk)),
              *["0"] * 6, f"{moved:.5f}", f"{angle:.6f}"]
@@ -210,21 +261,22 @@ def true_positions(
 
 
 def opensfm_camera(camera: Camera) -> dict[str, dict[str, object]]:
-    """A camera in OpenSfM's cameras.json: Brown, lengths over the longer side, centre from the middle."""
+    """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, centre from
+    the middle."""
     side = float(max(camera.width_px, camera.height_px))
+    fisheye = isinstance(camera, Fisheye)
+    terms = {"k1": camera.k1, "k2": camera.k2}
+    terms |= {"k3": camera.k3, "k4": 0.0} if fisheye else {"p1": camera.p1, "p2": camera.p2, "k3": camera.k3}
+    kind = "fisheye_opencv" if fisheye else "brown"
     return {
-        f"{MAKE} {MODEL} {camera.width_px} {camera.height_px} brown": {
-            "projection_type": "brown",
+        f"{MAKE} {MODEL} {camera.width_px} {camera.height_px} {kind.partition('_')[0]}": {
+            "projection_type": kind,
             "width": camera.width_px,
             "height": camera.height_px,
             "focal_x": camera.focal_length_px / side,
             "focal_y": camera.focal_length_px / side,
             "c_x": (camera.principal_col_px - camera.width_px / 2.0) / side,
             "c_y": (camera.principal_row_px - camera.height_px / 2.0) / side,
-            "k1": camera.k1,
-            "k2": camera.k2,
-            "p1": camera.p1,
-            "p2": camera.p2,
-            "k3": camera.k3,
+            **terms,
         }
     }

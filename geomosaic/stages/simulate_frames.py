@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
-from geomosaic.simulate.plan import FORMATS, KINDS, POS_IN, SurveyPlan
+from geomosaic.simulate.dirty import dirty_survey
+from geomosaic.simulate.plan import ALTITUDES, FORMATS, KINDS, LENSES, POS_IN, SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
 
 _PLAN = SurveyPlan()
@@ -20,20 +22,25 @@ class SimulateFrames(Stage):
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
     group = "Simulation"
-    version = 3
+    version = 4
     outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
 
     class Params(StageParams):
         """The numbers of `SurveyPlan`, which holds their defaults. Standard deviations are per axis."""
 
-        kind: str = param(_PLAN.kind, help="block of lines, one line, or the paper's table", choices=KINDS)
+        dirty: int | None = param(
+            None, help="draw a survey as people deliver them, with its faults; what else is given holds", ge=0
+        )
+        kind: str = param(_PLAN.kind, help="how the survey is flown", choices=KINDS)
         scale: float = param(_PLAN.scale, help="size of the paper's frames, 1 for full", ge=0.05, le=1)
         lon_deg: float = param(_PLAN.lon_deg, help="longitude of the middle", unit="deg", ge=-180, le=180)
         lat_deg: float = param(_PLAN.lat_deg, help="latitude of the middle", unit="deg", ge=-80, le=80)
         ground_height_m: float = param(
             _PLAN.ground_height_m, help="ellipsoidal height of the ground", unit="m", ge=-500, le=9000
         )
-        lines: int = param(_PLAN.lines, help="flight lines of a block", ge=1, le=200)
+        lines: int = param(
+            _PLAN.lines, help="flight lines of a block; of a free path or a spiral, a factor", ge=1, le=200
+        )
         frames_per_line: int = param(_PLAN.frames_per_line, help="frames in each line", ge=1, le=5000)
         forward_overlap: float = param(_PLAN.forward_overlap, help="overlap along a line", ge=0, le=0.95)
         side_overlap: float = param(_PLAN.side_overlap, help="overlap of neighbouring lines", ge=0, le=0.95)
@@ -57,6 +64,13 @@ class SimulateFrames(Stage):
         wander_yaw_deg: float = param(
             _PLAN.wander_yaw_deg, help="true heading off the line's (sd)", unit="deg", ge=0, le=45
         )
+        take_off_frames: int = param(_PLAN.take_off_frames, help="frames taken on the way up", ge=0, le=100)
+        landing_frames: int = param(_PLAN.landing_frames, help="frames taken on the way down", ge=0, le=100)
+        oblique_frames: int = param(
+            _PLAN.oblique_frames, help="frames that look 35 to 60 degrees off the nadir", ge=0, le=100
+        )
+        horizon_frames: int = param(_PLAN.horizon_frames, help="frames that show the horizon", ge=0, le=100)
+        duplicates: int = param(_PLAN.duplicates, help="frames whose files are there twice", ge=0, le=1000)
         width_px: int = param(_PLAN.width_px, help="width of a frame", unit="px", ge=64, le=20000)
         height_px: int = param(_PLAN.height_px, help="height of a frame", unit="px", ge=64, le=20000)
         k1: float = param(_PLAN.k1, help="radial distortion (Brown)", ge=-0.5, le=0.5)
@@ -70,7 +84,13 @@ class SimulateFrames(Stage):
         principal_row_offset_px: float = param(
             _PLAN.principal_row_offset_px, help="principal point below the middle", unit="px"
         )
-        lens_told: bool = param(_PLAN.lens_told, help="cameras.json holds the distortion and the centre")
+        lens: str = param(_PLAN.lens, help="how the lens bends", choices=LENSES)
+        lens_told: bool = param(
+            _PLAN.lens_told, help="the told camera has lens, distortion and centre as they are"
+        )
+        lens_in_tags: bool = param(
+            _PLAN.lens_in_tags, help="frames hold the told camera as the maker's calibration (XMP)"
+        )
         focal_error: float = param(
             _PLAN.focal_error, help="share by which the told focal length is too long", ge=-0.5, le=0.5
         )
@@ -95,6 +115,11 @@ class SimulateFrames(Stage):
         moving_cars: float = param(
             _PLAN.moving_cars, help="cars under way on each 80 m of road, on average", ge=0, le=10
         )
+        wind_in_trees_m: float = param(
+            _PLAN.wind_in_trees_m, help="how far wind moves crowns from frame to frame (sd)", unit="m",
+            ge=0, le=5,
+        )  # fmt: skip
+        clouds: float = param(_PLAN.clouds, help="share of the land in passing clouds' shadow", ge=0, le=1)
         position_sd_m: float = param(
             _PLAN.position_sd_m, help="noise of the position, east and north each", unit="m", ge=0, le=500
         )
@@ -143,6 +168,28 @@ class SimulateFrames(Stage):
             ge=-200,
             le=200,
         )
+        altitude: str = param(
+            _PLAN.altitude,
+            help="what the tags give as altitude: absolute, or something else",
+            choices=ALTITUDES,
+        )
+        altitude_step_m: float = param(
+            _PLAN.altitude_step_m, help="told altitudes are rounded to it, 0 not", unit="m", ge=0, le=1000
+        )
+        take_off_up_m: float = param(
+            _PLAN.take_off_up_m, help="the take-off above the middle's ground", unit="m", ge=-1000, le=1000
+        )
+        battery_offset_m: float = param(
+            _PLAN.battery_offset_m,
+            help="by how much the second half's positions are off those of the first",
+            unit="m",
+            ge=0,
+            le=500,
+        )
+        battery_height_offset_m: float = param(
+            _PLAN.battery_height_offset_m, help="the same of absolute heights", unit="m", ge=-500, le=500
+        )
+        no_gps: str = param(_PLAN.no_gps, help="frames without a position, like 4-6,9")
         control_points: int = param(
             _PLAN.control_points,
             help="surveyed points on the ground, every third a check point",
@@ -152,10 +199,36 @@ class SimulateFrames(Stage):
         exposure_sd: float = param(
             _PLAN.exposure_sd, help="noise of each frame's exposure (logarithm of the gain)", ge=0, le=1
         )
+        auto_exposure: float = param(
+            _PLAN.auto_exposure, help="how far the camera evens out each frame's brightness", ge=0, le=1
+        )
         vignetting: float = param(_PLAN.vignetting, help="light lost in the corners", ge=0, le=0.9)
         blur_px: float = param(_PLAN.blur_px, help="blur (sd)", unit="px", ge=0, le=10)
+        exposure_time_s: float = param(
+            _PLAN.exposure_time_s,
+            help="exposure, which smears what moves; 0 an instant",
+            unit="s",
+            ge=0,
+            le=1,
+        )
+        blurred: str = param(_PLAN.blurred, help="frames that came out blurred, like 4-6,9")
         rolling_shutter_s: float = param(
             _PLAN.rolling_shutter_s, help="time from reading the first row to the last", unit="s", ge=0, le=1
+        )
+        readout_told: bool = param(_PLAN.readout_told, help="frames hold the time that a line takes (XMP)")
+        vibration_deg_per_s: float = param(
+            _PLAN.vibration_deg_per_s,
+            help="angular rate, about each axis, by which the platform shakes while rows are read",
+            unit="deg/s",
+            ge=0,
+            le=100,
+        )
+        vibration_hz: float = param(_PLAN.vibration_hz, help="how often it shakes", unit="Hz", ge=0.1, le=200)
+        gyroscope_told: bool = param(
+            _PLAN.gyroscope_told, help="frames hold the gyroscope's rates while they are read (XMP)"
+        )
+        gyroscope_sd_deg_per_s: float = param(
+            _PLAN.gyroscope_sd_deg_per_s, help="noise of those rates", unit="deg/s", ge=0, le=100
         )
         pixel_noise: float = param(_PLAN.pixel_noise, help="noise of a pixel, of 255 (sd)", ge=0, le=50)
         format: str = param(_PLAN.format, help="file format of the frames", choices=FORMATS)
@@ -164,8 +237,18 @@ class SimulateFrames(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Write the survey; what is wrong with it on purpose is in truth.json, not in warnings."""
-        plan = SurveyPlan(seed=context.seed, **params.model_dump())
-        paths = simulate_frames(context.run_folder, plan, context.progress)
+        options = params.model_dump(exclude={"dirty"})
+        drawn = None
+        if params.dirty is None:
+            plan = SurveyPlan(seed=context.seed, **options)
+        else:
+            if context.seed:
+                raise InputError("both dirty and a seed are given", mend="leave the seed away")
+            drawn = dirty_survey(
+                params.dirty, {k: options[k] for k in options if k in params.model_fields_set}
+            )
+            plan = drawn.plan
+        paths = simulate_frames(context.run_folder, plan, context.progress, drawn and drawn.told())
         for path in dataclasses.astuple(paths):
             if path is not None and path.is_file():
                 context.keep(path)
