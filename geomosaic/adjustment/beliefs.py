@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,8 @@ from geomosaic.adjustment.mounting import Mounting
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.interior import Camera
 from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.prior import position_assumed
+from geomosaic.placement.reach import heights_above_ground_m
 
 Floats = NDArray[np.float64]
 
@@ -36,9 +40,16 @@ def priors_of(
     points_m: Floats,
     terrain: Terrain | None = None,
 ) -> Priors:
-    """Poses as told, lenses, tie points (p, 3) about where they begin, and the terrain that binds them."""
+    """Poses as told, lenses, tie points (p, 3) about where they begin, and the terrain that binds them.
+
+    A frame without position is drawn to where it begins, with its height above the ground for a deviation:
+    next to nothing beside its ties, but it holds a block that nothing else holds.
+    """
+    assumed = position_assumed(block.poses)
+    height_m = heights_above_ground_m(block.poses, block.ground)
+    sd_m = np.where(assumed[:, None], height_m[:, None], block.poses.positions_sd_m)
     return Priors(
-        poses=block.poses,
+        poses=replace(block.poses, positions_sd_m=sd_m),
         cameras=cameras,
         interior_sd=np.stack([interior_deviations(c, readout=settings.rolling_shutter) for c in cameras]),
         mounting=_mounting(settings),
@@ -47,6 +58,7 @@ def priors_of(
         control=np.zeros(len(points_m), dtype=bool),
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
+        assumed=assumed,
     )
 
 
@@ -84,7 +96,8 @@ def believed_terrain(block: Block, points: int) -> Terrain:
     height = flying_height_m(block)
     if block.ground.kind == "dem":
         return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
-    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, np.median(block.poses.positions_sd_m[:, 2]))
+    told_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
+    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, told_sd_m)
     return Terrain(block.ground, _ANY_RELIEF * np.sqrt(max(points / _HILLS, 1.0)), float(level_sd_m))
 
 

@@ -56,7 +56,8 @@ class Priors:
     control, measured by hand and not bound to the terrain. terrain: a surface that tie points lie on, if
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
-    that each frame belongs to; all are one if it isn't told. trust (f, 6): factors of the pose priors'
+    that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
+    observed, so that it tells nothing of the others' deviations. trust (f, 6): factors of the pose priors'
     weights, 1 but for tags that lie; held (s,): which of the shared unknowns, cameras' numbers before the
     mounting's, keep what they were given as the block does not determine them; left_out (f,): frames whose
     pictures have no say, since they made the system unsolvable; all three set by the solver.
@@ -71,6 +72,7 @@ class Priors:
     terrain: Terrain | None = None
     mounting: Mounting = NO_MOUNTING
     part: NDArray[np.intp] | None = None
+    assumed: Bools | None = None
     trust: Floats | None = None
     held: Bools | None = None
     left_out: Bools | None = None

@@ -16,7 +16,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import Survey, Warn
+from geomosaic.survey.model import ControlPoint, Survey, Warn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -28,16 +28,22 @@ Spread = Callable[[Ints, Floats, Floats], Floats]
 (k, 3, 6) and by their cameras' numbers (k, 3, 9)."""
 
 
-def ground_control(survey: Survey) -> tuple[GroundControl, ...]:
+def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl, ...]:
     """The survey's control and check points in the work frame; those without a picture are left out.
 
-    The work frame's up is taken for the point's own vertical: 1.6e-4 rad off per km from the centre.
+    The work frame's up is taken for the point's own vertical: 1.6e-4 rad off per km from the centre. A point
+    known in plan only lies on the ground, as far as that is known.
     """
     number = {frame.name: i for i, frame in enumerate(survey.frames)}
+
+    def place(p: ControlPoint) -> Floats:
+        at = survey.work_frame.enu_from_geodetic(p.lon_deg, p.lat_deg, p.height_ellipsoidal_m)
+        return np.array([*at[:2], ground.up_at(*at[:2])]) if p.plan_only else at
+
     return tuple(
         GroundControl(
             p.name,
-            survey.work_frame.enu_from_geodetic(p.lon_deg, p.lat_deg, p.height_ellipsoidal_m),
+            place(p),
             np.array([p.sd_horizontal_m, p.sd_horizontal_m, p.sd_vertical_m]),
             p.check,
             tuple((number[frame], col, row) for frame, col, row in p.images),

@@ -13,7 +13,7 @@ from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
-from geomosaic.placement.prior import heading_assumed
+from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
 
 Bools = NDArray[np.bool_]
@@ -30,7 +30,7 @@ _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation
 def lying_tags(block: Block, poses: Poses) -> list[Warn]:
     """Frames whose POS the block contradicts far beyond its deviation, with before and after."""
     moved = poses.positions_m - block.poses.positions_m
-    far = np.linalg.norm(moved[:, :2], axis=1)
+    far = np.where(position_assumed(block.poses), 0.0, np.linalg.norm(moved[:, :2], axis=1))
     limit = _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
     turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
     told, found = (
@@ -63,6 +63,9 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
     the stated one, or what the similarity leaves, whichever is larger. A shift of all frames beyond five
     stated deviations is what control in another datum does.
     """
+    seen = seen[~position_assumed(block.poses)[seen]]
+    if not len(seen):
+        return []
     stated = block.poses.positions_sd_m[seen]
     shift_m = np.median(block.poses.positions_m[seen] - poses.positions_m[seen], axis=0)
     out = []
@@ -99,7 +102,8 @@ def drifting_heights(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list
     Told where from end to end it rises by more than three stated deviations of a height, and by more than
     five of its own.
     """
-    order = [i for i in block.sequence if i in set(seen.tolist())]
+    known = set(seen[~position_assumed(block.poses)[seen]].tolist())
+    order = [i for i in block.sequence if i in known]
     if len(order) < 4:
         return []
     off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]

@@ -19,6 +19,27 @@ _LEAST_SHARE = 0.2
 
 
 @dataclass(frozen=True)
+class Fixes:
+    """What is known on the ground of a part's frames: their nadir points where positions were observed, and
+    control points seen in them.
+
+    frame (k,): which. offset (k,): from its nadir point as the frame was believed to stand, 0 for a position.
+    at, sd_m (k,): where that is, east + i north, and its deviation.
+    """
+
+    frame: NDArray[np.intp]
+    offset: Complexes
+    at: Complexes
+    sd_m: Floats
+
+    def of(self, frames: NDArray[np.intp]) -> Fixes:
+        """Of some frames (sorted), counted among these."""
+        mine = np.isin(self.frame, frames)
+        number = np.searchsorted(frames, self.frame[mine])
+        return Fixes(number, self.offset[mine], self.at[mine], self.sd_m[mine])
+
+
+@dataclass(frozen=True)
 class Beliefs:
     """What POS says of frames: nadir points (n,), east + i north, and deviations (n,): of these in m, of
     headings in rad, of the scale that heights and focal length give, as a share."""
@@ -35,20 +56,25 @@ class Beliefs:
         )
 
 
-def laid(shape: Complexes, place: Complexes, beliefs: Beliefs) -> tuple[complex, complex, Floats]:
-    """The similarity, nadir = whole * place + shift, that lays frames onto their positions; and how far each
-    position is trusted, (n,).
+def laid(
+    shape: Complexes, place: Complexes, beliefs: Beliefs, fixes: Fixes
+) -> tuple[complex, complex, Floats]:
+    """The similarity, at = whole * place + shift, that lays frames onto what is known of where they are; and
+    how far each fix is trusted, (k,).
 
     Begun from pairs of frames far apart (the least median of squares, Rousseeuw 1984) and from what headings
     and heights say, each improved by re-weighted least squares; the one with the lower cost is taken.
     Headings and heights have their say with the deviation of one frame: what they are off by they mostly have
     in common. A position beyond six deviations has none.
 
-    Args: shape (n,): turn and scale of each frame against what was told of it.
+    Args: shape (n,): turn and scale of each frame against what was told of it. place (n,): nadir points.
     """
     told = _told(shape, beliefs)
-    sd = float(np.median(beliefs.scale_sd)), float(min(np.median(beliefs.yaw_sd_rad), np.pi))
-    tried = [_improved(whole, place, told, sd, beliefs) for whole in (told, *_drawn(place, beliefs))]
+    if not len(fixes.at):
+        return told, complex(np.mean(beliefs.nadir - told * place)), np.zeros(0)
+    known = place[fixes.frame] + shape[fixes.frame] * fixes.offset
+    sd = float(np.median(beliefs.scale_sd[fixes.frame])), float(min(np.median(beliefs.yaw_sd_rad), np.pi))
+    tried = [_improved(whole, known, told, sd, fixes) for whole in (told, *_drawn(known, fixes))]
     return min(tried, key=lambda t: t[0])[1:]
 
 
@@ -62,8 +88,8 @@ def _told(shape: Complexes, beliefs: Beliefs) -> complex:
     return complex(turn / abs(turn) * np.exp(-np.median(np.log(np.abs(shape)))))
 
 
-def _drawn(place: Complexes, beliefs: Beliefs) -> list[complex]:
-    """Of many pairs of frames the similarity with the least median miss."""
+def _drawn(place: Complexes, fixes: Fixes) -> list[complex]:
+    """Of many pairs of fixes the similarity with the least median miss."""
     n = len(place)
     i, j = np.triu_indices(n, 1)
     if len(i) > _DRAWS:
@@ -72,44 +98,42 @@ def _drawn(place: Complexes, beliefs: Beliefs) -> list[complex]:
         far = np.argsort(-np.abs(place[i] - place[j]), kind="stable")[: len(i) // 2]
         far = far[:: max(1, len(far) // _DRAWS)]
         i, j = i[far], j[far]
-    base, told = place[i] - place[j], beliefs.nadir[i] - beliefs.nadir[j]
+    base, told = place[i] - place[j], fixes.at[i] - fixes.at[j]
     apart = (np.abs(base) > 0.0) & (np.abs(told) > 0.0)
     if n < 4 or not apart.any():
         return []
     whole = told[apart] / base[apart]
-    left = beliefs.nadir[None] - whole[:, None] * place[None]
+    left = fixes.at[None] - whole[:, None] * place[None]
     shift = np.median(left.real, axis=1) + 1j * np.median(left.imag, axis=1)
     return [complex(whole[np.median(np.abs(left - shift[:, None]), axis=1).argmin()])]
 
 
 def _improved(
-    whole: complex, place: Complexes, told: complex, sd: tuple[float, float], beliefs: Beliefs
+    whole: complex, place: Complexes, told: complex, sd: tuple[float, float], fixes: Fixes
 ) -> tuple[float, complex, complex, Floats]:
     """Cost, similarity and trust after re-weighting from `whole` on."""
-    left = beliefs.nadir - whole * place
+    left = fixes.at - whole * place
     shift = complex(np.median(left.real), np.median(left.imag))
     n, one, zero = len(place), np.ones(len(place)), np.zeros(len(place))
     e, u = place.real, place.imag
     design = np.concatenate([np.stack([e, -u, one, zero], 1), np.stack([u, e, zero, one], 1)])
     weight = np.ones(n)
     for _ in range(20):
-        standard = np.abs(beliefs.nadir - whole * place - shift) / beliefs.position_sd_m
+        standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
         noise = max(float(np.median(standard)) / _MEDIAN_LENGTH, _LEAST_SHARE)
         weight = lie_weight(standard / noise)
-        root = np.sqrt(weight) / (noise * beliefs.position_sd_m)
+        root = np.sqrt(weight) / (noise * fixes.sd_m)
         axis, off = whole / abs(whole), float(np.angle(whole / told))
         held = np.array([[axis.real, axis.imag, 0, 0], [-axis.imag, axis.real, 0, 0]])
         held[0] /= sd[0] * abs(told)
         heard = np.sqrt(float(lie_weight(np.array(abs(off) / sd[1])))) / sd[1]
         held[1] *= heard / abs(whole)
         rows = np.concatenate([design * np.tile(root, 2)[:, None], held])
-        sides = np.concatenate(
-            [beliefs.nadir.real * root, beliefs.nadir.imag * root, [1.0 / sd[0], -off * heard]]
-        )
+        sides = np.concatenate([fixes.at.real * root, fixes.at.imag * root, [1.0 / sd[0], -off * heard]])
         size = np.linalg.norm(rows, axis=0) + 1e-12
         x = np.linalg.lstsq(rows / size, sides, rcond=1e-12)[0] / size
         whole, shift = complex(x[0], x[1]), complex(x[2], x[3])
-    standard = np.abs(beliefs.nadir - whole * place - shift) / beliefs.position_sd_m
+    standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
     scale, turn = np.log(abs(whole / told)) / sd[0], np.angle(whole / told) / sd[1]
     cost = float(np.log1p(standard**2).sum() + np.log1p(scale**2) + np.log1p(turn**2))
     return cost, whole, shift, weight

@@ -12,7 +12,10 @@ from geomosaic.adjustment.misalignment import ties_on_ground
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.control import LEAST_POINTS
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
@@ -24,6 +27,22 @@ def residuals_m(
     """Per pair (k, 2): right minus left on the ground, east and north; NaN where a ray misses."""
     on_ground = ties_on_ground(block, poses, cameras, ground)
     return tuple(right[:, :2] - left[:, :2] for left, right in on_ground)
+
+
+def unplaced_parts(block: Block) -> list[list[int]]:
+    """The connected parts of a block that nothing places: no frame in them has a position, and they see fewer
+    than two control points. Where all are such, the largest lies in a frame of its own, and is none of these.
+    """
+    assumed = position_assumed(block.poses)
+    if not assumed.any():
+        return []
+    parts = connected_parts(len(block.names), [(t.left, t.right) for t in block.ties.pairs])
+    seen = [{i for i, _, _ in c.observations} for c in block.control if not c.check]
+    nowhere = [
+        part for part in parts
+        if assumed[part].all() and sum(not frames.isdisjoint(part) for frames in seen) < LEAST_POINTS
+    ]  # fmt: skip
+    return nowhere[1:] if len(nowhere) == len(parts) else nowhere
 
 
 def settled(
@@ -40,14 +59,17 @@ def settled(
 ) -> Adjusted:
     """The outcome for poses found by any method: `tied` are frames with tie points, the others are
     `placed` by POS alone, as are those `unsolved`. spread: see `control_residuals`; given by methods that
-    used control."""
+    used control. Frames that nothing places are `rejected`, see `unplaced_parts`."""
     cameras, ground = cameras or block.cameras, ground or block.ground
     tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)} - set(unsolved)
+    nowhere = {i for part in unplaced_parts(block) for i in part}
     control = control_residuals(block, poses, cameras, ground, spread)
     return Adjusted(
         poses=poses,
         cameras=cameras,
-        status=tuple("tied" if i in tied else "placed" for i in range(len(block.names))),
+        status=tuple(
+            "rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))
+        ),
         rounds=rounds,
         residuals_m=residuals_m(block, poses, cameras, ground),
         ground=ground,

@@ -34,7 +34,7 @@ from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
-from geomosaic.adjustment.start import start_poses
+from geomosaic.adjustment.start import placed_by_pictures, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.camera.exterior import Poses
@@ -85,8 +85,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     if not tracks.points and all(c.check for c in block.control):
         still = np.zeros((len(block.names), 2))
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
-    net = offset_net(block)
+    told, net = block, offset_net(block)
     start = start_poses(block, net)
+    block = placed_by_pictures(block, start)
     cameras = tuple({c.name: c for c in block.cameras}.values())
     number = {c.name: k for k, c in enumerate(cameras)}
     camera_of = np.array([number[c.name] for c in block.cameras])
@@ -97,7 +98,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         found = _with_all(block, settings, tracks, camera_of, cameras, found)
     kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
     bundle = _of_ties(found.solved, kept)
-    moves = (bundle.poses.positions_m - block.poses.positions_m)[:, :2]
+    moves = (bundle.poses.positions_m - told.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
     shared = _shared(bundle, priors)
     outcome = settled(

@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
 from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
-from geomosaic.adjustment.laying import Beliefs, laid
+from geomosaic.adjustment.laying import Beliefs, Fixes, laid
 from geomosaic.adjustment.misalignment import OffsetNet
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.projection.footprint import ground_from_images
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -29,6 +31,8 @@ _LOCAL_SCALE_SD, _LOCAL_TURN_SD = 0.1, 0.1
 """How far a frame's scale and turn (rad) may go from what the pairs' average says: along a line of frames
 that all look 5 degrees ahead each pair's scale is off by some per cent, one way."""
 _CAUCHY = 3.0
+_ANYWHERE = 10.0
+"""Flying heights that a frame without position may be off, and times its scale: nothing beside the ties."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +66,16 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     shape = averaged(net.n, joints)
     tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
     position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt)
+    assumed = position_assumed(poses)
     beliefs = Beliefs(
         nadir,
-        position_sd_m,
+        np.where(assumed, _ANYWHERE * height, position_sd_m),
         np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
         np.array([_scale_sd(block, i, h) for i, h in enumerate(height)]),
     )
+    told = np.flatnonzero(~assumed)
+    positions = Fixes(told, np.zeros(len(told), np.complex128), nadir[told], position_sd_m[told])
+    control = _control_fixes(block, height * tilt)
     for frames in connected_parts(net.n, edges):
         if len(frames) == 1:
             continue
@@ -75,7 +83,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
         mine = [k for k, (a, _) in enumerate(edges) if a in inside]
         ties = _thinned([edges[k] for k in mine], [left[k] for k in mine], [right[k] for k in mine],
                         np.maximum(joints.miss_m[mine], net.step_m), frames)  # fmt: skip
-        turn[frames], place[frames] = _part(ties, shape[frames], beliefs.of(np.array(frames)))
+        fixes = (positions if not assumed[frames].all() else control).of(np.array(frames))
+        turn[frames], place[frames] = _part(ties, shape[frames], beliefs.of(np.array(frames)), fixes)
     scale = np.abs(turn)
     up = poses.positions_m[:, 2] + (scale - 1.0) * height
     return replace(
@@ -85,8 +94,41 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     )
 
 
+def placed_by_pictures(block: Block, start: Poses) -> Block:
+    """The block with its frames without position where the start has put them, and as high; nothing is known
+    of them still. Where no frame has a position, its ground pixel is that of these heights."""
+    assumed = position_assumed(block.poses)
+    if not assumed.any():
+        return block
+    positions_m = np.where(assumed[:, None], start.positions_m, block.poses.positions_m)
+    moved = replace(block, poses=replace(block.poses, positions_m=positions_m))
+    if not assumed.all():
+        return moved
+    before, now = (heights_above_ground_m(b.poses, b.ground) for b in (block, moved))
+    return replace(moved, ground_pixel_m=block.ground_pixel_m * float(np.median(now / before)))
+
+
+def _control_fixes(block: Block, off_m: Floats) -> Fixes:
+    """Where control points lie in the frames that see them; off_m (n,): what these are off by their tilts."""
+    seen = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
+    frame = np.array([i for i, _, _ in seen], dtype=np.intp)
+    if not len(frame):
+        return Fixes(frame, *np.zeros((2, 0), np.complex128), np.zeros(0))
+    px = np.array([px for _, px, _ in seen])
+    ground_m = ground_from_images(frame, px, block.poses, block.cameras, block.ground)
+    offset = (ground_m - block.poses.positions_m[frame])[:, :2] @ [1, 1j]
+    at, sd_m = (np.array([getattr(c, name) for _, _, c in seen]) for name in ("enu_m", "sd_m"))
+    hit, order = np.isfinite(offset), np.argsort(frame, kind="stable")
+    order = order[hit[order]]
+    return Fixes(
+        frame[order], offset[order], (at[:, :2] @ [1, 1j])[order], np.hypot(sd_m[:, 0], off_m[frame])[order]
+    )
+
+
 def _scale_sd(block: Block, frame: int, height_m: float) -> float:
     """How well a frame's scale on the ground is told by its height and focal length, as a share."""
+    if position_assumed(block.poses)[frame]:
+        return _ANYWHERE
     camera = block.cameras[frame]
     focal = (camera.focal_length_sd_px or 0.0) / camera.focal_length_px
     return float(
@@ -94,14 +136,16 @@ def _scale_sd(block: Block, frame: int, height_m: float) -> float:
     )
 
 
-def _part(ties: _Ties, shape: Complexes, beliefs: Beliefs) -> tuple[Complexes, Complexes]:
+def _part(ties: _Ties, shape: Complexes, beliefs: Beliefs, fixes: Fixes) -> tuple[Complexes, Complexes]:
     """Turn and scale, and nadir point, of each frame of a part."""
     shape, place = shape / np.exp(np.log(np.abs(shape)).mean()), np.zeros(len(shape), np.complex128)
     first, whole, trust = shape, 1.0 + 0j, np.zeros(len(shape))
     for _ in range(_ROUNDS):
         wanted = (beliefs.nadir - beliefs.nadir.mean()) / whole
         shape, place = _agreed(ties, shape, first, wanted, beliefs.position_sd_m / abs(whole), trust)
-        whole, shift, trust = laid(shape, place, beliefs)
+        whole, shift, heard = laid(shape, place, beliefs, fixes)
+        trust = np.zeros(len(shape))
+        trust[fixes.frame[fixes.offset == 0.0]] = heard[fixes.offset == 0.0]
         place = place + (shift - beliefs.nadir.mean()) / whole
     return whole * shape, whole * place + beliefs.nadir.mean()
 

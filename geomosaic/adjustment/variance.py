@@ -76,11 +76,11 @@ def variance_components(
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH))
     if image_only:
         return factors
-    miss = own_miss(priors, state, factors)
+    miss, observed = own_miss(priors, state, factors), _observed(priors)
     for group, (first, *more) in GROUPS.items():
         columns = [first, *more]
-        known = np.asarray(np.isfinite(sd[:, columns]))
-        in_all = weight[:, columns].sum(axis=1)
+        known = np.isfinite(sd[:, columns]) & observed[:, columns]
+        in_all = np.where(observed[:, columns], weight[:, columns], 0.0).sum(axis=1)
         alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
         r = min(float((weight[:, columns] - share[:, columns])[known].sum()), alone)
         if r < _LEAST_REDUNDANCY:
@@ -108,16 +108,25 @@ def parts_of(priors: Priors) -> list[Ints]:
     return [np.flatnonzero(part == k) for k in np.unique(part)]
 
 
+def _observed(priors: Priors) -> Bools:
+    """Which numbers of the poses (f, 6) somebody observed, or believes: all but assumed positions."""
+    out = np.ones((len(priors.poses), 6), dtype=bool)
+    out[:, :3] &= True if priors.assumed is None else ~priors.assumed[:, None]
+    return out
+
+
 def own_miss(priors: Priors, state: State, factors: Factors) -> Floats:
     """Told minus present (f, 6), less what the frames of each part miss in common: a similarity of the plane,
-    a height, a heading. Frames that lie don't tell what is common."""
-    miss, sd = present_miss(priors, state), pose_sd(priors, factors)
+    a height, a heading. Frames that lie don't tell what is common. Of assumed positions it is 0."""
+    miss, sd, observed = present_miss(priors, state), pose_sd(priors, factors), _observed(priors)
     out = miss.copy()
-    for frames in parts_of(priors):
+    for part in parts_of(priors):
+        frames = part[observed[part, 0]]
         out[frames, :2] -= _common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
         for column in (2, 5):
+            frames = part[observed[part, column]]
             out[frames, column] -= _common(miss[frames, column], sd[frames, column])
-    return out
+    return np.where(observed, out, 0.0)
 
 
 def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
@@ -179,11 +188,11 @@ def trust_in_tags(priors: Priors, state: State, factors: Factors) -> Floats:
     tied = np.concatenate(
         [frames for frames in parts_of(priors) if len(frames) > 2] or [np.arange(len(miss))]
     )
-    trust = np.ones_like(miss)
+    trust, observed = np.ones_like(miss), _observed(priors)
     for columns in map(list, GROUPS.values()):
         length = np.linalg.norm(miss[:, columns], axis=1)
         typical = _MEDIAN_LENGTH if len(columns) == 2 else _MEDIAN_ONE
-        bulk = max(1.0, float(np.median(length[tied])) / typical)
+        bulk = max(1.0, median_px(length[tied[observed[tied, columns[0]]]]) / typical)
         trust[:, columns] = lie_weight(length / bulk)[:, None]
     return trust
 

@@ -11,6 +11,8 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_x, about_y
 from geomosaic.export.on_map import grid_from_work, local_from_work, map_from_work
+from geomosaic.geodesy.mapcrs import is_local
+from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -61,16 +63,24 @@ def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientatio
     return Orientations(
         names=tuple(frame.name for frame in survey.frames),
         status=adjusted.status,
-        lon_lat_height=survey.work_frame.geodetic_from_enu(poses.positions_m),
+        lon_lat_height=_lon_lat_height(survey, poses.positions_m),
         map_m=map_from_work(survey, poses.positions_m),
         yaw_pitch_roll_deg=np.degrees(np.stack([yaw % (2.0 * np.pi), pitch - np.pi / 2.0, roll], axis=-1)),
         omega_phi_kappa_deg=np.degrees(np.stack([omega, phi, kappa], axis=-1)),
         covariance_m2=covariance_m2,
         sd_m=_deviations(covariance_m2),
         sd_omega_phi_kappa_deg=np.degrees(_deviations(angles)),
-        moved_m=moved_m,
+        moved_m=np.where(position_assumed(prior), np.nan, moved_m),
         turned_deg=np.degrees(turned),
     )
+
+
+def _lon_lat_height(survey: Survey, positions_m: Floats) -> Floats:
+    """Geodetic; longitude and latitude unknown of a local frame."""
+    out = survey.work_frame.geodetic_from_enu(positions_m)
+    if is_local(survey.map_crs):
+        out[:, :2] = np.nan
+    return out
 
 
 def _covariances(adjusted: Adjusted, prior: Poses, still: NDArray[np.bool_]) -> tuple[Floats, Floats]:

@@ -13,6 +13,13 @@ from pyproj.exceptions import CRSError, ProjError
 from geomosaic.errors import InputError
 
 Floats = NDArray[np.float64]
+LOCAL_CRS = (
+    'ENGCRS["local frame in units of its own",EDATUM["nowhere on Earth"],CS[Cartesian,2],'
+    'AXIS["(E)",east,ORDER[1]],AXIS["(N)",north,ORDER[2]],LENGTHUNIT["unit of its own",1]]'
+)
+"""Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
+_LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
+"""Geometry goes on as if the local frame lay at longitude and latitude 0."""
 
 
 def utm_crs(lon_deg: float, lat_deg: float) -> str:
@@ -23,6 +30,11 @@ def utm_crs(lon_deg: float, lat_deg: float) -> str:
     if 72.0 <= lat_deg < 84.0 and 0.0 <= lon_deg < 42.0:
         zone = 31 + 2 * int((lon_deg + 3.0) // 12.0)
     return f"EPSG:{326 if lat_deg >= 0.0 else 327}{zone:02d}"
+
+
+def is_local(crs: str) -> bool:
+    """Whether a map CRS is that of a local frame, somewhere unknown."""
+    return crs == LOCAL_CRS
 
 
 def map_crs(text: str) -> CRS:
@@ -57,6 +69,7 @@ def outside_area_m(crs: CRS, lon_deg: float, lat_deg: float) -> float:
 
 @lru_cache(maxsize=32)
 def _map_from_geodetic(crs: str) -> Transformer:
+    crs = _LOCAL_PLANE if is_local(crs) else crs
     try:
         return Transformer.from_crs("EPSG:4979", CRS.from_user_input(crs).to_2d(), always_xy=True)
     except ProjError as error:
@@ -66,7 +79,7 @@ def _map_from_geodetic(crs: str) -> Transformer:
 
 @lru_cache(maxsize=32)
 def _projection(crs: str) -> Proj:
-    return Proj(CRS.from_user_input(crs))
+    return Proj(CRS.from_user_input(_LOCAL_PLANE if is_local(crs) else crs))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ _FREE_LEAST = 1.5
 
 @dataclass(frozen=True)
 class PairJob:
-    """What matching a pair needs. Ground: (n, 2) east and north where each keypoint is believed to be."""
+    """What matching a pair needs. Ground: (n, 2) east and north where each keypoint is believed to be; with
+    an infinite radius nothing is believed."""
 
     left: Features
     right: Features
@@ -45,7 +46,8 @@ def match_pair(job: PairJob) -> PairMatch:
     A free search, which nothing but the picture supports, must bring half as many again.
     """
     left, right = root_sift(job.left.descriptors), root_sift(job.right.descriptors)
-    for radius_m, least in ((job.radius_m, job.least), (np.inf, int(_FREE_LEAST * job.least))):
+    guided = [] if np.isinf(job.radius_m) else [(job.radius_m, job.least)]
+    for radius_m, least in (*guided, (np.inf, int(_FREE_LEAST * job.least))):
         i, j = search(left, right, job.left_ground_m, job.right_ground_m, radius_m, job.ratio)
         good = CHECKS[job.check](job.left.image_px[i], job.right.image_px[j], job.tolerance_px)
         i, j = _once_per_place(job, i[good], j[good])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Geod
 
-from geomosaic.survey.model import Frame, Survey
+from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 Floats = NDArray[np.float64]
 _ESTIMATED_SD_SHARE = 0.1
@@ -94,14 +94,53 @@ def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
 def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
     """Up to `most` pairs of frames next to each other in time, spread over the flight: indices and
     horizontal distance in metres; pairs closer than a tenth of the median are left out."""
-    at = np.array([[f.position.lon_deg, f.position.lat_deg] for f in frames])
-    if len(at) < 2:
+    known = [i for i, f in enumerate(frames) if f.position.known]
+    if len(known) < 2:
         return []
+    at = np.array([[frames[i].position.lon_deg, frames[i].position.lat_deg] for i in known])
     _, _, base_m = Geod(ellps="WGS84").inv(*at[:-1].T, *at[1:].T)
     apart = np.flatnonzero(base_m > 0.1 * np.median(base_m))
     apart = apart[np.asarray(base_m)[apart] < 3.0 * np.median(base_m)]
     chosen = apart[np.unique(np.linspace(0, len(apart) - 1, min(most, len(apart))).astype(np.intp))]
-    return [(int(i), int(i) + 1, float(base_m[i])) for i in chosen]
+    return [(known[i], known[i + 1], float(base_m[i])) for i in chosen]
+
+
+def with_any_height(survey: Survey) -> tuple[Survey, float]:
+    """A survey none of whose frames has a position, at some height over flat ground, and the ground's height.
+
+    Where frames see two control points or more, the height at which these are as far apart as surveyed, and
+    the ground at the points' height; else a ground pixel of one unit. Pictures and control set it right.
+    """
+    used = [c for c in survey.control if not c.check]
+    above = _height_by_control_m(survey, used) or float(
+        np.median([survey.camera_of(i).focal_length_px for i in range(len(survey.frames))])
+    )
+    level = float(np.median([c.height_ellipsoidal_m for c in used])) if used else 0.0
+    frames = tuple(
+        replace(f, position=replace(f.position, height_above_ground_m=above)) for f in survey.frames
+    )
+    return replace(survey, frames=frames), level
+
+
+def _height_by_control_m(survey: Survey, points: Sequence[ControlPoint]) -> float | None:
+    """The median of what the two control points farthest apart in each frame say of its height above ground."""
+    seen: dict[str, list[tuple[float, float, ControlPoint]]] = {}
+    for point in points:
+        for frame, col, row in point.images:
+            seen.setdefault(frame, []).append((col, row, point))
+    heights = []
+    for i, frame in enumerate(survey.frames):
+        here = seen.get(frame.name, [])
+        if len(here) < 2:
+            continue
+        px = np.array([[col, row] for col, row, _ in here])
+        apart = np.linalg.norm(px[:, None] - px[None], axis=2)
+        a, b = np.unravel_index(int(apart.argmax()), apart.shape)
+        p, q = here[a][2], here[b][2]
+        base_m = Geod(ellps="WGS84").inv(p.lon_deg, p.lat_deg, q.lon_deg, q.lat_deg)[2]
+        if apart[a, b] > 0.0 and base_m > 0.0:
+            heights.append(survey.camera_of(i).focal_length_px * base_m / apart[a, b])
+    return float(np.median(heights)) if heights else None
 
 
 def with_heights_above_ground(survey: Survey, above_m: float) -> tuple[Survey, float]:

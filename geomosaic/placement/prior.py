@@ -13,6 +13,7 @@ from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import or_nan
 from geomosaic.placement.velocity import velocities_m_per_s
+from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -23,6 +24,11 @@ COURSE_YAW_SD_DEG = 20.0
 def heading_assumed(poses: Poses) -> NDArray[np.bool_]:
     """Frames (n,) whose heading nobody observed: taken from the course, or from nowhere."""
     return np.asarray(poses.rotations_sd_rad[:, 2] >= np.radians(COURSE_YAW_SD_DEG) - 1e-9)
+
+
+def position_assumed(poses: Poses) -> NDArray[np.bool_]:
+    """Frames (n,) whose position nobody observed."""
+    return np.asarray(poses.positions_sd_m[:, :2].min(axis=1) >= POSITION["none"].sd_horizontal_m)
 
 
 def rigorous(work_frame: LocalFrame, lon_lat_height: Floats) -> tuple[Floats, Floats]:
@@ -60,7 +66,8 @@ ATTITUDES: dict[str, Callable[[Floats, Floats, Floats], Rotation]] = {
 
 
 def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
-    """True course over ground at each frame (n,), from its neighbours in the same flight line."""
+    """True course over ground at each frame (n,), from its neighbours in the same flight line; NaN where it
+    has none, or they lie where it does."""
     n = len(positions_m)
     course = np.full(n, np.nan)
     for line in sorted(set(lines)):
@@ -69,7 +76,7 @@ def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
             continue
         for k, i in enumerate(at):
             d = positions_m[at[min(k + 1, len(at) - 1)]] - positions_m[at[max(k - 1, 0)]]
-            course[i] = np.degrees(np.arctan2(d[0], d[1]))
+            course[i] = np.degrees(np.arctan2(d[0], d[1])) if d[:2].any() else np.nan
     return course
 
 
@@ -96,7 +103,7 @@ def prior_poses(
     yaw = np.array([or_nan(f.attitude.yaw_deg) for f in frames])
     sd_yaw = np.array([f.attitude.sd_yaw_deg for f in frames])
     unknown = np.isnan(yaw)
-    course = courses_deg(positions, lines)
+    course = np.where(survey.located, courses_deg(positions, lines), np.nan)
     sd_yaw[unknown] = np.where(np.isnan(course), UNKNOWN_YAW_SD_DEG, COURSE_YAW_SD_DEG)[unknown]
     yaw = np.where(unknown, np.nan_to_num(course), yaw)
     pitch, roll = (

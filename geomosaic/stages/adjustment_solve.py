@@ -11,6 +11,7 @@ import numpy as np
 from geomosaic.adjustment.control import ground_control
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.outcome import unplaced_parts
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import connected_parts
@@ -19,6 +20,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_figures
 from geomosaic.stages.telling import record_adjusted
 from geomosaic.survey.model import Survey
+from geomosaic.survey.names import some
 
 
 class AdjustmentSolve(Stage):
@@ -27,7 +29,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 7
+    version = 8
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
@@ -64,6 +66,12 @@ class AdjustmentSolve(Stage):
         adjusted = METHODS[params.method](block, Settings(**params.model_dump(exclude={"method"})))
         held = {i for c in block.control if not c.check for i, _, _ in c.observations}
         parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
+        nowhere = {i for part in unplaced_parts(block) for i in part}
+        if nowhere:
+            left = [block.names[i] for i in sorted(nowhere)]
+            text = "without position, and tied to no frame that has one: left out of the mosaic"
+            context.warn("not-placed", left[0] if len(left) == 1 else "", f"{text} ({some(left)})")
+        parts = [part for part in parts if part[0] not in nowhere]
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
             context.warn(
                 "no-tie-points",
@@ -111,7 +119,7 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
         lines=placement.lines,
         ground_pixel_m=placement.ground_pixel_m,
         turned=placement.turned,
-        control=ground_control(survey),
+        control=ground_control(survey, ground),
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.matching.candidates import Comparison, alike, coarse, likely_pairs, to_compare
 from geomosaic.matching.features import Features, reduction_for
 from geomosaic.matching.match import PairJob, match_pair
 from geomosaic.matching.model import TiePair, TiePoints
@@ -36,7 +37,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
@@ -79,6 +80,9 @@ class MatchingSift(Stage):
         ]
         reach_m = misplacement_m(placement.poses, cameras, inputs["ground"])
         tried, found = list(placement.pairs), []
+        located = np.array(survey.located)
+        reach_m = np.where(located, reach_m, np.inf)
+        tried += self._without_positions(context, features, np.flatnonzero(~located).tolist())
         job = partial(self._job, params, placement.ground_pixel_m, cameras, features, ground_m, reach_m)
         found += context.map("pairs", match_pair, [job(pair) for pair in tried], keys=tried)
         tied = {i for pair, match in zip(tried, found, strict=True) if len(match.left) for i in pair}
@@ -97,9 +101,11 @@ class MatchingSift(Stage):
             pairs.append(TiePair(a, b, features[a].image_px[i], features[b].image_px[j], i, j))
             here, there = ground_m[a][i], ground_m[b][j]
             hit = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-            if hit.any():
+            if hit.any() and located[a] and located[b]:
                 seen.append(Seen(a, b, here[hit], there[hit]))
-        cap_m = max(300.0 * placement.ground_pixel_m, float(np.median(reach_m)))
+        cap_m = max(
+            300.0 * placement.ground_pixel_m, float(np.median(reach_m[located])) if located.any() else 0.0
+        )
         sizes = [(f.width_px, f.height_px) for f in frames]
         turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
         self._tell(context, [f.name for f in frames], placement.poses, turns, headings)
@@ -114,6 +120,20 @@ class MatchingSift(Stage):
                 turned=tuple(turns.get(i, 0) for i in range(len(frames))),
             ),
         }
+
+    @staticmethod
+    def _without_positions(
+        context: Context, features: Sequence[Features], frames: Sequence[int]
+    ) -> list[tuple[int, int]]:
+        """Candidate pairs of frames that have no position, by what their pictures have in common."""
+        if not frames:
+            return []
+        few = [coarse(f) for f in features]
+        compared = to_compare(len(features), frames)
+        jobs = [Comparison(few[i], tuple(few[j] for j in others)) for i, others in compared]
+        found = context.map("frames without position", alike, jobs, keys=[i for i, _ in compared])
+        context.metric("matching.pairs_compared", sum(len(others) for _, others in compared))
+        return likely_pairs(compared, found)
 
     @staticmethod
     def _tell(

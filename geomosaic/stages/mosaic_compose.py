@@ -31,7 +31,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -46,7 +46,8 @@ class MosaicCompose(Stage):
 
         gsd_m: float | Literal["auto"] = param(
             "auto",
-            help="ground pixel; auto: the frames' median by POS, the same for every method",
+            help="ground pixel; auto: the frames' median by POS, the same for every method; where none has a "
+            "position, that of the adjusted frames",
             unit="m",
             ge=0.0005,
             le=1000.0,
@@ -83,6 +84,8 @@ class MosaicCompose(Stage):
         for i in sorted({i for i, use in enumerate(used) if use} - {v.frame for v in views}):
             context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
         ground_pixel_m = inputs["placement"].ground_pixel_m
+        if not any(survey.located):
+            ground_pixel_m = float(np.median([v.gsd_m for v in views])) if views else np.nan
         gsd_m = auto_gsd_m(ground_pixel_m) if params.gsd_m == "auto" else params.gsd_m
         views, flung = without_flung(views, gsd_m, params.max_gigapixels)
         for view in flung:

@@ -43,8 +43,11 @@ class MosaicEstimate(Stage):
         names = [f.name for f in survey.frames]
         cameras = [survey.camera_of(i) for i in range(len(names))]
         ground = inputs["ground"]
+        if not any(survey.located):
+            context.tell("no frame has a position: how large the mosaic will be only the pictures can tell")
+            return {}
         views = frame_views(
-            survey.work_frame, survey.map_crs, placement.poses, cameras, [True] * len(names), ground
+            survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground
         )
         gsd_m = auto_gsd_m(placement.ground_pixel_m) if compose.gsd_m == "auto" else compose.gsd_m
         grid = output_grid(survey.map_crs, views, gsd_m, names, compose.max_gigapixels)

@@ -31,7 +31,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"placement": Placement}
 
@@ -69,8 +69,11 @@ class PlacementPos(Stage):
                     "horizon", name, "part of the frame looks past the horizon; that part is left out"
                 )
         outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
-        reach_m = float(np.median(misplacement_m(poses, cameras, ground)))
-        _warn_of_control_outside(context, survey, outlines, reach_m)
+        located = np.array(survey.located)
+        outlines = [o if known else o[:0] for o, known in zip(outlines, located, strict=True)]
+        reach_m = float(np.median(misplacement_m(poses, cameras, ground)[located])) if located.any() else 0.0
+        if located.all():
+            _warn_of_control_outside(context, survey, outlines, reach_m)
         pixels = [ground_sampling_distance_m(poses[i], cameras[i], ground) for i in range(len(names))]
         placement = Placement(
             poses=poses,
@@ -82,7 +85,9 @@ class PlacementPos(Stage):
         )
         record_locations(context, survey.work_frame, names, poses, ["placed"] * len(names))
         features = [
-            outline_feature(survey.work_frame, o, {"frame": n}) for n, o in zip(names, outlines, strict=True)
+            outline_feature(survey.work_frame, o, {"frame": n})
+            for n, o in zip(names, outlines, strict=True)
+            if len(o)
         ]
         context.recorder.geojson("/footprints/placed", features)
         context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
@@ -98,7 +103,11 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
     told_m = frame_heights_m(survey.frames, below_m)
     sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
     heights_m, sd_m = with_missing_heights(told_m, sd_m, below_m)
-    filled = [n for n, a, b in zip(names, told_m, heights_m, strict=True) if np.isnan(a) and np.isfinite(b)]
+    filled = [
+        f.name
+        for f, a, b in zip(survey.frames, told_m, heights_m, strict=True)
+        if np.isnan(a) and np.isfinite(b) and f.position.known
+    ]
     if filled:
         text = f"no height of their own: set by the frames before and after ({some(filled)})"
         context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)

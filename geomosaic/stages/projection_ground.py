@@ -19,6 +19,7 @@ from geomosaic.placement.heights import (
     frame_heights_m,
     ground_height_m,
     neighbours,
+    with_any_height,
     with_heights_above_ground,
 )
 from geomosaic.placement.reach import ground_pixel_m, half_extent_m
@@ -41,7 +42,7 @@ class ProjectionGround(Stage):
     id = "projection.ground"
     display_name = "Make the ground surface"
     group = "Projection"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "survey": Survey}
 
@@ -60,16 +61,19 @@ class ProjectionGround(Stage):
         """A DEM's relief around the frames, or the surface of one height."""
         survey: Survey = inputs["survey"]
         height = params.height_m if params.height_m != "auto" else ground_height_m(survey.frames)
-        if survey.elevation is None and height is None:
+        if not any(survey.located):
+            survey, level = with_any_height(survey)
+            height = level if params.height_m == "auto" else height
+        elif survey.elevation is None and height is None:
             survey, height = self._from_pictures(survey, context)
-        positions = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
+        positions = _places(survey)
         enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
         if survey.elevation is not None:
             ground = self._dem(survey, enu, context)
             context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
         else:
             level = float(height or 0.0)
-            top = frame_heights_m(survey.frames, np.full(len(enu), level))
+            top = frame_heights_m(survey.frames, np.full(len(survey.frames), level))
             reach = self._reach_m(survey, top - level)
             ground = flat_ground(survey.work_frame, level, float(np.abs(enu).max()) + reach)
             context.recorder.log("info", f"flat ground at {level:.2f} m above the ellipsoid")
@@ -112,12 +116,12 @@ class ProjectionGround(Stage):
     def _dem(self, survey: Survey, enu: Floats, context: Context) -> GroundSurface:
         assert survey.elevation is not None
         projection = MapProjection(dem_crs(survey.elevation))
-        at = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
+        at = _places(survey)
         xy = projection.map_from_geodetic(at[:, 0], at[:, 1])
         near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
         below = near.at(xy[:, 0], xy[:, 1])
         low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
-        above = frame_heights_m(survey.frames, below) - low
+        above = frame_heights_m(survey.frames, below[: len(survey.frames)]) - low
         reach = self._reach_m(survey, above)
         corners = np.array([[e, n] for e in (enu[:, 0].min() - reach, enu[:, 0].max() + reach)
                             for n in (enu[:, 1].min() - reach, enu[:, 1].max() + reach)])  # fmt: skip
@@ -131,3 +135,11 @@ class ProjectionGround(Stage):
             context.warn(warning.code, warning.frame, warning.text)
         spacing = max(finest_m, float(raster.pixel_y * metres))
         return relief(survey.work_frame, raster, corners[0], corners[3], spacing)
+
+
+def _places(survey: Survey) -> Floats:
+    """Longitudes and latitudes of the frames, and of the control points where no frame's is known, (n, 2)."""
+    at = [(f.position.lon_deg, f.position.lat_deg) for f in survey.frames]
+    if not any(survey.located):
+        at += [(c.lon_deg, c.lat_deg) for c in survey.control]
+    return np.array(at)

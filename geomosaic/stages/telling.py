@@ -16,8 +16,10 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.errors import OutputError
 from geomosaic.export.solved import ground_reason
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.mosaic.estimate import Estimate, room
 from geomosaic.pipeline.stage import Context, Stage
+from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -26,9 +28,14 @@ Floats = NDArray[np.float64]
 def record_locations(
     context: Context, work_frame: LocalFrame, names: Iterable[str], poses: Poses, status: Iterable[str]
 ) -> None:
-    """Where the frames are believed to be now."""
+    """Where the frames are believed to be now, those of which anything is known."""
     geodetic = work_frame.geodetic_from_enu(poses.positions_m)
-    for name, at, sd, state in zip(names, geodetic, poses.positions_sd_m, status, strict=True):
+    anywhere = position_assumed(poses)
+    for name, at, sd, state, nowhere in zip(
+        names, geodetic, poses.positions_sd_m, status, anywhere, strict=True
+    ):
+        if nowhere:
+            continue
         lon, lat, height, sd_e, sd_n, sd_u = (float(v) for v in (*at, *sd))
         context.recorder.location(name, lon, lat, height, sd_e, sd_n, sd_u, state)
 
@@ -62,7 +69,8 @@ def record_adjusted(
         )
     for tie, (left, right), residual in zip(block.ties.pairs, pairs, adjusted.residuals_m, strict=True):
         context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual)
-    record_locations(context, survey.work_frame, block.names, adjusted.poses, adjusted.status)
+    if not is_local(survey.map_crs):
+        record_locations(context, survey.work_frame, block.names, adjusted.poses, adjusted.status)
     total = len(block.names) + len(survey.left_out)
     count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
     if survey.left_out:

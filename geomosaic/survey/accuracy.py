@@ -49,6 +49,7 @@ POSITION: Final = {
     "rtk-fixed": PositionAccuracy(0.03, 0.05, "fixed ambiguities; only where the drone states no sigma"),
     "rtk-float": PositionAccuracy(0.5, 1.0, "float ambiguities; only where the drone states no sigma"),
     "pos": PositionAccuracy(2.0, 3.0, "a POS file without sigmas may be anything from PPK to a handheld"),
+    "none": PositionAccuracy(1e5, 1e5, "nothing observed: anywhere"),
 }
 
 ATTITUDE: Final = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.survey.accuracy import CONTROL
+from geomosaic.survey.accuracy import CONTROL, POSITION
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
 from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
@@ -42,6 +42,9 @@ _MOST_LINES: Final = 200_000
 _MOST_POINTS: Final = 20_000
 """A point each two minutes for four months of working days, measured in ten pictures each."""
 _ROUNDED_M: Final = 1e-6
+LEAST_POINTS: Final = 2
+"""A similarity of the plane has four unknowns."""
+_HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 
 
@@ -51,6 +54,8 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
     A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
     lines of the same coordinates are one point. A point whose lines differ a little lies in their mean, with
     half their spread added to its deviation. Pixels are counted from the corner of the first pixel.
+
+    Where all heights are 0 they are those of a list without heights: the points tell the plan alone.
 
     Raises: `InputError` naming the file, the line and the mend.
     """
@@ -66,6 +71,12 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
         check_columns(table, ALIASES, "name", "point's name")
     lonlat, _, warnings = lonlat_of(table, crs)
     heights, doubts = heights_of(table, crs, lonlat)
+    plan_only = len(heights) > 1 and all(
+        not np.nan_to_num(table.numbers(c), nan=1.0).any() for c in _HEIGHTS if c in table.factors
+    )
+    if plan_only:
+        text = f"{path.name}: all heights are 0, taken as not given: the points tell the plan, not heights"
+        heights, doubts = np.zeros(len(heights)), [Warn("control-plan-only", "", text)]
     warnings += doubts
     places = np.column_stack([lonlat, heights])
     named = table.texts("name")
@@ -99,9 +110,12 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
             lat_deg=place[1],
             height_ellipsoidal_m=place[2],
             sd_horizontal_m=math.hypot(sd[0][of[name][0]], spread[0] / 2.0),
-            sd_vertical_m=math.hypot(sd[1][of[name][0]], spread[1] / 2.0),
+            sd_vertical_m=POSITION["none"].sd_vertical_m
+            if plan_only
+            else math.hypot(sd[1][of[name][0]], spread[1] / 2.0),
             check=_is_check(kinds[of[name][0]], name, table.lines[of[name][0]], path),
             images=tuple(seen.get(name, ())),
+            plan_only=plan_only,
         )
         for name, (place, spread) in merged.items()
     )
@@ -169,7 +183,8 @@ def check_control(
 ) -> None:
     """Measurements lie in their pictures, and some point lies near the frames.
 
-    Args: lonlat: (n, 2) of the frames; sizes_px: width and height of each frame by name.
+    Args: lonlat: (n, 2) of the frames whose position is known; sizes_px: width and height of each frame by
+        name.
     Raises: `InputError` naming the first point that is wrong.
     """
     for point in points:
@@ -182,7 +197,7 @@ def check_control(
                     file=path,
                     mend="count pixels of the frame as it was taken, columns first",
                 )
-    if not points:
+    if not points or not len(lonlat):
         return
     at = np.array([[p.lon_deg, p.lat_deg] for p in points])
     middle = np.broadcast_to(np.median(lonlat, axis=0), at.shape)
@@ -198,6 +213,23 @@ def check_control(
             file=path,
             mend="check the coordinate reference system and the order of the columns",
         )
+
+
+def lonlat_of_control(path: Path, points: Sequence[ControlPoint]) -> Floats:
+    """Longitudes and latitudes (n, 2) of the points that can stand in for the positions of all frames.
+
+    Raises: `InputError` where fewer than two points for control are measured in the pictures.
+    """
+    used = [p for p in points if p.images and not p.check]
+    if len(used) < LEAST_POINTS:
+        raise InputError(
+            f"no frame has a position, and {len(used) or 'no'} control point{'s'[: len(used) != 1]} "
+            f"{'is' if len(used) == 1 else 'are'} measured in the pictures: they can't be put on a map",
+            file=path,
+            mend="measure at least 2 control points (3 for heights), or leave --gcp away for a mosaic in a "
+            "local frame",
+        )
+    return np.array([[p.lon_deg, p.lat_deg] for p in used])
 
 
 def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:

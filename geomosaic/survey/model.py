@@ -14,7 +14,9 @@ class Position:
     """Where a frame's projection centre was, as observed.
 
     Geodetic WGS 84. Either height may be unknown. Standard deviations always have a value: the
-    observation's own, or the default of its source (see `survey.accuracy`); `source` says which.
+    observation's own, or the default of its source (see `survey.accuracy`); `source` says which. A position
+    that nobody observed has the source `none`: it lies between the frames before and after, as good as
+    anywhere.
     """
 
     lon_deg: float
@@ -25,6 +27,11 @@ class Position:
     sd_north_m: float
     sd_vertical_m: float
     source: str
+
+    @property
+    def known(self) -> bool:
+        """Whether it was observed."""
+        return self.source != "none"
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,8 @@ class ElevationModel:
 
 @dataclass(frozen=True)
 class ControlPoint:
-    """A point known on the ground. `check` points are never used in a solve."""
+    """A point known on the ground. `check` points are never used in a solve. plan_only: its height is not
+    known, and 0 stands for it."""
 
     name: str
     lon_deg: float
@@ -100,6 +108,7 @@ class ControlPoint:
     check: bool
     images: tuple[tuple[str, float, float], ...]
     """(frame name, col_px, row_px) of each picture it was measured in."""
+    plan_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,6 +135,11 @@ class Survey:
     control: tuple[ControlPoint, ...] = ()
     warnings: tuple[Warn, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def located(self) -> tuple[bool, ...]:
+        """Which frames have a position that was observed."""
+        return tuple(f.position.known for f in self.frames)
 
     def camera_of(self, i: int) -> Camera:
         """The camera that took frame i."""

@@ -41,13 +41,17 @@ class Observations:
 
 
 def observe(
-    headers: Sequence[FrameHeader], pos: PosFile | None, left_out: Sequence[str] = ()
+    headers: Sequence[FrameHeader],
+    pos: PosFile | None,
+    left_out: Sequence[str] = (),
+    anywhere: tuple[float, float] = (0.0, 0.0),
 ) -> Observations:
     """Put EXIF, XMP and the POS file together.
 
     With a POS file every frame needs a row and every row a frame, or a picture that is left out. The row's
-    position counts; a height or an attitude it doesn't have is the frame's own. Without one, every frame
-    needs its own position.
+    position counts; a height or an attitude it doesn't have is the frame's own. A frame that has no position
+    is taken to be between those before and after it, or `anywhere` (longitude, latitude) where none has one,
+    with a deviation that says how little that is worth.
 
     Heights and attitudes that can't be are taken as not given, see `survey.plausible`.
 
@@ -56,14 +60,7 @@ def observe(
     own = [onboard_position(h.exif, h.xmp or {}) for h in headers]
     attitudes = [onboard_attitude(h.exif, h.xmp or {}) for h in headers]
     if pos is None:
-        lacking = [h.path for h, p in zip(headers, own, strict=True) if p is None]
-        if lacking:
-            raise InputError(
-                f"{len(lacking)} of {len(headers)} frames have no GPS position, this one first",
-                file=lacking[0],
-                mend="give a POS file with --pos, or take these frames out of the folder",
-            )
-        positions = [p for p in own if p is not None]
+        positions = _with_missing(own, anywhere)
         rows: list[PosRow | None] = [None] * len(headers)
         warnings: list[Warn] = []
     else:
@@ -86,6 +83,19 @@ def lonlat_of(positions: Sequence[Position]) -> Floats:
     lonlat = np.array([[p.lon_deg, p.lat_deg] for p in positions])
     lonlat[:, 0] = lonlat[0, 0] + (lonlat[:, 0] - lonlat[0, 0] + 180.0) % 360.0 - 180.0
     return lonlat
+
+
+def _with_missing(own: Sequence[Position | None], anywhere: tuple[float, float]) -> list[Position]:
+    """All positions: those that nobody observed evenly between the ones before and after."""
+    known = [i for i, p in enumerate(own) if p is not None]
+    told = lonlat_of([p for p in own if p is not None]) if known else np.array([anywhere])
+    at = [np.interp(np.arange(len(own)), known or [0], column) for column in told.T]
+    default = POSITION["none"]
+    plan, up = default.sd_horizontal_m, default.sd_vertical_m
+    return [
+        p or Position((float(lon) + 180.0) % 360.0 - 180.0, float(lat), None, None, plan, plan, up, "none")
+        for p, lon, lat in zip(own, *at, strict=True)
+    ]
 
 
 def _matched(headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str]) -> list[PosRow]:
@@ -189,8 +199,7 @@ def _distances_m(a: Floats, b: Floats) -> Floats:
 
 def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> None:
     """No survey reaches so far: `InputError` naming the frame that lies farthest out."""
-    lonlat = lonlat_of(positions)
-    away = _distances_m(lonlat, np.broadcast_to(np.median(lonlat, axis=0), lonlat.shape))
+    away = _away_m(positions)
     i = int(np.argmax(away))
     if away[i] > _TOO_FAR_M:
         raise InputError(
@@ -198,6 +207,15 @@ def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position])
             file=headers[i].path,
             mend="correct its position, or take the frame out of the folder",
         )
+
+
+def _away_m(positions: Sequence[Position]) -> Floats:
+    """Distances (n,) from the middle of the known positions; 0 for those that aren't."""
+    lonlat, known = lonlat_of(positions), np.array([p.known for p in positions])
+    if not known.any():
+        return np.zeros(len(lonlat))
+    middle = np.broadcast_to(np.median(lonlat[known], axis=0), lonlat.shape)
+    return np.where(known, _distances_m(lonlat, middle), 0.0)
 
 
 def _doubts(
@@ -211,15 +229,24 @@ def _doubts(
         for p, h in zip(positions, heights, strict=True)
     ]
     relative = [p.height_above_ground_m == h.above_ground_m for p, h in zip(positions, heights, strict=True)]
-    lonlat = lonlat_of(positions)
-    away = _distances_m(lonlat, np.broadcast_to(np.median(lonlat, axis=0), lonlat.shape))
+    at = {(p.lon_deg, p.lat_deg) for p in positions if p.known}
+    known = np.array([p.known for p in positions])
+    away = _away_m(positions)
+    far = away > np.maximum(5000.0, 20.0 * np.median(away[known] if known.any() else away))
     cases = {
+        "position-missing": (
+            [not p.known for p in positions],
+            "no position: placed by the pictures",
+        ),
         "height-datum-unknown": (
             [h.datum_unknown and e for h, e in zip(heights, from_exif, strict=True)],
             "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide sigma",
         ),
         "height-unknown": (
-            [p.height_ellipsoidal_m is None and p.height_above_ground_m is None for p in positions],
+            [
+                p.known and p.height_ellipsoidal_m is None and p.height_above_ground_m is None
+                for p in positions
+            ],
             "no height at all",
         ),
         "height-above-take-off": (
@@ -255,11 +282,11 @@ def _doubts(
             "saved by a picture viewer after the flight: may have been turned",
         ),
         "positions-all-alike": (
-            [len(lonlat) > 1 and bool((lonlat == lonlat[0]).all())] * len(lonlat),
+            [len(at) == 1 and int(known.sum()) > 1] * len(positions),
             "all frames have the same position: only their overlaps tell how they lie to each other",
         ),
         "position-far-away": (
-            [*(away > np.maximum(5000.0, 20.0 * np.median(away)))],
+            [*far],
             "the position lies far from all others",
         ),
     }

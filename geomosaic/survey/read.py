@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.geodesy.mapcrs import map_crs, utm_crs
+from geomosaic.geodesy.mapcrs import LOCAL_CRS, map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import cameras_from_file, cameras_from_headers
-from geomosaic.survey.control import check_control, read_control
+from geomosaic.survey.control import check_control, lonlat_of_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader
-from geomosaic.survey.model import Frame, Position, Survey, Warn
+from geomosaic.survey.model import ControlPoint, Frame, Position, Survey, Warn
 from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
 from geomosaic.survey.observations import lonlat_of, observe
 from geomosaic.survey.places import check_area
@@ -27,6 +28,10 @@ from geomosaic.survey.usable import Inspect, inspect_all, usable
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
+_LOCAL: Final = (
+    "no frame has a position and there are no control points: the mosaic lies in a local frame, in units of "
+    "its own (about a ground pixel each) and turned as it may be; its coordinates and sizes are no metres"
+)
 
 
 def check_survey_files(
@@ -73,7 +78,9 @@ def read_survey(
 
     Frames are the folder's JPEG and TIFF files, in order of capture (time, then name; by name alone
     where a frame has no time). The work frame lies at the median position, at the median height of the
-    ground as far as it is known (DEM, else absolute less relative heights), else at height 0.
+    ground as far as it is known (DEM, else absolute less relative heights, else control), else at height 0.
+    Where no frame has a position it lies amid the control points; without those it is nowhere, and the map's
+    CRS is `LOCAL_CRS`.
 
     Args: pos, camera, dem, gcp: files as docs/inputs.md describes them; dem_offset_m: what is added to
     the DEM's values to have ellipsoidal heights; crs: the map's, `auto` for the UTM zone of the
@@ -89,24 +96,31 @@ def read_survey(
     found = usable(files, inspect, mask_damaged=damaged == "mask", progress=progress)
     _check_alike(found.headers)
     headers, by_time = _in_order(found.headers)
+    names = [frame_name(h.path) for h in headers]
+    control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
     observed = observe(headers, table, [out.name for out in found.left_out])
+    located = [p for p in observed.positions if p.known]
+    if not located and gcp is not None:
+        there = np.median(lonlat_of_control(gcp, control), axis=0)
+        observed = observe(headers, table, anywhere=(float(there[0]), float(there[1])))
+    local = not located and gcp is None
+    _check_local(local, folder, crs, dem)
     if cameras is None or camera is None:
         choice = cameras_from_headers(headers)
     else:
         choice = cameras_from_file(headers, cameras, camera, observed.cameras)
-    lonlat = lonlat_of(observed.positions)
-    names = [frame_name(h.path) for h in headers]
+    lonlat = lonlat_of(located or observed.positions)
     elevation, heights = None, np.array([])
     dem_warnings: list[Warn] = []
     if dem is not None:
-        elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, names, lonlat)
-    control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
+        under = [n for n, p in zip(names, observed.positions, strict=True) if p.known or not located]
+        elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, under, lonlat)
     if gcp is not None:
         sizes = {frame_name(h.path): (h.width_px, h.height_px) for h in headers}
-        check_control(gcp, control, lonlat, sizes)
+        check_control(gcp, control, lonlat if located else lonlat[:0], sizes)
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
-    work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, heights))
+    work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, control, heights))
     outside = [] if wanted_crs is None else check_area(wanted_crs, lon, work_frame.lat_deg, "the frames")
     sidecars = masks(headers)
     frames = tuple(
@@ -134,11 +148,16 @@ def read_survey(
         frames=frames,
         cameras=choice.cameras,
         work_frame=work_frame,
-        map_crs=utm_crs(lon, work_frame.lat_deg) if wanted_crs is None else wanted_crs.to_string(),
+        map_crs=LOCAL_CRS
+        if local
+        else utm_crs(lon, work_frame.lat_deg)
+        if wanted_crs is None
+        else wanted_crs.to_string(),
         elevation=elevation,
         control=control,
         left_out=found.left_out,
         warnings=(
+            *([Warn("local-frame", "", _LOCAL)] if local else []),
             *found.warnings,
             *order,
             *outside,
@@ -178,7 +197,23 @@ def _in_order(headers: Sequence[FrameHeader]) -> tuple[list[FrameHeader], bool]:
     ), True
 
 
-def _ground_height_m(positions: Sequence[Position], dem_heights_m: Floats) -> float:
+def _check_local(local: bool, folder: Path, crs: str, dem: Path | None) -> None:
+    """`InputError` for what needs a place on the Earth, where frames have none."""
+    for wanted, what in (
+        (crs != "auto", f"the map can't be in {crs}"),
+        (dem is not None, "a DEM is of no use"),
+    ):
+        if local and wanted:
+            raise InputError(
+                f"no frame has a position: {what}",
+                file=folder,
+                mend="give positions with --pos or control points with --gcp",
+            )
+
+
+def _ground_height_m(
+    positions: Sequence[Position], control: Sequence[ControlPoint], dem_heights_m: Floats
+) -> float:
     known = dem_heights_m[np.isfinite(dem_heights_m)]
     if not known.size:
         known = np.array(
@@ -188,4 +223,6 @@ def _ground_height_m(positions: Sequence[Position], dem_heights_m: Floats) -> fl
                 if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
             ]
         )
+    if not known.size:
+        known = np.array([c.height_ellipsoidal_m for c in control])
     return float(np.median(known)) if known.size else 0.0

@@ -1,0 +1,85 @@
+"""Which frames may see the same ground where no position says so: by their coarsest keypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.matching.features import Features
+from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
+
+Floats = NDArray[np.float64]
+Pair = tuple[int, int]
+MOST_COMPARED = 10_000
+"""Pairs: some 5 ms each, so that this takes no longer than matching a survey of such a size does."""
+_COARSEST = 400
+"""Keypoints of a frame: as many as a picture of 300 x 200 px has, seen again in spite of scale and blur."""
+_LEAST = 8
+"""Four points make a homography; wrong matches of unlike pictures hardly ever give it four more."""
+_TOLERANCE = 0.01
+"""Of the frame's width: coarse keypoints are placed to a tenth of their size, and ground isn't a plane."""
+_RATIO = 0.85
+_NEIGHBOURS = 12
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One frame against some others."""
+
+    frame: Features
+    others: tuple[Features, ...]
+
+
+def coarse(features: Features) -> Features:
+    """The keypoints that a picture of a few hundred pixels would have."""
+    largest = np.sort(np.argsort(-features.size_px, kind="stable")[:_COARSEST])
+    return Features(features.image_px[largest], features.size_px[largest], features.descriptors[largest])
+
+
+def to_compare(n: int, frames: Collection[int], most: int = MOST_COMPARED) -> list[tuple[int, list[int]]]:
+    """Each of some frames with all others; where those were more than `most` pairs, with as many of them
+    next to it in order of capture as keep to it. No pair comes twice."""
+    wanted = sorted(frames)
+    reach = n if len(wanted) * n <= most else max(2, most // (2 * len(wanted)))
+    done = set(wanted)
+    return [
+        (i, [j for j in range(max(0, i - reach), min(n, i + reach + 1)) if j > i or j not in done])
+        for i in wanted
+    ]
+
+
+def alike(job: Comparison) -> list[int]:
+    """How many keypoints of the frame lie by one homography in each of the others; 0 where too few."""
+    left, px = root_sift(job.frame.descriptors), job.frame.image_px
+    tolerance_px = _TOLERANCE * float(np.ptp(px, axis=0).max()) if len(px) else 0.0
+    out = []
+    for other in job.others:
+        i, j = mutual_nearest(left, root_sift(other.descriptors), _RATIO)
+        good = 0
+        if len(i) >= _LEAST:
+            good = int(by_homography(px[i], other.image_px[j], tolerance_px).sum())
+        out.append(good if good >= _LEAST else 0)
+    return out
+
+
+def likely_pairs(compared: Sequence[tuple[int, list[int]]], found: Sequence[list[int]]) -> list[Pair]:
+    """Pairs (left < right) that share keypoints, by falling number; of each frame the best _NEIGHBOURS, and
+    those that another frame asks for."""
+    shared = {
+        (min(i, j), max(i, j)): count
+        for (i, others), counts in zip(compared, found, strict=True)
+        for j, count in zip(others, counts, strict=True)
+        if count
+    }
+    ranked = sorted(shared, key=lambda pair: (-shared[pair], pair))
+    asked: dict[int, int] = {}
+    out = []
+    for pair in ranked:
+        if min(asked.get(i, 0) for i in pair) < _NEIGHBOURS:
+            out.append(pair)
+        for i in pair:
+            asked[i] = asked.get(i, 0) + 1
+    return out
