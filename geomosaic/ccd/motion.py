@@ -22,7 +22,7 @@ _OWN_PX = 2.0
 _MOTION_PX = 10.0
 _FREE_KNOTS = 60
 _MOTION_ORDER = 12
-_OWN_ORDER, _OWN_STRIDE = 3, 4
+_OWN_STRIDE = 4
 _MOST_RADIUS = 0.9995
 
 
@@ -65,8 +65,8 @@ CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
 FIRST_HABITS = Habits(
     ((Curve(STRAIGHT, 0.15),), (Curve(STRAIGHT, 0.15),)),
     (
-        (Curve(STRAIGHT, 0.02), Curve(np.array([0.995]), 0.05, _OWN_STRIDE)),
-        (Curve(STRAIGHT, 0.03), Curve(np.array([0.99]), 0.08, _OWN_STRIDE)),
+        (Curve(STRAIGHT, 0.02), Curve(STRAIGHT, 0.05, _OWN_STRIDE)),
+        (Curve(STRAIGHT, 0.03), Curve(STRAIGHT, 0.08, _OWN_STRIDE)),
     ),
 )
 
@@ -126,8 +126,13 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
     apart = []
     for axis in (0, 1):
         curves = list(own[:, :, axis])
-        slow = _fitted(curves, list(known), _OWN_ORDER, _OWN_STRIDE, 0.003) or before.own[axis][1]
-        apart.append((_bending(curves, list(known), before.own[axis][0]), slow))
+        bending, slow = before.own[axis]
+        apart.append(
+            (
+                _held_to(curves, list(known), CUBIC, 1, 0.002, bending),
+                _held_to(curves, list(known), STRAIGHT, _OWN_STRIDE, 0.003, slow),
+            )
+        )
     return Habits((motion[0], motion[1]), (apart[0], apart[1]))
 
 
@@ -161,12 +166,14 @@ def _fitted(
     return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
-def _bending(curves: list[Floats], known: list[Flags], before: Curve) -> Curve:
-    """How much neighbouring knots differ from a cubic: ties the chains of a stride to each other, no more."""
-    y, a = _windows(curves, known, len(CUBIC), 1)
+def _held_to(
+    curves: list[Floats], known: list[Flags], weights: Floats, stride: int, least_px: float, before: Curve
+) -> Curve:
+    """How much curves bend off a prediction given beforehand; what was expected before if too little is known."""
+    y, a = _windows(curves, known, len(weights), stride)
     if len(y) < 30:
         return before
-    return Curve(CUBIC, max(1.2 * float(np.sqrt(np.mean((y - a @ CUBIC) ** 2))), 0.002))
+    return Curve(weights, max(1.2 * float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
 def _stable(weights: Floats) -> Floats:
