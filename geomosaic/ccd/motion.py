@@ -80,7 +80,46 @@ def smooth(
     level_px (pairs, 2): about where each pair's curves lie, to which they return where nothing is known.
     """
     k, n = offset_px.shape[:2]
-    common = np.median(level_px, axis=0)
+    factor, right = _equations(offset_px, information, level_px, habits)
+    sums = None
+    if covariance:
+        whole = factor.inverse_blocks().reshape(n, k + 1, 2, k + 1, 2)
+        sums = np.stack(
+            [
+                whole[:, 0, :, 0] + whole[:, p, :, p] + whole[:, 0, :, p] + whole[:, p, :, 0]
+                for p in range(1, k + 1)
+            ]
+        )
+    return _curves(factor.solve(right.reshape(-1, 1)), level_px, sums)
+
+
+def smooth_with_shift(
+    offset_px: Floats, information: Floats, part: Flags, level_px: Floats, habits: Habits
+) -> tuple[Smoothed, Floats, Floats]:
+    """The most probable curves if a part (pairs, knots) lies off them by one vector that is not known.
+
+    Returns: the curves, that vector (2,) and its covariance (2, 2): Schur's complement of the curves.
+    """
+    factor, right = _equations(offset_px, information, level_px, habits)
+    n, size = right.shape
+    mine = np.where(part[..., None, None], information, 0.0)
+    joined = np.zeros((n, size, 2))
+    joined[:, :2] = mine.sum(axis=0)
+    joined[:, 2:] = np.moveaxis(mine, 0, 1).reshape(n, size - 2, 2)
+    joined = joined.reshape(-1, 2)
+    moved = offset_px - level_px[:, None]
+    solved = factor.solve(np.concatenate([right.reshape(-1, 1), joined], axis=1))
+    least = 1e-9 * np.eye(2)
+    covariance = np.linalg.inv(mine.sum(axis=(0, 1)) - joined.T @ solved[:, 1:] + least)
+    shift = covariance @ (np.einsum("knij,knj->i", mine, moved) - joined.T @ solved[:, 0])
+    return _curves(solved[:, 0] - solved[:, 1:] @ shift, level_px, None), shift, covariance
+
+
+def _equations(
+    offset_px: Floats, information: Floats, level_px: Floats, habits: Habits
+) -> tuple[BlockTridiagonal, Floats]:
+    """Normal equations of the curves less their levels: factors, and the right side (knots, 2 + 2 pairs)."""
+    k, n = offset_px.shape[:2]
     offset_px = offset_px - level_px[:, None]
     size = 2 * (k + 1)
     diagonal = np.zeros((n, size, size))
@@ -94,20 +133,14 @@ def smooth(
         right[:, mine] = pulled[p]
     spread = np.array([_MOTION_PX] * 2 + [_OWN_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
-    bands = _bands(habits, n, k)
-    factor = BlockTridiagonal(_matrix(diagonal, bands))
-    x = factor.solve(right.reshape(-1, 1)).reshape(n, k + 1, 2)
-    sums = None
-    if covariance:
-        whole = factor.inverse_blocks().reshape(n, k + 1, 2, k + 1, 2)
-        sums = np.stack(
-            [
-                whole[:, 0, :, 0] + whole[:, p, :, p] + whole[:, 0, :, p] + whole[:, p, :, 0]
-                for p in range(1, k + 1)
-            ]
-        )
+    return BlockTridiagonal(_matrix(diagonal, _bands(habits, n, k))), right
+
+
+def _curves(solved: Floats, level_px: Floats, covariance: Floats | None) -> Smoothed:
+    common = np.median(level_px, axis=0)
+    x = solved.reshape(-1, len(level_px) + 1, 2)
     own = np.moveaxis(x[:, 1:], 1, 0) + (level_px - common)[:, None]
-    return Smoothed(x[:, 0] + common, own, sums)
+    return Smoothed(x[:, 0] + common, own, covariance)
 
 
 def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
@@ -169,7 +202,7 @@ def _fitted(
 def _held_to(
     curves: list[Floats], known: list[Flags], weights: Floats, stride: int, least_px: float, before: Curve
 ) -> Curve:
-    """How much curves bend off a prediction given beforehand; what was expected before if too little is known."""
+    """How much curves bend off a prediction; as expected before where too little is known."""
     y, a = _windows(curves, known, len(weights), stride)
     if len(y) < 30:
         return before

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter1d
 
-from geomosaic.ccd.brightness import bright_part
+from geomosaic.ccd.brightness import Suspect, bright_part
 from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
@@ -42,14 +42,14 @@ class Coarse:
     """Offsets to about a bin.
 
     offsets_px: (pairs, blocks, 2) dcol, dline at the blocks' centres. layers: clouds found. cloudy:
-    (pairs, blocks) where they hide the ground. aside: (pairs, blocks) what was asked last, for it may be
-    cloud by its brightness.
+    (pairs, blocks) where they hide the ground. suspect: what was asked last, for it may be cloud by its
+    brightness.
     """
 
     offsets_px: Floats
     layers: list[Layer]
     cloudy: Flags
-    aside: Flags
+    suspect: Suspect | None
 
 
 def best_path(volumes: Floats, cost: float, jump: float = np.inf) -> Ints:
@@ -111,9 +111,9 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
     bright = bright_part(brightness)
-    if bright.any():
-        best, aside = _darker_or_brighter(volumes, bright, rounds)
-        return Coarse(_px(volumes, best), [], np.zeros_like(bright), aside)
+    if bright is not None:
+        best, suspect = _darker_or_brighter(volumes, bright, brightness, rounds)
+        return Coarse(_px(volumes, best), [], np.zeros(brightness.shape, dtype=np.bool_), suspect)
     best, evidence = _solve(volumes, rounds)
     layers: list[Layer] = []
     threshold = evidence.sum() * (1.0 + _LAYER_GAIN)
@@ -128,7 +128,7 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
     cloudy = np.zeros(volumes.shape[:2], dtype=bool)
     for layer in layers:
         cloudy |= second_layer(volumes, layer, best)
-    return Coarse(_px(volumes, best), layers, cloudy, bright)
+    return Coarse(_px(volumes, best), layers, cloudy, None)
 
 
 def _px(volumes: Floats, path: Ints) -> Floats:
@@ -137,13 +137,16 @@ def _px(volumes: Floats, path: Ints) -> Floats:
     return np.asarray(_BIN_PX * (path - middle)[:, :, ::-1], dtype=np.float64)
 
 
-def _darker_or_brighter(volumes: Floats, bright: Flags, rounds: int) -> tuple[Ints, Flags]:
+def _darker_or_brighter(
+    volumes: Floats, bright: Suspect, brightness: Floats, rounds: int
+) -> tuple[Ints, Suspect]:
     """The path by the darker or by the brighter part, whichever is rather the ground's; and the other part.
 
     Clouds are the brighter part but where the ground is snow or sand.
     """
-    parts = bright, ~bright
-    paths = [_solve(volumes * np.where(p, _BRIGHT_WEIGHT, 1.0)[..., None, None], rounds)[0] for p in parts]
+    parts = bright, replace(bright, brighter=False)
+    weights = [np.where(part.hides(brightness), _BRIGHT_WEIGHT, 1.0) for part in parts]
+    paths = [_solve(volumes * weight[..., None, None], rounds)[0] for weight in weights]
     middles = [np.median(_px(volumes, path).reshape(-1, 2), axis=0) for path in paths]
     costs = _cost(middles[0], middles[1]), _cost(middles[1], middles[0]) + _DARK_CLOUDS_COST
     far = np.abs(middles[1] - middles[0]).max() > _BIN_PX
