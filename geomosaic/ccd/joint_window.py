@@ -16,9 +16,10 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt, uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
+from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
 from geomosaic.ccd.model import Flags, Floats, Settings
-from geomosaic.ccd.motion import FIRST_HABITS, Habits, Smoothed, learned, smooth, smooth_with_shift
+from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair
@@ -78,12 +79,12 @@ class Start:
     suspect: list[Flags]
 
 
-def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) -> KnotOffsets:
+def solved_window(pairs: Sequence[RowPair], start: Start, likely: Expected) -> KnotOffsets:
     """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand."""
-    centres = _centres(pairs, settings)
+    centres = _centres(pairs, likely)
     coarse, weights = start.offset_px, start.information
-    now = smooth(coarse, weights, np.median(coarse, axis=1), FIRST_HABITS)
-    habits = FIRST_HABITS
+    habits = first_habits(likely)
+    now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
     cells: list[Cells] = []
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
@@ -103,7 +104,7 @@ def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) ->
     variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
     own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     little = np.clip((_ENOUGH_SHARE - own.mean()) / (0.5 * _ENOUGH_SHARE), 0.0, 1.0)
-    away = np.stack([_away(mine) for mine in own]) * settings.knot_lines
+    away = np.stack([_away(mine) for mine in own]) * likely.knot_lines
     variance += (little * away[..., None] * _ADRIFT_PX_PER_LINE) ** 2
     return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
 
@@ -113,14 +114,14 @@ def _away(own: Flags) -> Floats:
     return np.asarray(distance_transform_edt(~own) if own.any() else np.full(own.shape, float(len(own))))
 
 
-def _centres(pairs: Sequence[RowPair], settings: Settings) -> Floats:
-    step = settings.knot_lines
+def _centres(pairs: Sequence[RowPair], likely: Expected) -> Floats:
+    step = likely.knot_lines
     return np.asarray(np.arange(len(pairs[0]) // step) * float(step) + (step - 1) / 2)
 
 
-def first_offsets(pairs: Sequence[RowPair], settings: Settings) -> Start:
+def first_offsets(pairs: Sequence[RowPair], settings: Settings, likely: Expected) -> Start:
     """Offsets to about a pixel, from correlation volumes."""
-    centres = _centres(pairs, settings)
+    centres = _centres(pairs, likely)
     blocks = max(len(pairs[0]) // BLOCK_LINES, 1)
     reach = settings.search_cols_px, settings.search_lines_px
 
@@ -131,7 +132,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: Settings) -> Start:
     rows = blocks * BLOCK_LINES
     cells = rows // CELL_PX
     brightness = np.stack([p.grey[0, :cells].mean(axis=1).reshape(blocks, -1).mean(axis=1) for p in pairs])
-    coarse = coarse_offsets(volumes, brightness)
+    coarse = coarse_offsets(volumes, brightness, likely)
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
     known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)

@@ -9,18 +9,21 @@ sparse along the strip and solved by Cholesky.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
 
-# How far the curves go from their level, and over how many knots they forget where they were.
+# How far own parts go from their level, and over how many knots all forget where they were.
 _OWN_PX = 2.0
-_MOTION_PX = 10.0
 _FREE_KNOTS = 60
+# How much a knot bends off straight on, of what the motion and relief usually change within a knot.
+_JERK, _RELIEF = 2.1, 1.4
 _MOTION_ORDER = 12
 _OWN_STRIDE = 4
 _MOST_RADIUS = 0.9995
@@ -41,10 +44,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Habits:
-    """What is expected of the curves: of motion and own parts, columns and lines each."""
+    """What is expected of the curves: motion and own parts, columns and lines each; how far motion goes."""
 
     motion: tuple[tuple[Curve, ...], tuple[Curve, ...]]
     own: tuple[tuple[Curve, ...], tuple[Curve, ...]]
+    reach_px: float
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,19 @@ class Smoothed:
 
 STRAIGHT = np.array([2.0, -1.0])
 CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
-FIRST_HABITS = Habits(
-    ((Curve(STRAIGHT, 0.15),), (Curve(STRAIGHT, 0.15),)),
-    (
-        (Curve(STRAIGHT, 0.02), Curve(STRAIGHT, 0.05, _OWN_STRIDE)),
-        (Curve(STRAIGHT, 0.03), Curve(STRAIGHT, 0.08, _OWN_STRIDE)),
-    ),
-)
+
+
+def first_habits(likely: Expected) -> Habits:
+    """What is expected before anything was seen: of the motion by its usual change, of own parts by relief."""
+    jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
+    relief = _RELIEF * likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
+    motion = (Curve(STRAIGHT, jerk),)
+    fine, warmth = (0.02, 0.03), 0.05
+    own = [
+        (Curve(STRAIGHT, sd), Curve(STRAIGHT, math.hypot(warmth, by), _OWN_STRIDE))
+        for sd, by in zip(fine, (0.0, relief), strict=True)
+    ]
+    return Habits((motion, motion), (own[0], own[1]), likely.far_px)
 
 
 def smooth(
@@ -131,7 +141,7 @@ def _equations(
         mine = slice(2 + 2 * p, 4 + 2 * p)
         diagonal[:, mine, mine] = diagonal[:, :2, mine] = diagonal[:, mine, :2] = information[p]
         right[:, mine] = pulled[p]
-    spread = np.array([_MOTION_PX] * 2 + [_OWN_PX] * (2 * k))
+    spread = np.array([habits.reach_px] * 2 + [_OWN_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
     return BlockTridiagonal(_matrix(diagonal, _bands(habits, n, k))), right
 
@@ -166,7 +176,7 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
                 _held_to(curves, list(known), STRAIGHT, _OWN_STRIDE, 0.003, slow),
             )
         )
-    return Habits((motion[0], motion[1]), (apart[0], apart[1]))
+    return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
 
 
 def _mean(curve: Floats, known: Flags) -> Floats:
