@@ -1,27 +1,53 @@
 """What is bright: clouds mostly are, and whatever is bright and moves against the rest as a whole is cloud.
 
 Brightness alone condemns nothing: snow and sand are bright too. It says which part of a scene to ask last
-and, once the curves are drawn by the rest, whether that part agrees with them.
+and whether that part lies where the curves drawn by the rest would have it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 
-from geomosaic.ccd.model import Flags, Floats
+from geomosaic.ccd.model import Flags, Floats, Images
 
+CELL_PX = 8
 _BINS = 128
 # The bright part's mean is above the other's by this, of the other's.
 _STANDS_OUT = 0.2
 _IN_PART = 0.25
 _MOST_SHARE = 0.97
-_MOVED_PX, _MOVED_DEVIATIONS = 0.06, 4.0
-# Neighbouring knots' residuals are no independent facts: one in so many counts.
-_KNOTS_PER_FACT = 10.0
 
 
-def bright_part(brightness: Floats) -> Flags:
-    """Where brightness (any shape) is more than that of the darker of two groups, if these stand apart.
+@dataclass(frozen=True)
+class Suspect:
+    """The part of a scene that may be cloud: brighter than a grey, or else darker."""
+
+    grey: float
+    brighter: bool = True
+
+    def hides(self, grey: Floats) -> Flags:
+        """Where greys (any shape) are of that part."""
+        return np.asarray((grey > self.grey) == self.brighter)
+
+    def pixels(self, cells: Floats, shape: tuple[int, int]) -> Flags:
+        """Pixels of `shape` under cells (2, h, w), of either strip, of that part, or beside such."""
+        hidden = self.hides(cells).any(axis=0).astype(np.uint8)
+        beside = cv2.dilate(hidden, np.ones((3, 3), np.uint8)).astype(np.bool_)
+        at = (np.minimum(np.arange(n) // CELL_PX, m - 1) for n, m in zip(shape, beside.shape, strict=True))
+        return np.asarray(beside[np.ix_(*at)])
+
+
+def grey_cells(image: Images) -> Floats:
+    """Mean greys of cells of CELL_PX by CELL_PX pixels."""
+    h, w = (max(n // CELL_PX, 1) for n in image.shape)
+    return np.asarray(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), dtype=np.float64)
+
+
+def bright_part(brightness: Floats) -> Suspect | None:
+    """What of brightness (any shape) is more than that of the darker of two groups, if these stand apart.
 
     The groups are Otsu's (1979); what lies between them counts as bright: rows that are in part so.
     """
@@ -34,22 +60,6 @@ def bright_part(brightness: Floats) -> Flags:
     high = (total[-1] - total[:-1]) / np.maximum(above, 1)
     split = int(np.argmax(below * above * (high - low) ** 2))
     if high[split] - low[split] < _STANDS_OUT * low[split]:
-        return np.zeros(brightness.shape, dtype=np.bool_)
-    found: Flags = brightness > low[split] + _IN_PART * (high[split] - low[split])
-    return found if found.mean() < _MOST_SHARE else np.zeros_like(found)
-
-
-def moves(residual_px: Floats, information: Floats) -> bool:
-    """Whether a part of the scene lies off the curves as a whole.
-
-    Args: residual_px (n, 2) of the part's knots against curves drawn without it; information (n, 2, 2) of
-    these residuals, zero where nothing was measured.
-    """
-    used = np.trace(information, axis1=1, axis2=2) > 0
-    facts = used.sum() / _KNOTS_PER_FACT
-    if facts < 1.0:
-        return False
-    middle = np.median(residual_px[used], axis=0)
-    spread = 1.4826 * np.median(np.abs(residual_px[used] - middle), axis=0)
-    sure = _MOVED_DEVIATIONS * spread / np.sqrt(facts)
-    return bool((np.abs(middle) > np.maximum(sure, _MOVED_PX)).any())
+        return None
+    found = Suspect(float(low[split] + _IN_PART * (high[split] - low[split])))
+    return found if found.hides(brightness).mean() < _MOST_SHARE else None

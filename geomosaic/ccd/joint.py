@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.expected import Expected, expected
 from geomosaic.ccd.joint_window import KnotOffsets, curve_of, first_offsets, solved_window
 from geomosaic.ccd.lost_lines import Step, steps
 from geomosaic.ccd.model import (
@@ -36,8 +37,6 @@ _RESAMPLING_SD_PX = (0.004, 0.003)
 _MEASURED_SD_PX = 0.25
 _RELIABLE_SD_PX = 0.6
 _UNKNOWN_SD_PX = 10.0
-# What all pairs see so far from the nominal geometry may be clouds: the ground lies within some 4 px of it.
-_FAR_PX = 10.0
 
 
 def joint(
@@ -49,7 +48,8 @@ def joint(
     other; all pairs are solved together in each (`joint_window`). What a DEM tells of dline is taken out
     before and added after. Lines whose ground only one strip has keep the nearest offset, `unreliable`.
     """
-    step = settings.knot_lines
+    likely = expected(strips.geometry, settings.knot_lines)
+    step = likely.knot_lines
     lines = max((shared_lines(strips, pair) for pair in strips.pairs), default=0)
     if lines < _LEAST_KNOTS * step:
         return tuple(_nothing(pair, strips.lines(pair)) for pair in strips.pairs)
@@ -59,7 +59,7 @@ def joint(
     whole = KnotOffsets.nothing(len(strips.pairs), knots)
     for count, window in enumerate(windows):
         progress(count, len(windows))
-        whole.add(_solved(strips, settings, window, known), window.first, window.weight)
+        whole.add(_solved(strips, settings, likely, window, known), window.first, window.weight)
     progress(len(windows), len(windows))
     return tuple(_of_pair(strips, pair, whole, k, step, known[k]) for k, pair in enumerate(strips.pairs))
 
@@ -88,9 +88,11 @@ def _windows(knots: int, longest: int, margin: int) -> Iterator[_Window]:
         yield _Window(int(reach[0]), int(reach[1]), weight[slice(*reach)])
 
 
-def _solved(strips: Strips, settings: Settings, window: _Window, known_px: list[Floats]) -> KnotOffsets:
+def _solved(
+    strips: Strips, settings: Settings, likely: Expected, window: _Window, known_px: list[Floats]
+) -> KnotOffsets:
     """A window's curves; lines found lost or repeated are added to what is known, from there to the end."""
-    step = settings.knot_lines
+    step = likely.knot_lines
     first, last = window.first * step, window.last * step
     pairs = [
         row_pair(strips, pair, first, last, px[first:last])
@@ -102,16 +104,16 @@ def _solved(strips: Strips, settings: Settings, window: _Window, known_px: list[
             known_px[at.index][first + at.line :] += at.count
         return bool(lost)
 
-    start = first_offsets(pairs, settings)
-    if known(steps(pairs, start.offset_px, step, coarse=True)):
-        start = first_offsets(pairs, settings)
-    found = solved_window(pairs, start, settings)
+    start = first_offsets(pairs, settings, likely)
+    if known(steps(pairs, start.offset_px, likely, coarse=True)):
+        start = first_offsets(pairs, settings, likely)
+    found = solved_window(pairs, start, likely)
     for _ in range(_MOST_ROUNDS):
-        if not known(steps(pairs, found.offset_px, step)):
+        if not known(steps(pairs, found.offset_px, likely)):
             break
-        found = solved_window(pairs, first_offsets(pairs, settings), settings)
+        found = solved_window(pairs, first_offsets(pairs, settings, likely), likely)
     level = np.hypot(*np.median(found.offset_px, axis=(0, 1)))
-    return found if level <= _FAR_PX else found.doubted(float(level))
+    return found if level <= likely.far_px else found.doubted(float(level))
 
 
 def far_from_nominal(geometry: StripGeometry, offsets: Sequence[PairOffsets]) -> tuple[float, float] | None:
@@ -125,7 +127,7 @@ def far_from_nominal(geometry: StripGeometry, offsets: Sequence[PairOffsets]) ->
         if len(pair.label)
     ]
     shared = np.median(levels, axis=0) if levels else np.zeros(2)
-    return (float(shared[0]), float(shared[1])) if np.hypot(*shared) > _FAR_PX else None
+    return (float(shared[0]), float(shared[1])) if np.hypot(*shared) > expected(geometry).far_px else None
 
 
 def _of_pair(

@@ -7,7 +7,7 @@ Correlation volumes give the way to about a pixel (`paths`), least squares match
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Self
 
@@ -15,10 +15,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt, uniform_filter1d
 
-from geomosaic.ccd.brightness import moves
+from geomosaic.ccd.brightness import CELL_PX
+from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
 from geomosaic.ccd.model import Flags, Floats, Settings
-from geomosaic.ccd.motion import FIRST_HABITS, Habits, Smoothed, learned, smooth
+from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair
@@ -26,8 +27,14 @@ from geomosaic.ccd.volumes import BLOCK_LINES, volume
 
 _COARSE_SD_PX = 1.2
 # The way through the volumes, everywhere: little, but nothing runs off where nothing else is known.
-_ANCHOR_SD_PX = 40.0
+_ANCHOR = 40.0**-2 * np.eye(2)
 _FAR_PX = 3.5
+# A knot is of the suspect part above the one share of its pixels, of the rest below the other.
+_MOSTLY, _HARDLY = 0.6, 0.1
+# The suspect part is cloud if it lies off by more than both, or if that could not be seen to so much;
+# neighbouring knots' errors are no independent facts: one in so many counts.
+_MOVED_PX, _MOVED_DEVIATIONS, _UNSEEN_PX = 0.06, 4.0, 0.1
+_KNOTS_PER_FACT = 10.0
 _SURE_SD_PX = 0.25
 _LEAST_FIT = 0.25
 _LEAST_KNOTS = 8
@@ -64,26 +71,32 @@ class KnotOffsets:
 
 @dataclass(frozen=True)
 class Start:
-    """Offsets (pairs, knots, 2), their information (pairs, knots, 2, 2), what may be cloud (pairs, knots)."""
+    """Offsets (pairs, knots, 2), their information (pairs, knots, 2, 2); pixels (n, w) of each pair that may
+    be cloud, none where nothing is."""
 
     offset_px: Floats
     information: Floats
-    aside: Flags
+    suspect: list[Flags]
 
 
-def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) -> KnotOffsets:
+def solved_window(pairs: Sequence[RowPair], start: Start, likely: Expected) -> KnotOffsets:
     """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand."""
-    centres = _centres(pairs, settings)
+    centres = _centres(pairs, likely)
     coarse, weights = start.offset_px, start.information
-    now = smooth(coarse, weights, np.median(coarse, axis=1), FIRST_HABITS)
-    habits = FIRST_HABITS
+    habits = first_habits(likely)
+    now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
     cells: list[Cells] = []
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
         ready = each(partial(pictures, scale=scale), pairs)
+        if start.suspect and _moves(pairs, ready, now, coarse, start.suspect, centres, habits):
+            clear = [
+                replace(p, valid=p.valid & ~hidden) for p, hidden in zip(pairs, start.suspect, strict=True)
+            ]
+            ready = each(partial(pictures, scale=scale), clear)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
-            now, cells, used, habits = _refined(pairs, ready, now, coarse, start.aside, centres, habits, last)
+            now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
     information = np.stack([np.diagonal(c.information, axis1=1, axis2=2) for c in cells])
@@ -91,7 +104,7 @@ def solved_window(pairs: Sequence[RowPair], start: Start, settings: Settings) ->
     variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
     own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     little = np.clip((_ENOUGH_SHARE - own.mean()) / (0.5 * _ENOUGH_SHARE), 0.0, 1.0)
-    away = np.stack([_away(mine) for mine in own]) * settings.knot_lines
+    away = np.stack([_away(mine) for mine in own]) * likely.knot_lines
     variance += (little * away[..., None] * _ADRIFT_PX_PER_LINE) ** 2
     return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
 
@@ -101,14 +114,14 @@ def _away(own: Flags) -> Floats:
     return np.asarray(distance_transform_edt(~own) if own.any() else np.full(own.shape, float(len(own))))
 
 
-def _centres(pairs: Sequence[RowPair], settings: Settings) -> Floats:
-    step = settings.knot_lines
+def _centres(pairs: Sequence[RowPair], likely: Expected) -> Floats:
+    step = likely.knot_lines
     return np.asarray(np.arange(len(pairs[0]) // step) * float(step) + (step - 1) / 2)
 
 
-def first_offsets(pairs: Sequence[RowPair], settings: Settings) -> Start:
+def first_offsets(pairs: Sequence[RowPair], settings: Settings, likely: Expected) -> Start:
     """Offsets to about a pixel, from correlation volumes."""
-    centres = _centres(pairs, settings)
+    centres = _centres(pairs, likely)
     blocks = max(len(pairs[0]) // BLOCK_LINES, 1)
     reach = settings.search_cols_px, settings.search_lines_px
 
@@ -117,12 +130,53 @@ def first_offsets(pairs: Sequence[RowPair], settings: Settings) -> Start:
 
     volumes = np.stack(each(evidence, pairs))
     rows = blocks * BLOCK_LINES
-    brightness = np.stack([pair.brightness[:rows].reshape(blocks, -1).mean(axis=1) for pair in pairs])
-    coarse = coarse_offsets(volumes, brightness)
+    cells = rows // CELL_PX
+    brightness = np.stack([p.grey[0, :cells].mean(axis=1).reshape(blocks, -1).mean(axis=1) for p in pairs])
+    coarse = coarse_offsets(volumes, brightness, likely)
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
     known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
-    return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), coarse.aside[:, nearest])
+    suspect = [coarse.suspect.pixels(p.grey, p.valid.shape) for p in pairs] if coarse.suspect else []
+    return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)
+
+
+def _moves(
+    pairs: Sequence[RowPair],
+    ready: Sequence[Pictures],
+    now: Smoothed,
+    coarse: Floats,
+    suspect: Sequence[Flags],
+    centres: Floats,
+    habits: Habits,
+) -> bool:
+    """Whether the suspect part lies off the curves that the rest draws, or could without our seeing it."""
+    _, offset, measured = _measured(pairs, ready, now, coarse, centres)
+    step = round(centres[1] - centres[0])
+    rows = len(centres) * step
+    share = np.stack([hidden[:rows].reshape(len(centres), -1).mean(axis=1) for hidden in suspect])
+    found = np.trace(measured, axis1=2, axis2=3) > 0
+    part, rest = share > _MOSTLY, share < _HARDLY
+    measured = np.where((part | rest)[..., None, None], measured, 0.0)
+    if not (part & found).any():
+        return False
+    level = _level(offset, found & rest, now)
+    weighed = measured
+    for _ in range(3):
+        solution, shift, covariance = smooth_with_shift(
+            offset, weighed + _ANCHOR, part & found, level, habits
+        )
+        residual = offset - solution.offsets_px - np.where(part[..., None], shift, 0.0)
+        weight, factor = _plausible(residual, measured)
+        weighed = measured * (weight / factor[:, None])[..., None, None]
+    sd = np.sqrt(np.diagonal(covariance) * _KNOTS_PER_FACT)
+    if DEBUG:
+        print("   shift", shift.round(3), "sd", sd.round(3))
+    return bool(
+        (np.abs(shift) > np.maximum(_MOVED_DEVIATIONS * sd, _MOVED_PX)).any() or (sd > _UNSEEN_PX).any()
+    )
+
+
+DEBUG = False
 
 
 def _refined(
@@ -130,7 +184,6 @@ def _refined(
     ready: Sequence[Pictures],
     now: Smoothed,
     coarse: Floats,
-    aside: Flags,
     centres: Floats,
     habits: Habits,
     last: bool,
@@ -139,6 +192,26 @@ def _refined(
 
     Returns: curves, cells, which of them (pairs, knots) had a say, habits.
     """
+    cells, offset, measured = _measured(pairs, ready, now, coarse, centres)
+    found = np.trace(measured, axis1=2, axis2=3) > 0
+    level = _level(offset, found, now)
+    close = np.where(found[..., None, None], np.stack([cell.close for cell in cells]), 0.0)
+    information, near_by = measured, close
+    for _ in range(2):
+        solution = smooth(offset, near_by + _ANCHOR, level, habits)
+        weight, factor = _plausible(offset - solution.offsets_px, measured)
+        share = (weight / factor[:, None])[..., None, None]
+        information, near_by = measured * share, close * share
+    known = np.trace(information, axis1=2, axis2=3) > 2 * _SURE_SD_PX**-2
+    habits = learned(solution, known, habits)
+    final = smooth(offset, information + _ANCHOR, level, habits, covariance=last)
+    return final, cells, found, habits
+
+
+def _measured(
+    pairs: Sequence[RowPair], ready: Sequence[Pictures], now: Smoothed, coarse: Floats, centres: Floats
+) -> tuple[list[Cells], Floats, Floats]:
+    """Cells along the curves, their offsets (the coarse ones where there are none) and their information."""
     step = round(centres[1] - centres[0])
     at = np.arange(len(centres) * step, dtype=np.float64)
 
@@ -148,28 +221,13 @@ def _refined(
 
     cells = each(measured_cells, range(len(pairs)))
     near: Flags = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
-    measured = np.stack([cell.information for cell in cells]) * near[..., None, None]
-    found = np.trace(measured, axis1=2, axis2=3) > 0
-    offset = np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse)
-    anchor = _ANCHOR_SD_PX**-2 * np.eye(2)
-    level = _level(offset, found, now)
-    if (aside & found).any():
-        without = np.where(aside[..., None, None], 0.0, measured)
-        solution = smooth(offset, without + anchor, level, habits)
-        if moves((offset - solution.offsets_px)[aside], measured[aside]):
-            measured = without
-    has = np.trace(measured, axis1=2, axis2=3) > 0
-    close = np.where(has[..., None, None], np.stack([cell.close for cell in cells]), 0.0)
-    information, near_by = measured, close
-    for _ in range(2):
-        solution = smooth(offset, near_by + anchor, level, habits)
-        weight, factor = _plausible(offset - solution.offsets_px, measured)
-        share = (weight / factor[:, None])[..., None, None]
-        information, near_by = measured * share, close * share
-    known = np.trace(information, axis1=2, axis2=3) > 2 * _SURE_SD_PX**-2
-    habits = learned(solution, known, habits)
-    final = smooth(offset, information + anchor, level, habits, covariance=last)
-    return final, cells, has, habits
+    information = np.stack([cell.information for cell in cells]) * near[..., None, None]
+    found = np.trace(information, axis1=2, axis2=3) > 0
+    return (
+        cells,
+        np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse),
+        information,
+    )
 
 
 def curve_of(centres: Floats, knots_px: Floats, at: Floats) -> Floats:

@@ -16,7 +16,6 @@ from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter1d
 
 from geomosaic.ccd.model import Floats
 
-_AROUND_BLOCKS = 31
 _LEAST_BINS = 1
 _PEAK = 5.0
 _NOTABLE = 0.004
@@ -31,15 +30,18 @@ class Layer:
     cols: int
 
 
-def layer_candidates(volumes: Floats, most: int = 4) -> list[Layer]:
+def layer_candidates(volumes: Floats, around_blocks: int, most: int = 4) -> list[Layer]:
     """Vectors between two layers, most probable first: peaks of the volumes' correlation with themselves.
 
-    Args: volumes (pairs, blocks, h, c). Only one of a vector and its opposite is given.
+    Args: volumes (pairs, blocks, h, c). around_blocks: both are looked for within so
+    many. Only one of a vector and its opposite is given.
     """
     n, h, c = volumes.shape[1:]
     size = (2 * h, 2 * c)
     peaks = np.where(volumes >= maximum_filter(volumes, size=(1, 1, 3, 3)), volumes, 0.0)
-    near = uniform_filter1d(np.maximum(peaks - _PEAK, 0.0), min(_AROUND_BLOCKS, n), axis=1, mode="nearest")
+    near = uniform_filter1d(
+        np.maximum(peaks - _PEAK, 0.0), min(max(around_blocks, 1), n), axis=1, mode="nearest"
+    )
     total = np.zeros(size)
     for pair in near:
         spectrum = rfft2(pair, s=size)

@@ -14,14 +14,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Floats, Images
 from geomosaic.ccd.rows import RowPair
 
 Ints = NDArray[np.intp]
 _KNOTS_APART, _KNOTS_FITTED = 10, 8
 _ENOUGH_PAIRS = 3
-# Between knots 8 apart: a pair against the middle of all, and where there are too few for a middle.
-_STEEP_PX, _STEEP_ALONE_PX, _STEEP_COARSE_PX = 0.5, 1.2, 3.5
+# Between knots so far apart curves rise; coarse ones by as much where several lines were lost.
+_STEEP_KNOTS, _STEEP_COARSE_PX = 8, 3.5
 _LEAST_COARSE = 3
 _COARSE_PX = (-0.8, 0.0, 0.8)
 _AROUND_LINES, _SHARP_LINES = 256, 48
@@ -37,7 +38,7 @@ class Step:
     count: int
 
 
-def steps(pairs: Sequence[RowPair], offset_px: Floats, knot_lines: int, coarse: bool = False) -> list[Step]:
+def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse: bool = False) -> list[Step]:
     """Where pairs' dline changes by whole lines.
 
     Args: offset_px (pairs, knots, 2) as found without the steps. coarse: they are so to about a pixel, and
@@ -45,23 +46,23 @@ def steps(pairs: Sequence[RowPair], offset_px: Floats, knot_lines: int, coarse: 
     A place shows one step, of the CCD that one or two pairs share: the largest.
     """
     found: list[Step] = []
-    for knot in _steep(offset_px[..., 1], _STEEP_COARSE_PX if coarse else None):
+    knot_lines, alone = likely.knot_lines, len(pairs) < _ENOUGH_PAIRS
+    least_px = _STEEP_COARSE_PX if coarse else likely.steep_px(_STEEP_KNOTS * knot_lines, alone)
+    for knot in _steep(offset_px[..., 1], least_px):
         here = [_step(pair, index, offset_px, knot, knot_lines, coarse) for index, pair in enumerate(pairs)]
         most = max((abs(step.count) for step in here if step), default=0)
         found += [step for step in here if step and abs(step.count) == most]
     return found
 
 
-def _steep(dline_px: Floats, least_px: float | None) -> list[int]:
+def _steep(dline_px: Floats, least_px: float) -> list[int]:
     """Knots, some apart, about which any pair's curve rises or falls more than motion and relief let it."""
-    enough = len(dline_px) >= 3
-    apart = dline_px - np.median(dline_px, axis=0) if enough else dline_px
-    least_px = least_px or (_STEEP_PX if enough else _STEEP_ALONE_PX)
-    rise = np.abs(apart[:, 8:] - apart[:, :-8]).max(axis=0)
+    apart = dline_px - np.median(dline_px, axis=0) if len(dline_px) >= _ENOUGH_PAIRS else dline_px
+    rise = np.abs(apart[:, _STEEP_KNOTS:] - apart[:, :-_STEEP_KNOTS]).max(axis=0)
     found = []
     while rise.size and rise.max() > least_px:
         at = int(np.median(np.flatnonzero(rise >= rise.max() - 1e-6)[:8]))
-        found.append(at + 4)
+        found.append(at + _STEEP_KNOTS // 2)
         rise[max(at - 12, 0) : at + 13] = 0.0
     return sorted(found)
 

@@ -71,14 +71,14 @@ class Settings:
     """What the methods may be told.
 
     search_cols_px, search_lines_px: how far the offsets may lie from the nominal geometry. knot_lines: the
-    distance of the knots between which `joint` draws its curves. segment_lines: the length of a segment of
-    `piecewise_linear`. enhance: stretch each segment's grey range before matching. ratio: the most by which
-    SIFT's nearest may be as far as the second.
+    distance of the knots between which `joint` draws its curves, 0: by the line rate. segment_lines: the
+    length of a segment of `piecewise_linear`. enhance: stretch each segment's grey range before matching.
+    ratio: the most by which SIFT's nearest may be as far as the second.
     """
 
     search_cols_px: int = 16
     search_lines_px: int = 24
-    knot_lines: int = 16
+    knot_lines: int = 0
     segment_lines: int = 512
     enhance: bool = True
     ratio: float = 0.75

@@ -9,20 +9,23 @@ sparse along the strip and solved by Cholesky.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
 
-# How far the curves go from their level, and over how many knots they forget where they were.
+# How far own parts go from their level, and over how many knots all forget where they were.
 _OWN_PX = 2.0
-_MOTION_PX = 10.0
 _FREE_KNOTS = 60
+# How much a knot bends off straight on, of what the motion and relief usually change within a knot.
+_JERK, _RELIEF = 2.1, 1.4
 _MOTION_ORDER = 12
-_OWN_ORDER, _OWN_STRIDE = 3, 4
+_OWN_STRIDE = 4
 _MOST_RADIUS = 0.9995
 
 
@@ -41,10 +44,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Habits:
-    """What is expected of the curves: of motion and own parts, columns and lines each."""
+    """What is expected of the curves: motion and own parts, columns and lines each; how far motion goes."""
 
     motion: tuple[tuple[Curve, ...], tuple[Curve, ...]]
     own: tuple[tuple[Curve, ...], tuple[Curve, ...]]
+    reach_px: float
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,19 @@ class Smoothed:
 
 STRAIGHT = np.array([2.0, -1.0])
 CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
-FIRST_HABITS = Habits(
-    ((Curve(STRAIGHT, 0.15),), (Curve(STRAIGHT, 0.15),)),
-    (
-        (Curve(STRAIGHT, 0.02), Curve(np.array([0.995]), 0.05, _OWN_STRIDE)),
-        (Curve(STRAIGHT, 0.03), Curve(np.array([0.99]), 0.08, _OWN_STRIDE)),
-    ),
-)
+
+
+def first_habits(likely: Expected) -> Habits:
+    """What is expected before anything was seen: of the motion by its usual change, of own parts by relief."""
+    jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
+    relief = _RELIEF * likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
+    motion = (Curve(STRAIGHT, jerk),)
+    fine, warmth = (0.02, 0.03), 0.05
+    own = [
+        (Curve(STRAIGHT, sd), Curve(STRAIGHT, math.hypot(warmth, by), _OWN_STRIDE))
+        for sd, by in zip(fine, (0.0, relief), strict=True)
+    ]
+    return Habits((motion, motion), (own[0], own[1]), likely.far_px)
 
 
 def smooth(
@@ -80,7 +90,46 @@ def smooth(
     level_px (pairs, 2): about where each pair's curves lie, to which they return where nothing is known.
     """
     k, n = offset_px.shape[:2]
-    common = np.median(level_px, axis=0)
+    factor, right = _equations(offset_px, information, level_px, habits)
+    sums = None
+    if covariance:
+        whole = factor.inverse_blocks().reshape(n, k + 1, 2, k + 1, 2)
+        sums = np.stack(
+            [
+                whole[:, 0, :, 0] + whole[:, p, :, p] + whole[:, 0, :, p] + whole[:, p, :, 0]
+                for p in range(1, k + 1)
+            ]
+        )
+    return _curves(factor.solve(right.reshape(-1, 1)), level_px, sums)
+
+
+def smooth_with_shift(
+    offset_px: Floats, information: Floats, part: Flags, level_px: Floats, habits: Habits
+) -> tuple[Smoothed, Floats, Floats]:
+    """The most probable curves if a part (pairs, knots) lies off them by one vector that is not known.
+
+    Returns: the curves, that vector (2,) and its covariance (2, 2): Schur's complement of the curves.
+    """
+    factor, right = _equations(offset_px, information, level_px, habits)
+    n, size = right.shape
+    mine = np.where(part[..., None, None], information, 0.0)
+    joined = np.zeros((n, size, 2))
+    joined[:, :2] = mine.sum(axis=0)
+    joined[:, 2:] = np.moveaxis(mine, 0, 1).reshape(n, size - 2, 2)
+    joined = joined.reshape(-1, 2)
+    moved = offset_px - level_px[:, None]
+    solved = factor.solve(np.concatenate([right.reshape(-1, 1), joined], axis=1))
+    least = 1e-9 * np.eye(2)
+    covariance = np.linalg.inv(mine.sum(axis=(0, 1)) - joined.T @ solved[:, 1:] + least)
+    shift = covariance @ (np.einsum("knij,knj->i", mine, moved) - joined.T @ solved[:, 0])
+    return _curves(solved[:, 0] - solved[:, 1:] @ shift, level_px, None), shift, covariance
+
+
+def _equations(
+    offset_px: Floats, information: Floats, level_px: Floats, habits: Habits
+) -> tuple[BlockTridiagonal, Floats]:
+    """Normal equations of the curves less their levels: factors, and the right side (knots, 2 + 2 pairs)."""
+    k, n = offset_px.shape[:2]
     offset_px = offset_px - level_px[:, None]
     size = 2 * (k + 1)
     diagonal = np.zeros((n, size, size))
@@ -92,22 +141,16 @@ def smooth(
         mine = slice(2 + 2 * p, 4 + 2 * p)
         diagonal[:, mine, mine] = diagonal[:, :2, mine] = diagonal[:, mine, :2] = information[p]
         right[:, mine] = pulled[p]
-    spread = np.array([_MOTION_PX] * 2 + [_OWN_PX] * (2 * k))
+    spread = np.array([habits.reach_px] * 2 + [_OWN_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
-    bands = _bands(habits, n, k)
-    factor = BlockTridiagonal(_matrix(diagonal, bands))
-    x = factor.solve(right.reshape(-1, 1)).reshape(n, k + 1, 2)
-    sums = None
-    if covariance:
-        whole = factor.inverse_blocks().reshape(n, k + 1, 2, k + 1, 2)
-        sums = np.stack(
-            [
-                whole[:, 0, :, 0] + whole[:, p, :, p] + whole[:, 0, :, p] + whole[:, p, :, 0]
-                for p in range(1, k + 1)
-            ]
-        )
+    return BlockTridiagonal(_matrix(diagonal, _bands(habits, n, k))), right
+
+
+def _curves(solved: Floats, level_px: Floats, covariance: Floats | None) -> Smoothed:
+    common = np.median(level_px, axis=0)
+    x = solved.reshape(-1, len(level_px) + 1, 2)
     own = np.moveaxis(x[:, 1:], 1, 0) + (level_px - common)[:, None]
-    return Smoothed(x[:, 0] + common, own, sums)
+    return Smoothed(x[:, 0] + common, own, covariance)
 
 
 def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
@@ -126,9 +169,14 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
     apart = []
     for axis in (0, 1):
         curves = list(own[:, :, axis])
-        slow = _fitted(curves, list(known), _OWN_ORDER, _OWN_STRIDE, 0.003) or before.own[axis][1]
-        apart.append((_bending(curves, list(known), before.own[axis][0]), slow))
-    return Habits((motion[0], motion[1]), (apart[0], apart[1]))
+        bending, slow = before.own[axis]
+        apart.append(
+            (
+                _held_to(curves, list(known), CUBIC, 1, 0.002, bending),
+                _held_to(curves, list(known), STRAIGHT, _OWN_STRIDE, 0.003, slow),
+            )
+        )
+    return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
 
 
 def _mean(curve: Floats, known: Flags) -> Floats:
@@ -161,12 +209,14 @@ def _fitted(
     return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
-def _bending(curves: list[Floats], known: list[Flags], before: Curve) -> Curve:
-    """How much neighbouring knots differ from a cubic: ties the chains of a stride to each other, no more."""
-    y, a = _windows(curves, known, len(CUBIC), 1)
+def _held_to(
+    curves: list[Floats], known: list[Flags], weights: Floats, stride: int, least_px: float, before: Curve
+) -> Curve:
+    """How much curves bend off a prediction; as expected before where too little is known."""
+    y, a = _windows(curves, known, len(weights), stride)
     if len(y) < 30:
         return before
-    return Curve(CUBIC, max(1.2 * float(np.sqrt(np.mean((y - a @ CUBIC) ** 2))), 0.002))
+    return Curve(weights, max(1.2 * float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
 def _stable(weights: Floats) -> Floats:

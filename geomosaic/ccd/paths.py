@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter1d
 
-from geomosaic.ccd.brightness import bright_part
+from geomosaic.ccd.brightness import Suspect, bright_part
+from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
@@ -16,18 +18,19 @@ from geomosaic.ccd.volumes import BLOCK_LINES
 Ints = NDArray[np.intp]
 _BIN_PX = 2
 _WINDOW_BLOCKS = 8
-# What a step of one bin costs: of the motion, of a pair's own part, of a pair taken alone.
-_MOTION_STEP, _OWN_STEP, _ALONE_STEP = 100.0, 60.0, 24.0
+# What a step of one bin costs a pair taken alone, of what it costs the motion of all.
+_ALONE = 0.24
+# What any number of lost lines cost.
 _JUMP = 250.0
+# How own parts change within a window by warmth.
+_WARMTH_PX = 0.05
 # What a block's evidence varies by where nothing matches. A peak of so many deviations is a layer, and more
 # of them don't make it the ground. What speaks against a layer far from nominal, at most: where nothing else
 # is seen it may still be the ground.
 _CHANCE_SD, _PEAK_FROM, _PEAK_FULL, _THERE, _FAR_COST = 0.6, 4.0, 8.0, 8.0, 6.0
 # Pairs' own levels about the middle of all pairs; how a block holds to its pair's level.
 _LEVELS_SD_BINS, _HOLD = 1.0, 0.4
-# Where ground and clouds lie in the leading row's view, dcol and dline; and what speaks against dark clouds.
-_GROUND_SD_PX = np.array([4.0, 4.0])
-_CLOUDS_PX, _CLOUDS_SD_PX = np.array([0.0, -15.0]), np.array([6.0, 12.0])
+# What speaks against dark clouds.
 _DARK_CLOUDS_COST = 3.0
 # A second layer must explain this share more than one layer does.
 _LAYER_GAIN = 0.003
@@ -42,14 +45,14 @@ class Coarse:
     """Offsets to about a bin.
 
     offsets_px: (pairs, blocks, 2) dcol, dline at the blocks' centres. layers: clouds found. cloudy:
-    (pairs, blocks) where they hide the ground. aside: (pairs, blocks) what was asked last, for it may be
-    cloud by its brightness.
+    (pairs, blocks) where they hide the ground. suspect: what was asked last, for it may be cloud by its
+    brightness.
     """
 
     offsets_px: Floats
     layers: list[Layer]
     cloudy: Flags
-    aside: Flags
+    suspect: Suspect | None
 
 
 def best_path(volumes: Floats, cost: float, jump: float = np.inf) -> Ints:
@@ -100,7 +103,7 @@ def shifted(volume: Floats, by: Ints) -> Floats:
     return np.where(inside, volume[t, np.clip(i, 0, h - 1), np.clip(j, 0, c - 1)], 0.0)
 
 
-def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coarse:
+def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected, rounds: int = 3) -> Coarse:
     """Offsets of all pairs at once, to about a bin: the shared motion, and a slow part of each pair.
 
     By turns: the evidence of all pairs is summed, each moved by its own slow part, and the best path taken
@@ -111,24 +114,25 @@ def coarse_offsets(volumes: Floats, brightness: Floats, rounds: int = 3) -> Coar
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
     bright = bright_part(brightness)
-    if bright.any():
-        best, aside = _darker_or_brighter(volumes, bright, rounds)
-        return Coarse(_px(volumes, best), [], np.zeros_like(bright), aside)
-    best, evidence = _solve(volumes, rounds)
+    if bright is not None:
+        best, suspect = _darker_or_brighter(volumes, bright, brightness, likely, rounds)
+        return Coarse(_px(volumes, best), [], np.zeros(brightness.shape, dtype=np.bool_), suspect)
+    best, evidence = _solve(volumes, likely, rounds)
     layers: list[Layer] = []
     threshold = evidence.sum() * (1.0 + _LAYER_GAIN)
     lowest = np.inf
-    for candidate in layer_candidates(volumes):
+    for candidate in layer_candidates(volumes, round(likely.steady_lines / BLOCK_LINES)):
         for layer in (candidate, Layer(-candidate.lines, -candidate.cols)):
-            path, value = _solve(either_layer(volumes, [layer]), rounds)
+            path, value = _solve(either_layer(volumes, [layer]), likely, rounds)
             ground = np.median(_px(volumes, path).reshape(-1, 2), axis=0)
-            cost = _cost(ground, ground + _BIN_PX * np.array([layer.cols, layer.lines], dtype=np.float64))
+            away = _BIN_PX * np.array([layer.cols, layer.lines], dtype=np.float64)
+            cost = _cost(ground, ground + away, likely)
             if value.sum() > threshold and cost < lowest and _by_patches(second_layer(volumes, layer, path)):
                 best, layers, lowest = path, [layer], cost
     cloudy = np.zeros(volumes.shape[:2], dtype=bool)
     for layer in layers:
         cloudy |= second_layer(volumes, layer, best)
-    return Coarse(_px(volumes, best), layers, cloudy, bright)
+    return Coarse(_px(volumes, best), layers, cloudy, None)
 
 
 def _px(volumes: Floats, path: Ints) -> Floats:
@@ -137,28 +141,34 @@ def _px(volumes: Floats, path: Ints) -> Floats:
     return np.asarray(_BIN_PX * (path - middle)[:, :, ::-1], dtype=np.float64)
 
 
-def _darker_or_brighter(volumes: Floats, bright: Flags, rounds: int) -> tuple[Ints, Flags]:
+def _darker_or_brighter(
+    volumes: Floats, bright: Suspect, brightness: Floats, likely: Expected, rounds: int
+) -> tuple[Ints, Suspect]:
     """The path by the darker or by the brighter part, whichever is rather the ground's; and the other part.
 
     Clouds are the brighter part but where the ground is snow or sand.
     """
-    parts = bright, ~bright
-    paths = [_solve(volumes * np.where(p, _BRIGHT_WEIGHT, 1.0)[..., None, None], rounds)[0] for p in parts]
+    parts = bright, replace(bright, brighter=False)
+    weights = [np.where(part.hides(brightness), _BRIGHT_WEIGHT, 1.0) for part in parts]
+    paths = [_solve(volumes * weight[..., None, None], likely, rounds)[0] for weight in weights]
     middles = [np.median(_px(volumes, path).reshape(-1, 2), axis=0) for path in paths]
-    costs = _cost(middles[0], middles[1]), _cost(middles[1], middles[0]) + _DARK_CLOUDS_COST
+    costs = (
+        _cost(middles[0], middles[1], likely),
+        _cost(middles[1], middles[0], likely) + _DARK_CLOUDS_COST,
+    )
     far = np.abs(middles[1] - middles[0]).max() > _BIN_PX
     which = 1 if far and costs[1] < costs[0] else 0
     return paths[which], parts[which]
 
 
-def _cost(ground_px: Floats, clouds_px: Floats) -> float:
+def _cost(ground_px: Floats, clouds_px: Floats, likely: Expected) -> float:
     """What speaks against ground and clouds lying there (dcol, dline).
 
     Ground lies near the nominal geometry. Clouds lie off the ground: across by the wind, along by wind and
     height, and height moves them one way.
     """
-    moved = (clouds_px - ground_px - _CLOUDS_PX) / _CLOUDS_SD_PX
-    return 0.5 * float(((ground_px / _GROUND_SD_PX) ** 2 + moved**2).sum())
+    moved = (clouds_px - ground_px - likely.clouds_px) / likely.clouds_sd_px
+    return 0.5 * float(((ground_px / likely.ground_sd_px) ** 2 + moved**2).sum())
 
 
 def _by_patches(hidden: Flags) -> bool:
@@ -170,43 +180,57 @@ def _by_patches(hidden: Flags) -> bool:
     return bool(both.mean() > _LAYER_PAIRS and changes[both].mean() > _LAYER_CHANGES)
 
 
-def _solve(volumes: Floats, rounds: int) -> tuple[Ints, Floats]:
+def _solve(volumes: Floats, likely: Expected, rounds: int) -> tuple[Ints, Floats]:
     """Paths (pairs, blocks, 2) as indices; each pair's evidence along them less the cost of its steps."""
     k, n, h, c = volumes.shape
     middle = np.array([h // 2, c // 2])
+    motion_step, own_step = _step_costs(likely)
     prior = -0.5 * (((np.arange(h) - h // 2) / (0.5 * h)) ** 2)[:, None] - 0.5 * (
         ((np.arange(c) - c // 2) / (0.5 * c)) ** 2
     )
-    start = best_path(volumes + 0.1 * prior, _ALONE_STEP)
+    start = best_path(volumes + 0.1 * prior, _ALONE * motion_step)
     first = start - middle
     own = np.repeat(np.rint(np.median(first, axis=1)).astype(np.intp)[:, None], n, axis=1)
     own -= np.rint(np.median(own, axis=0)).astype(np.intp)
     motion = np.zeros((n, 2), dtype=np.intp)
     for _ in range(rounds):
         summed = sum(shifted(volumes[p], own[p]) for p in range(k)) + prior
-        motion = best_path(summed[None], _MOTION_STEP)[0] - middle
-        own = _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]), motion) - middle
+        motion = best_path(summed[None], motion_step)[0] - middle
+        own = (
+            _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]), motion, likely, own_step)
+            - middle
+        )
     path = np.clip(motion[None] + own + middle, 0, (h - 1, c - 1))
     evidence = volumes[np.arange(k)[:, None], np.arange(n), path[..., 0], path[..., 1]].sum(axis=1)
-    steps = _MOTION_STEP / k * float((np.diff(motion, axis=0) ** 2).sum())
-    own_steps = np.minimum(_OWN_STEP * (np.diff(own, axis=1) ** 2).sum(axis=2), _JUMP).sum(axis=1)
+    steps = motion_step / k * float((np.diff(motion, axis=0) ** 2).sum())
+    own_steps = np.minimum(own_step * (np.diff(own, axis=1) ** 2).sum(axis=2), _JUMP).sum(axis=1)
     return path, np.asarray(evidence - steps - own_steps)
 
 
-def _slow_parts(volumes: Floats, motion: Ints) -> Ints:
+def _step_costs(likely: Expected) -> tuple[float, float]:
+    """What a step of one bin costs, of the motion from block to block and of an own part between windows.
+
+    Half the square of how often the usual change it is, with what mounting and warmth add to own parts.
+    """
+    motion = likely.moves_px_per_line * BLOCK_LINES
+    own = math.hypot(likely.bends_px_per_line * _WINDOW_BLOCKS * BLOCK_LINES, _WARMTH_PX)
+    return 0.5 * (_BIN_PX / motion) ** 2, 0.5 * (_BIN_PX / own) ** 2
+
+
+def _slow_parts(volumes: Floats, motion: Ints, likely: Expected, step: float) -> Ints:
     """The best slow paths (pairs, blocks, 2), from evidence already straightened by the shared motion."""
     k, n, h, c = volumes.shape
-    levels = _levels(volumes, motion)
+    levels = _levels(volumes, motion, likely)
     i, j = np.arange(h)[:, None] - levels[:, 0, None, None], np.arange(c) - levels[:, 1, None, None]
     windows = -(-n // _WINDOW_BLOCKS)
     padded = np.zeros((k, windows * _WINDOW_BLOCKS, h, c))
     padded[:, :n] = volumes
     summed = padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2)
-    path = best_path(summed - _WINDOW_BLOCKS * _HOLD * (i**2 + j**2)[:, None], _OWN_STEP, _JUMP)
+    path = best_path(summed - _WINDOW_BLOCKS * _HOLD * (i**2 + j**2)[:, None], step, _JUMP)
     return np.asarray(np.repeat(path, _WINDOW_BLOCKS, axis=1)[:, :n], dtype=np.intp)
 
 
-def _levels(volumes: Floats, motion: Ints) -> Ints:
+def _levels(volumes: Floats, motion: Ints, likely: Expected) -> Ints:
     """Where each pair's ground lies (pairs, 2): of the layers that are there, by where ground may lie.
 
     How often a layer is seen says nothing: clouds may hide most of the ground. Ground lies near the nominal
@@ -220,7 +244,7 @@ def _levels(volumes: Floats, motion: Ints) -> Ints:
     peak = total >= maximum_filter(total, size=(1, 3, 3))
     there = np.where(peak, np.clip((above - _PEAK_FROM) / (_PEAK_FULL - _PEAK_FROM), 0.0, 1.0), 0.0)
     at = np.stack(np.meshgrid(np.arange(h), np.arange(c), indexing="ij"), axis=-1)
-    nominal = _BIN_PX * (at - (h // 2, c // 2) + motion.mean(axis=0)) / _GROUND_SD_PX[::-1]
+    nominal = _BIN_PX * (at - (h // 2, c // 2) + motion.mean(axis=0)) / likely.ground_sd_px[::-1]
     score = _THERE * there - np.minimum(0.5 * (nominal**2).sum(axis=-1), _FAR_COST)
     found = _highest(score)
     if k < 3:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.ccd.brightness import grey_cells
 from geomosaic.ccd.columns import flattened
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.overlaps import Strips
@@ -22,14 +23,14 @@ class RowPair:
     """Columns of the leading and of the trailing strip; row i of both is the leading strip's line first + i.
 
     A ground point at (c, u) of lead lies in trail at (c + nominal_col + dcol, u + dline), offsets in the
-    sense "trailing minus leading". lead, trail: (n, read_px), flattened. valid: of both. brightness: (n,)
-    mean grey of lead's rows. known_px: (n,) part of dline that is known beforehand.
+    sense "trailing minus leading". lead, trail: (n, read_px), flattened. valid: of both. grey: (2, h, w)
+    mean greys of lead's and of trail's cells. known_px: (n,) part of dline that is known beforehand.
     """
 
     lead: Images
     trail: Images
     valid: Flags
-    brightness: Floats
+    grey: Floats
     nominal_col: int
     known_px: Floats
 
@@ -46,11 +47,12 @@ def row_pair(strips: Strips, pair: int, first: int, last: int, known_px: Floats)
     start = _left_of_leading(strips, pair)
     overlap = strips.overlap(pair, first + start, last + start)
     lead, trail = (overlap.left, overlap.right)[:: overlap.side]
-    brightness = lead.mean(axis=1, dtype=np.float64)
+    lead, trail = (image.astype(np.float32) for image in (lead, trail))
+    grey = np.stack([grey_cells(image) for image in (lead, trail)])
     full = 2.0**g.bit_depth - 1.0
     valid = overlap.valid & (lead < full) & (trail < full)
-    lead, trail = (flattened(image.astype(np.float32), valid) for image in (lead, trail))
-    return RowPair(lead, trail, valid, brightness, -overlap.side * (g.read_px - g.overlap_px), known_px)
+    lead, trail = (flattened(image, valid) for image in (lead, trail))
+    return RowPair(lead, trail, valid, grey, -overlap.side * (g.read_px - g.overlap_px), known_px)
 
 
 def shared_lines(strips: Strips, pair: int) -> int:

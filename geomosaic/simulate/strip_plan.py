@@ -170,5 +170,6 @@ class StripPlan:
             row_separation_lines=self.row_separation_lines,
             ground_pixel_m=self.ground_pixel_m,
             line_rate_hz=self.line_rate_hz,
+            altitude_m=self.altitude_m,
             bit_depth=self.bit_depth,
         )

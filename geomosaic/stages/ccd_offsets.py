@@ -25,7 +25,7 @@ class CcdOffsets(Stage):
     id = "ccd.offsets"
     display_name = "Offsets between the strips"
     group = "CCD strips"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
     outputs: ClassVar[dict[str, type]] = {"offsets": StripOffsets}
 
@@ -48,7 +48,11 @@ class CcdOffsets(Stage):
             le=200,
         )
         knot_lines: int = param(
-            _SETTINGS.knot_lines, help="joint: lines between the knots of its curves", unit="px", ge=4, le=256
+            _SETTINGS.knot_lines,
+            help="joint: lines between the knots of its curves, even; 0: every 5 ms",
+            unit="px",
+            ge=0,
+            le=256,
         )
         segment_lines: int = param(
             _SETTINGS.segment_lines, help="piecewise_linear: lines of a segment", unit="px", ge=64, le=20000

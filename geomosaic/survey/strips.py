@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.doors.files import check_regular
 from geomosaic.doors.plain import read_yaml, shown
 from geomosaic.doors.raster import STRIP, open_raster
 from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
 
 _MAX_BYTES: Final = 64 << 10  # a list of 1 MB takes YAML half a minute
 _MOST_CCDS: Final = 64
 _MOST: Final = 1e9  # of any number
+_EARTH_RADIUS_M: Final = 6371000.0
+_ALTITUDE_M: Final = 500e3  # where no model says it: imaging satellites fly at 400 to 800 km
 _LEAST_OVERLAP_PX: Final = 8  # narrower ones can't be matched
 _BITS: Final = {"uint8": 8, "uint16": 16, "int16": 15}
 _RANGES: Final = {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)}
 _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
-    "bit_depth", "nodata", "dem", "rpc", "model",
+    "altitude_m", "bit_depth", "nodata", "dem", "rpc", "model",
 )  # fmt: skip
 _MEND: Final = "see docs/inputs.md for the keys of a geometry file"
 
@@ -45,7 +49,8 @@ class StripGeometry:
     dline the pair's offsets. Lines count each strip's own lines, columns the CCD's pixels, corner origin.
 
     width_px: of every strip. lines: of each file, 0 where the CCD is missing. overlap_px: what neighbours
-    share by design; read_px: what is read of each side. nodata None: every pixel counts.
+    share by design; read_px: what is read of each side. altitude_m: of the flight above the ground.
+    nodata None: every pixel counts.
     dem: a DEM of the ground; rpc: of the stitched scene; model: the rigorous model.
     """
 
@@ -57,6 +62,7 @@ class StripGeometry:
     row_separation_lines: float = 2114.0
     ground_pixel_m: float = 2.0
     line_rate_hz: float
+    altitude_m: float = _ALTITUDE_M
     bit_depth: int
     nodata: float | None = None
     dem: Path | None = None
@@ -71,6 +77,16 @@ class StripGeometry:
     def side(self, pair: int) -> int:
         """+1 where the left CCD is in the leading row and the right one in the trailing row, else -1."""
         return 1 if self.ccds[pair].row == 1 else -1
+
+    @property
+    def height_m_per_line(self) -> float:
+        """What is so much higher is seen one line apart by the two rows (0 where they are one).
+
+        Their rays meet at an angle of separation * pixel * (1 / altitude + 1 / R), the second part being the
+        turn of the vertical between the two places from which they look.
+        """
+        bend = 1.0 / self.altitude_m + 1.0 / _EARTH_RADIUS_M
+        return 1.0 / (self.row_separation_lines * bend) if self.row_separation_lines else 0.0
 
     @property
     def scene_width_px(self) -> int:
@@ -120,13 +136,19 @@ def read_geometry(path: Path) -> StripGeometry:
         row_separation_lines=number("row_separation_lines", 2114.0, 0.0),
         ground_pixel_m=number("ground_pixel_m", 2.0, 1e-3),
         line_rate_hz=number("line_rate_hz", None, 1e-3),
+        altitude_m=number("altitude_m", _ALTITUDE_M, 10.0),
         bit_depth=bit_depth,
         nodata=nodata if entry.get("nodata") is None else number("nodata", None, *_RANGES[kind], whole=True),
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
-    _check_companions(geometry, path)
-    return geometry
+    model = _check_companions(geometry, path)
+    return geometry if model is None or "altitude_m" in entry else replace(geometry, altitude_m=_above(model))
+
+
+def _above(model: Pushbroom) -> float:
+    """Height of a model's orbit above the ellipsoid, in its middle."""
+    return float(geodetic_from_ecef(model.orbit_ecef_m[len(model.orbit_ecef_m) // 2])[2])
 
 
 def _load(path: Path) -> Mapping[str, Any]:
@@ -250,8 +272,8 @@ def _check(geometry: StripGeometry, path: Path) -> None:
         )
 
 
-def _check_companions(geometry: StripGeometry, path: Path) -> None:
-    """`FileError` or `InputError` where the DEM, the RPC or the model aren't of these strips' scene."""
+def _check_companions(geometry: StripGeometry, path: Path) -> Pushbroom | None:
+    """The model; `FileError` or `InputError` where it, the DEM or the RPC aren't of these strips' scene."""
     g, model, rpc = geometry, None, None
     strip_px = g.width_px, max(g.lines)
     if g.dem is not None:
@@ -263,3 +285,4 @@ def _check_companions(geometry: StripGeometry, path: Path) -> None:
         rpc = check_rpc(g.rpc, (g.scene_width_px, max(g.lines)), g.ground_pixel_m, model, g.dem)
     if g.dem is not None and model is not None:
         check_cover(g.dem, model, strip_px, 0.0 if rpc is None else float(rpc.offset[4]))
+    return model
