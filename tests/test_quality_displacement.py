@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from quality_pictures import moved, texture
 
-from geomosaic.quality.displacement import measure_displacements, patch_corners
+from geomosaic.matching.displacement import measure_displacements, patch_corners
 
 
 def measured(picture, reference, valid=None, other=None, patch=64, step=64, search=128, margin=0):

@@ -21,8 +21,9 @@ from geomosaic.mosaic.raster import writing_mosaic
 from geomosaic.mosaic.seamlines import SeamLabels
 from geomosaic.mosaic.seams import SEAMS, Seam
 from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import KERNEL_RADIUS_PX, RESAMPLING, Composed, compose_window
+from geomosaic.mosaic.window import Composed, compose_window
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
 
 WINDOW_PX = 512

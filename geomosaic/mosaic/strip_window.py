@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geomosaic.ccd.layout import Places
 from geomosaic.ccd.model import Floats
 from geomosaic.mosaic.strip_lines import Lines
-from geomosaic.mosaic.window import resample
+from geomosaic.projection.resample import resample
 
 Floats32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.mosaic.frames import Decoded
 from geomosaic.mosaic.plan import Part, Scene, Window, distances_m, ground_of, margin_px, parts
 from geomosaic.mosaic.seams import Seam
+from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import frame_from_map
 
 Floats32 = NDArray[np.float32]
-RESAMPLING: Final = {
-    "bilinear": cv2.INTER_LINEAR,
-    "cubic": cv2.INTER_CUBIC,
-    "lanczos": cv2.INTER_LANCZOS4,
-}
-"""OpenCV's interpolations by name; its cubic is Keys' with a = -0.75."""
-KERNEL_RADIUS_PX: Final = {"bilinear": 1, "cubic": 2, "lanczos": 4}
-_MOST_CHANNELS = 4
 
 
 @dataclass(frozen=True)
@@ -88,37 +80,6 @@ def compose_window(
     if np.issubdtype(np.dtype(dtype), np.integer):
         np.rint(total, out=total)
     return Composed(window, total.astype(dtype), valid, source, tuple(gave_pixels))
-
-
-def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: str) -> NDArray[Any]:
-    """Pixels (h, w, bands) at cols and rows with corner origin; the outer half pixel repeats the edge.
-
-    Only the part of the frame in use is handed to cv2, whose pictures end at 32767 px.
-    """
-    height, width, bands = pixels.shape
-    x = np.where(np.isnan(cols), np.float32(width / 2.0), cols) - np.float32(0.5)
-    y = np.where(np.isnan(rows), np.float32(height / 2.0), rows) - np.float32(0.5)
-    reach = KERNEL_RADIUS_PX[resampling] + 1
-    left, right = (
-        int(np.clip(v, 0, width - 1)) for v in (np.floor(x.min()) - reach, np.ceil(x.max()) + reach)
-    )
-    top, bottom = (
-        int(np.clip(v, 0, height - 1)) for v in (np.floor(y.min()) - reach, np.ceil(y.max()) + reach)
-    )
-    x -= np.float32(left)
-    y -= np.float32(top)
-    part = pixels[top : bottom + 1, left : right + 1]
-    found = [
-        cv2.remap(
-            np.ascontiguousarray(part[..., k : k + _MOST_CHANNELS]),
-            x,
-            y,
-            RESAMPLING[resampling],
-            borderMode=cv2.BORDER_REPLICATE,
-        ).reshape(*cols.shape, -1)
-        for k in range(0, bands, _MOST_CHANNELS)
-    ]
-    return found[0] if len(found) == 1 else np.concatenate(found, axis=-1)
 
 
 def _ramp(margin: Floats32, gsd_m: float, feather_m: float) -> Floats32:

@@ -14,7 +14,7 @@ from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from geomosaic.errors import FileError, InputError
-from geomosaic.quality.displacement import Displacements, measure_displacements
+from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.figures import Figures, figures, touching_patches
 from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
 from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, pooled, ssim_maps

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
-from geomosaic.mosaic.window import resample
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import GroundWindow, frame_from_map, ground_window
-from geomosaic.quality.displacement import measure_displacements, patch_corners
 from geomosaic.quality.ssim import luma
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels

@@ -22,8 +22,8 @@ from geomosaic.ccd.model import (
     StripOffsets,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.quality.displacement import Displacements, measure_displacements
-from geomosaic.quality.least_squares_matching import bspline_weights
+from geomosaic.matching.displacement import Displacements, measure_displacements
+from geomosaic.matching.least_squares_matching import bspline_weights
 from geomosaic.quality.strip_figures import (
     LIMIT_PX,
     StripFigures,

@@ -15,10 +15,10 @@ from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, witho
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.seams import SEAMS
 from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import RESAMPLING
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.resample import RESAMPLING
 from geomosaic.survey.model import Survey
 
 RASTER = "work/mosaic.compose/mosaic.tif"

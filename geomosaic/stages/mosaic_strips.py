@@ -20,8 +20,8 @@ from geomosaic.mosaic.estimate import estimate_scene
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS
 from geomosaic.mosaic.strip_blends import BLENDS
 from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
-from geomosaic.mosaic.window import RESAMPLING
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.projection.resample import RESAMPLING
 from geomosaic.survey.strips import StripGeometry
 
 RASTER = "work/mosaic.strips/raster.tif"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geomosaic.quality.least_squares_matching import refine
+from geomosaic.matching.least_squares_matching import refine
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
