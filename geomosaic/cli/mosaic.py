@@ -23,6 +23,7 @@ STAGES = (
     "mosaic.estimate",
     "matching.sift",
     "adjustment.solve",
+    "adjustment.rig",
     "mosaic.compose",
     "quality.verdict",
     "export.cog",

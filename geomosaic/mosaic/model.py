@@ -61,7 +61,8 @@ class Mosaic:
     """The composed mosaic, as an uncompressed raster with an internal mask.
 
     raster: the raster's name inside the run folder. frames_used: indices of frames that gave pixels.
-    decodes: how often a frame was decoded; the number of frames where memory sufficed.
+    decodes: how often a frame was decoded; the number of frames where memory sufficed. band_names: of a rig's
+    bands, in the raster's order.
     """
 
     grid: OutputGrid
@@ -72,3 +73,4 @@ class Mosaic:
     seamlines: tuple[Seamline, ...]
     frames_used: tuple[int, ...]
     decodes: int
+    band_names: tuple[str, ...] = ()

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.rig import RigPoses, band_poses
+from geomosaic.mosaic.bands import stack_bands
 from geomosaic.mosaic.compose import AUTO_FEATHER_PX, compose
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
 from geomosaic.mosaic.model import Mosaic, OutputGrid
@@ -38,6 +43,7 @@ class MosaicCompose(Stage):
         "placement": Placement,
         "adjusted": Adjusted,
     }
+    optional_inputs: ClassVar[dict[str, type]] = {"rig": RigPoses}
     outputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
     results: ClassVar[tuple[str, ...]] = (SOURCES,)
 
@@ -94,26 +100,41 @@ class MosaicCompose(Stage):
             away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
             context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
         grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
+        put = partial(
+            compose,
+            ground=ground,
+            grid=grid,
+            seam=params.seam,
+            feather_m=None if params.feather_m == "auto" else params.feather_m,
+            resampling=params.resampling,
+            memory_bytes=params.memory_mb << 20,
+            threads=params.threads,
+            progress=lambda done, total: context.progress(done, total, "windows"),
+            check_cancelled=context.check_cancelled,
+        )
+        bands = {b.name: b for b in inputs["rig"].bands} if "rig" in inputs else {}
         with ExitStack() as files:
             sources = files.enter_context(context.writing(SOURCES)) if params.sources else None
             raster = files.enter_context(context.writing(RASTER))
-            mosaic = compose(
-                survey,
-                adjusted.poses,
-                adjusted.cameras,
-                used,
-                ground,
-                grid,
-                raster,
-                seam=params.seam,
-                feather_m=None if params.feather_m == "auto" else params.feather_m,
-                resampling=params.resampling,
-                memory_bytes=params.memory_mb << 20,
-                sources_path=sources,
-                threads=params.threads,
-                progress=lambda done, total: context.progress(done, total, "windows"),
-                check_cancelled=context.check_cancelled,
-            )
+            poses, cameras = adjusted.poses, adjusted.cameras
+            if not bands:
+                mosaic = put(survey, poses, cameras, used, raster_path=raster, sources_path=sources)
+            else:
+                folder = Path(files.enter_context(TemporaryDirectory(dir=context.work_folder)))
+                own = folder / "0.tif"
+                mosaic = put(survey, poses, cameras, used, raster_path=own, sources_path=sources)
+                rasters = [own]
+                for other in survey.other_bands:
+                    pose = bands[other.name]
+                    there = [use and f is not None for use, f in zip(used, other.frames, strict=True)]
+                    frames = tuple(f or own for f, own in zip(other.frames, survey.frames, strict=True))
+                    lens = [pose.camera] * len(frames)
+                    rasters.append(folder / f"{len(rasters)}.tif")
+                    shown = replace(survey, frames=frames, cameras=(pose.camera,))
+                    put(shown, band_poses(poses, pose), lens, there, raster_path=rasters[-1])
+                names = (survey.band, *(b.name for b in survey.other_bands))
+                stack_bands(rasters, names, raster)
+                mosaic = replace(mosaic, bands=len(names), band_names=names)
         mosaic = replace(mosaic, raster=RASTER)
         self._tell(context, grid, mosaic)
         return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}

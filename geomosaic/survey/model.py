@@ -112,6 +112,20 @@ class ControlPoint:
 
 
 @dataclass(frozen=True)
+class Band:
+    """A band of a rig that `Survey.frames` don't show: its camera, and its file of each capture.
+
+    wavelength_nm: of its middle, None where unknown. frames[i] was taken with `Survey.frames[i]`; None where
+    the file is missing. Its position and attitude are the capture's.
+    """
+
+    name: str
+    wavelength_nm: float | None
+    camera: Camera
+    frames: tuple[Frame | None, ...]
+
+
+@dataclass(frozen=True)
 class Warn:
     """Something the user should know: a stable code, the frame it is about (or ''), one line."""
 
@@ -125,7 +139,10 @@ class Warn:
 
 @dataclass(frozen=True)
 class Survey:
-    """Frames in order of capture (time, then name), their cameras, and where all of it lies."""
+    """Frames in order of capture (time, then name), their cameras, and where all of it lies.
+
+    band, other_bands: of a rig that writes a file a band, what the frames show, and what else it took.
+    """
 
     frames: tuple[Frame, ...]
     cameras: tuple[Camera, ...]
@@ -135,6 +152,8 @@ class Survey:
     control: tuple[ControlPoint, ...] = ()
     warnings: tuple[Warn, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    band: str = ""
+    other_bands: tuple[Band, ...] = ()
 
     @property
     def located(self) -> tuple[bool, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -14,16 +15,17 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS, map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
-from geomosaic.survey.cameras import cameras_from_file, cameras_from_headers
+from geomosaic.survey.cameras import camera_from_header, cameras_from_file, cameras_from_headers
 from geomosaic.survey.control import check_control, lonlat_of_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader
-from geomosaic.survey.model import ControlPoint, Frame, Position, Survey, Warn
+from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, Warn
 from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
 from geomosaic.survey.observations import lonlat_of, observe
 from geomosaic.survey.places import check_area
 from geomosaic.survey.pos import read_pos
+from geomosaic.survey.rig import Captures, captures, incomplete_words
 from geomosaic.survey.usable import Inspect, inspect_all, usable
 
 Floats = NDArray[np.float64]
@@ -95,7 +97,8 @@ def read_survey(
     cameras = None if camera is None else read_cameras(camera)
     found = usable(files, inspect, mask_damaged=damaged == "mask", progress=progress)
     _check_alike(found.headers)
-    headers, by_time = _in_order(found.headers)
+    rig = captures(found.headers)
+    headers, by_time = _in_order([b.header for b in rig.own] if rig else found.headers)
     names = [frame_name(h.path) for h in headers]
     control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
     observed = observe(headers, table, [out.name for out in found.left_out])
@@ -143,6 +146,10 @@ def read_survey(
             headers, choice.names, observed.positions, observed.attitudes, strict=True
         )
     )
+    band, other_bands = _bands(rig, frames) if rig else ("", ())
+    lost = (
+        [Warn("capture-incomplete", "", incomplete_words(rig.incomplete))] if rig and rig.incomplete else []
+    )
     order = [] if by_time else [Warn("order-by-name", "", "not all frames have a time: ordered by name")]
     return Survey(
         frames=frames,
@@ -156,7 +163,10 @@ def read_survey(
         elevation=elevation,
         control=control,
         left_out=found.left_out,
+        band=band,
+        other_bands=other_bands,
         warnings=(
+            *lost,
             *([Warn("local-frame", "", _LOCAL)] if local else []),
             *found.warnings,
             *order,
@@ -166,6 +176,36 @@ def read_survey(
             *dem_warnings,
             *control_warnings,
         ),
+    )
+
+
+def _bands(rig: Captures, frames: Sequence[Frame]) -> tuple[str, tuple[Band, ...]]:
+    """What the frames show, and the rig's other bands, each with a camera of its own."""
+    bands = []
+    for name, by_own in rig.others.items():
+        files = [by_own.get(Path(f.path).name) for f in frames]
+        some_file = next(f for f in files if f is not None)
+        camera, _ = camera_from_header(some_file.header)
+        shown = tuple(
+            None if file is None else _in_band(frame, file.header, camera.name)
+            for frame, file in zip(frames, files, strict=True)
+        )
+        bands.append(Band(name, some_file.wavelength_nm, camera, shown))
+    return rig.own[0].band, tuple(bands)
+
+
+def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
+    """The same capture's file of another band."""
+    return replace(
+        frame,
+        name=frame_name(header.path),
+        path=str(header.path),
+        width_px=header.width_px,
+        height_px=header.height_px,
+        camera=camera,
+        nodata=header.nodata,
+        valid_mask=None,
+        whole_rows=None,
     )
 
 

@@ -1,0 +1,54 @@
+"""How the cameras of a rig stand to one another; nothing to do for a single camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.rig import RigPoses, register_bands
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.survey.model import Survey
+
+_DOUBTFUL_PX = 1.0
+
+
+class AdjustmentRig(Stage):
+    """Finds each other band's turn against the frames' camera from all captures at once."""
+
+    id = "adjustment.rig"
+    display_name = "Register a rig's bands"
+    group = "Adjustment"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted}
+    outputs: ClassVar[dict[str, type]] = {"rig": RigPoses}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Registers, and tells how far apart the bands were and are."""
+        adjusted: Adjusted = inputs["adjusted"]
+        rig = register_bands(
+            inputs["survey"],
+            adjusted.poses,
+            adjusted.cameras,
+            [s != "rejected" for s in adjusted.status],
+            adjusted.ground,
+            threads=params.threads,
+            progress=context.progress,
+        )
+        for band in rig.bands:
+            figures = {"places": band.places, "before_px": band.before_px, "after_px": band.after_px}
+            context.metric(f"bands.{band.name.replace('.', '_')}", figures)
+            if not np.isfinite(band.after_px):
+                text = f"band {band.name}: too little is alike in it to be registered; laid as its tags say"
+                context.warn("band-not-registered", "", text)
+            elif band.after_px > _DOUBTFUL_PX:
+                text = f"band {band.name}: its places are left {band.after_px:.1f} px apart in the median"
+                context.warn("band-doubtful", "", text)
+        return {"rig": rig}

@@ -1,0 +1,107 @@
+"""Cameras of one rig that write a file a band: the files of one capture belong together."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.names import natural_key, some
+from geomosaic.survey.xmp import Xmp, number
+
+_CAPTURE_TAGS: Final = ("Camera:CaptureUUID", "MicaSense:CaptureId")
+_OWN: Final = ("green", "red", "rededge", "red edge")
+"""Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
+_SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
+"""`IMG_0001_GRE`, `IMG_0001_4`: the capture's name and the band's."""
+LEAST_BANDS: Final = 2
+
+
+@dataclass(frozen=True)
+class BandHeader:
+    """A file of one band: the capture it belongs to, the band's name, wavelength in nm and number in the rig,
+    None where nothing tells."""
+
+    header: FrameHeader
+    capture: str
+    band: str
+    wavelength_nm: float | None
+    index: float | None
+
+
+@dataclass(frozen=True)
+class Captures:
+    """A rig's files, grouped.
+
+    own: one file of each capture, all of the same band, which stands for the capture. others: of each other
+    band by name, the files by the own file's name. incomplete: files whose capture has no own one.
+    """
+
+    own: tuple[BandHeader, ...]
+    others: dict[str, dict[str, BandHeader]]
+    incomplete: tuple[FrameHeader, ...]
+
+
+def captures(headers: Sequence[FrameHeader]) -> Captures | None:
+    """The captures of a rig, None where the files are not a rig's.
+
+    Tags decide (`CaptureUUID` or `CaptureId` with `BandName`); without them names that end alike in all
+    captures (`_GRE`, `_4`). Only files of one band can be a rig's.
+    """
+    if any(h.bands != 1 for h in headers):
+        return None
+    found = [_by_tags(h) for h in headers]
+    if any(f is None for f in found):
+        found = [_by_name(h) for h in headers]
+    files = [f for f in found if f is not None]
+    if len(files) < len(headers) or not _grouped(files):
+        return None
+    own_band = min(Counter(f.band for f in files).items(), key=lambda item: _rank(item[0], item[1], files))[0]
+    own = {f.capture: f for f in files if f.band == own_band}
+    others: dict[str, dict[str, BandHeader]] = {}
+    for file in sorted(files, key=lambda f: (f.wavelength_nm or 0.0, f.index or 0.0, natural_key(f.band))):
+        if file.band != own_band and file.capture in own:
+            others.setdefault(file.band, {})[own[file.capture].header.path.name] = file
+    lost = tuple(f.header for f in files if f.capture not in own)
+    return Captures(tuple(own.values()), others, lost)
+
+
+def incomplete_words(lost: Sequence[FrameHeader]) -> str:
+    """What is said of files that are not used."""
+    return f"{len(lost)} files of captures without the rig's first band: {some(h.path.name for h in lost)}"
+
+
+def _grouped(files: Sequence[BandHeader]) -> bool:
+    """Whether captures hold several bands, each once, and bands several captures or all files one."""
+    bands = Counter(f.band for f in files)
+    each = Counter((f.capture, f.band) for f in files)
+    several = Counter(f.capture for f in files).most_common(1)[0][1] >= LEAST_BANDS
+    return len(bands) >= LEAST_BANDS and several and max(each.values()) == 1
+
+
+def _rank(band: str, count: int, files: Sequence[BandHeader]) -> tuple[float, float, float, str]:
+    """Bands that most captures have come first, then the usual ones, then by number."""
+    first = next(f for f in files if f.band == band)
+    known = _OWN.index(band.lower()) if band.lower() in _OWN else len(_OWN)
+    return -count, known, first.index if first.index is not None else 99.0, band
+
+
+def _by_tags(header: FrameHeader) -> BandHeader | None:
+    xmp: Xmp = header.xmp or {}
+    capture = next((xmp[name] for name in _CAPTURE_TAGS if xmp.get(name)), "")
+    band = xmp.get("Camera:BandName", "")
+    if not capture or not band or "," in band:
+        return None
+    index = number(xmp, "Camera:RigCameraIndex")
+    return BandHeader(header, capture, band, number(xmp, "Camera:CentralWavelength"), index)
+
+
+def _by_name(header: FrameHeader) -> BandHeader | None:
+    match = _SUFFIX.fullmatch(header.path.stem)
+    if match is None:
+        return None
+    index = float(match[2]) if match[2].isdigit() else None
+    return BandHeader(header, match[1], match[2].upper() if index is None else match[2], None, index)
