@@ -30,7 +30,8 @@ Floats32 = NDArray[np.float32]
 
 MOST_CAPTURES = 12
 """Spread over the flight; each gives a hundred places and more, for three angles and a focal length."""
-_PATCH_PX, _STEP_PX = 96, 128
+_PATCH_PX, _LEAST_STEP_PX, _PLACES = 96, 16, 120
+"""Patches of the ground, and about how many of them are compared in a capture."""
 _SEARCH_PX = (96, 8)
 """How far off a band is looked for, in ground pixels: cameras of a rig stand up to some 3 degrees apart, a
 tenth of a frame's width; after the first round no more than what is left."""
@@ -141,7 +142,7 @@ def _seen(
         own,
         their_valid,
         own_valid,
-        patch_corners(own.shape, _PATCH_PX, _STEP_PX),
+        patch_corners(own.shape, _PATCH_PX, max(_LEAST_STEP_PX, int(np.sqrt(own.size / _PLACES)))),
         patch_px=_PATCH_PX,
         search_px=search_px,
         min_correlation=_LEAST_CORRELATION,

@@ -15,7 +15,7 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS, map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
-from geomosaic.survey.cameras import camera_from_header, cameras_from_file, cameras_from_headers
+from geomosaic.survey.cameras import CameraChoice, cameras_from_file, cameras_from_headers
 from geomosaic.survey.control import check_control, lonlat_of_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
@@ -108,10 +108,13 @@ def read_survey(
         observed = observe(headers, table, anywhere=(float(there[0]), float(there[1])))
     local = not located and gcp is None
     _check_local(local, folder, crs, dem)
-    if cameras is None or camera is None:
-        choice = cameras_from_headers(headers)
-    else:
-        choice = cameras_from_file(headers, cameras, camera, observed.cameras)
+
+    def lenses(of: Sequence[FrameHeader], wanted: Sequence[str | None]) -> CameraChoice:
+        if cameras is None or camera is None:
+            return cameras_from_headers(of)
+        return cameras_from_file(of, cameras, camera, wanted)
+
+    choice = lenses(headers, observed.cameras)
     lonlat = lonlat_of(located or observed.positions)
     elevation, heights = None, np.array([])
     dem_warnings: list[Warn] = []
@@ -146,7 +149,7 @@ def read_survey(
             headers, choice.names, observed.positions, observed.attitudes, strict=True
         )
     )
-    band, other_bands = _bands(rig, frames) if rig else ("", ())
+    band, other_bands = _bands(rig, frames, lenses) if rig else ("", ())
     lost = (
         [Warn("capture-incomplete", "", incomplete_words(rig.incomplete))] if rig and rig.incomplete else []
     )
@@ -179,13 +182,17 @@ def read_survey(
     )
 
 
-def _bands(rig: Captures, frames: Sequence[Frame]) -> tuple[str, tuple[Band, ...]]:
+def _bands(
+    rig: Captures,
+    frames: Sequence[Frame],
+    lenses: Callable[[Sequence[FrameHeader], Sequence[str | None]], CameraChoice],
+) -> tuple[str, tuple[Band, ...]]:
     """What the frames show, and the rig's other bands, each with a camera of its own."""
     bands = []
     for name, by_own in rig.others.items():
         files = [by_own.get(Path(f.path).name) for f in frames]
         some_file = next(f for f in files if f is not None)
-        camera, _ = camera_from_header(some_file.header)
+        camera = lenses([some_file.header], [name]).cameras[0]
         shown = tuple(
             None if file is None else _in_band(frame, file.header, camera.name)
             for frame, file in zip(frames, files, strict=True)

@@ -1,0 +1,164 @@
+"""Rigs that write a file a band: captures found, bands registered, one mosaic with named bands."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+from mosaic_scenes import CAMERA, make_survey, write_frame
+from scipy.spatial.transform import Rotation as Turn
+from small_surveys import mosaic, small_survey, summary
+from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
+
+from geomosaic.adjustment.rig import RigPoses, band_poses, register_bands
+from geomosaic.mosaic.bands import stack_bands
+from geomosaic.pipeline.finished import load_artefact
+from geomosaic.survey.model import Band
+from geomosaic.survey.read import read_survey
+
+TURN = np.array([0.012, -0.02, 0.03])
+"""Of the band's camera against the frames' own, rad about its axes: 0.7, 1.1 and 1.7 degrees."""
+
+
+def rig_xmp(capture: str, band: str, index: int, wavelength: float) -> bytes:
+    tags = {
+        "CaptureUUID": capture,
+        "BandName": band,
+        "RigCameraIndex": index,
+        "CentralWavelength": wavelength,
+    }
+    return xmp_attributes("http://pix4d.com/camera/1.0/", "Camera", **tags)
+
+
+def grey_frame(path: Path, number: int, xmp: bytes = b"") -> None:
+    exif = exif_block(
+        Make="Maker", Model="Rig", DateTimeOriginal=f"2024:05:17 10:11:{number:02d}",
+        FocalLength=Fraction("5.0"), FocalLengthIn35mmFilm=28, **gps(9.1 + 1e-4 * number, 48.7, 412.5),
+    )  # fmt: skip
+    pixels = np.random.default_rng(number).integers(0, 255, (90, 120, 1), dtype=np.uint8)
+    write_jpeg(path, pixels, exif, xmp)
+
+
+def test_captures_are_found_by_their_tags_whatever_the_names(tmp_path: Path) -> None:
+    """The green camera carries the rig though it is not the first; the others follow by wavelength."""
+    bands = (("NIR", 3, 790.0), ("Red", 0, 660.0), ("Green", 1, 550.0))
+    for capture in range(3):
+        for k, (band, index, wavelength) in enumerate(bands):
+            if (capture, band) != (2, "Red"):
+                xmp = rig_xmp(f"A{capture}", band, index, wavelength)
+                grey_frame(tmp_path / f"{k}{capture}x.jpg", capture, xmp)
+    survey = read_survey(tmp_path)
+    assert [f.name for f in survey.frames] == ["20x.jpg", "21x.jpg", "22x.jpg"] and survey.band == "Green"
+    assert [(b.name, b.wavelength_nm) for b in survey.other_bands] == [("Red", 660.0), ("NIR", 790.0)]
+    red, nir = survey.other_bands
+    assert [f and f.name for f in red.frames] == ["10x.jpg", "11x.jpg", None]
+    assert [f and f.name for f in nir.frames] == ["00x.jpg", "01x.jpg", "02x.jpg"]
+    assert red.frames[1] is not None and red.frames[1].position == survey.frames[1].position
+
+
+def test_captures_are_found_by_names_that_end_alike(tmp_path: Path) -> None:
+    for capture in range(2):
+        for band in (1, 2, 5):
+            grey_frame(tmp_path / f"IMG_{capture:04d}_{band}.jpg", capture)
+    survey = read_survey(tmp_path)
+    assert survey.band == "1" and [b.name for b in survey.other_bands] == ["2", "5"]
+    assert [f.name for f in survey.frames] == ["IMG_0000_1.jpg", "IMG_0001_1.jpg"]
+
+
+def test_grey_frames_of_one_camera_are_no_rig(tmp_path: Path) -> None:
+    for number in range(3):
+        grey_frame(tmp_path / f"IMG_{number:04d}.jpg", number)
+    survey = read_survey(tmp_path)
+    assert len(survey.frames) == 3 and survey.band == "" and survey.other_bands == ()
+
+
+def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> None:
+    for capture in range(3):
+        for k, band in enumerate(("Green", "Red")):
+            if (capture, band) != (1, "Green"):
+                grey_frame(tmp_path / f"{capture}{band}.jpg", capture, rig_xmp(f"A{capture}", band, k, 500.0))
+    survey = read_survey(tmp_path)
+    lost = [w.text for w in survey.warnings if w.code == "capture-incomplete"]
+    assert len(survey.frames) == 2 or survey.band == "Red"
+    assert survey.band == "Red" or (len(lost) == 1 and "1Red.jpg" in lost[0])
+
+
+def test_a_band_that_shows_nothing_is_left_as_told(tmp_path: Path) -> None:
+    survey, poses, ground = make_survey(tmp_path / "own", lines=1, per_line=2, bands=1)
+    frames = []
+    for i, frame in enumerate(survey.frames):
+        write_frame(tmp_path / f"{i}.tif", np.full((180, 240, 1), 7.0), "uint8")
+        frames.append(replace(frame, path=str(tmp_path / f"{i}.tif")))
+    rigged = replace(survey, other_bands=(Band("dark", None, CAMERA, tuple(frames)),))
+    (found,) = register_bands(rigged, poses, [CAMERA] * 2, [True] * 2, ground).bands
+    assert np.array_equal(found.own_from_band, np.eye(3)) and np.isnan(found.after_px)
+    turned = band_poses(poses, replace(found, own_from_band=Turn.from_rotvec(TURN).as_matrix()))
+    assert turned.rotations[1] == pytest.approx(poses.rotations[1] @ Turn.from_rotvec(TURN).as_matrix())
+
+
+def test_bands_are_stacked_where_all_are_valid(tmp_path: Path) -> None:
+    shape = {
+        "driver": "GTiff",
+        "width": 600,
+        "height": 40,
+        "count": 1,
+        "dtype": "uint16",
+        "crs": "EPSG:32632",
+    }
+    rasters = []
+    for k in range(3):
+        rasters.append(tmp_path / f"{k}.tif")
+        with (
+            rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+            rasterio.open(rasters[-1], "w", transform=rasterio.Affine(1, 0, 5e5, 0, -1, 5e6), **shape) as out,
+        ):
+            out.write(np.full((1, 40, 600), 100 + k, np.uint16))
+            mask = np.full((40, 600), 255, np.uint8)
+            mask[k] = 0
+            out.write_mask(mask)
+    stack_bands(rasters, ("Green", "Red", "NIR"), tmp_path / "all.tif")
+    with rasterio.open(tmp_path / "all.tif") as found:
+        assert found.descriptions == ("Green", "Red", "NIR") and found.crs.to_epsg() == 32632
+        pixels, valid = found.read(), found.dataset_mask()
+    assert pixels[:, 3:].reshape(3, -1).min(axis=1).tolist() == [100, 101, 102]
+    assert not valid[:3].any() and valid[3:].all() and not pixels[:, :3].any()
+
+
+def test_a_folder_of_a_rig_becomes_one_mosaic_with_named_bands(tmp_path: Path) -> None:
+    """The second camera is turned by known angles: a homography of the first one's pictures, as negatives, whose
+    edges are alike where the greys are opposite."""
+    simulated = small_survey(tmp_path / "survey", lines=1, frames_per_line=3)
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    lens = np.array([[500.0, 0, 240.0], [0, 500.0, 180.0], [0, 0, 1.0]])
+    axes = np.diag([1.0, -1.0, -1.0])  # of pictures (right, down, away) from the camera's
+    turned = lens @ axes @ Turn.from_rotvec(TURN).as_matrix().T @ axes @ np.linalg.inv(lens)
+    rows = list(csv.reader(simulated.pos.read_text().splitlines()))
+    for capture, path in enumerate(sorted(simulated.frames.glob("*.jpg"))):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        other = 255 - cv2.warpPerspective(grey, turned, grey.shape[::-1], flags=cv2.INTER_CUBIC)
+        for k, (band, pixels) in enumerate((("Green", grey), ("NIR", other))):
+            data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+            packet = b"http://ns.adobe.com/xap/1.0/\0" + rig_xmp(f"A{capture}", band, k, 550.0 + 240.0 * k)
+            name = f"{path.stem}_{band}.jpg"
+            (folder / name).write_bytes(data[:2] + segment(0xE1, packet) + data[2:])
+        rows = [[f"{path.stem}_Green.jpg" if cell == path.name else cell for cell in row] for row in rows]
+    with (tmp_path / "pos.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    run = tmp_path / "run"
+    assert mosaic(folder, run, "--pos", tmp_path / "pos.csv", "--camera", simulated.camera) == 0
+    told = summary(run)
+    assert told["frames"]["tied"] == 3 and told["metrics"]["bands"]["NIR"]["after_px"] < 0.3
+    (band,) = load_artefact(run, told, "rig", RigPoses).bands
+    assert Turn.from_matrix(band.own_from_band).as_rotvec() == pytest.approx(TURN, abs=5e-4)
+    with rasterio.open(run / "mosaic.tif") as found:
+        assert found.descriptions == ("Green", "NIR")
+        green, nir = found.read().astype(float)
+        valid = found.dataset_mask() == 255
+    assert np.corrcoef(green[valid], nir[valid])[0, 1] < -0.9
