@@ -87,7 +87,7 @@ def test_with_nothing_the_mosaic_lies_in_a_frame_of_its_own(tmp_path: Path, flow
     z, w = (np.array([p[n][:2] @ [1, 1j] for n in sorted(true)]) for p in (found, true))
     z, w = z - z.mean(), w - w.mean()
     turn = (w * z.conj()).sum() / (np.abs(z) ** 2).sum()
-    assert np.abs(w - turn * z).max() < 0.2
+    assert np.abs(w - turn * z).max() < 0.4
 
 
 def test_what_control_can_tell(tmp_path: Path, flown: Path) -> None:

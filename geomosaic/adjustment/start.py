@@ -117,16 +117,16 @@ def _control_fixes(block: Block, off_m: Floats) -> Fixes:
     seen = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
     frame = np.array([i for i, _, _ in seen], dtype=np.intp)
     if not len(frame):
-        return Fixes(frame, *np.zeros((2, 0), np.complex128), np.zeros(0))
+        nowhere = np.zeros(0, np.complex128)
+        return Fixes(frame, nowhere, nowhere, np.zeros(0))
     px = np.array([px for _, px, _ in seen])
     ground_m = ground_from_images(frame, px, block.poses, block.cameras, block.ground)
-    offset = (ground_m - block.poses.positions_m[frame])[:, :2] @ [1, 1j]
-    at, sd_m = (np.array([getattr(c, name) for _, _, c in seen]) for name in ("enu_m", "sd_m"))
+    offset: Complexes = (ground_m - block.poses.positions_m[frame])[:, :2] @ np.array([1, 1j])
+    at: Complexes = np.array([c.enu_m[:2] for _, _, c in seen]) @ np.array([1, 1j])
+    sd_m = np.hypot([c.sd_m[0] for _, _, c in seen], off_m[frame])
     hit, order = np.isfinite(offset), np.argsort(frame, kind="stable")
     order = order[hit[order]]
-    return Fixes(
-        frame[order], offset[order], (at[:, :2] @ [1, 1j])[order], np.hypot(sd_m[:, 0], off_m[frame])[order]
-    )
+    return Fixes(frame[order], offset[order], at[order], sd_m[order])
 
 
 def _scale_sd(block: Block, frame: int, height_m: float) -> float:

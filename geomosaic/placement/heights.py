@@ -126,8 +126,8 @@ def _height_by_control_m(survey: Survey, points: Sequence[ControlPoint]) -> floa
     """The median of what the two control points farthest apart in each frame say of its flying height."""
     seen: dict[str, list[tuple[float, float, ControlPoint]]] = {}
     for point in points:
-        for frame, col, row in point.images:
-            seen.setdefault(frame, []).append((col, row, point))
+        for name, col, row in point.images:
+            seen.setdefault(name, []).append((col, row, point))
     heights = []
     for i, frame in enumerate(survey.frames):
         here = seen.get(frame.name, [])
