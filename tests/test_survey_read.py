@@ -193,7 +193,10 @@ def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"bare\.jpg: the frame doesn't tell its focal length; give .*--camera"
     ):
-        read_survey(folder)
+        read_survey(folder, leave_out="none")
+    assert [(o.name, o.reason) for o in read_survey(folder).left_out] == [
+        ("bare.jpg", "the frame doesn't tell its focal length")
+    ]
     bare.unlink()
     cut = folder / "DJI_0002.JPG"
     cut.write_bytes(cut.read_bytes()[:-200])
