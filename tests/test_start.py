@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly
 
-from geomosaic.adjustment.laying import Beliefs, laid
+from geomosaic.adjustment.laying import Beliefs, Fixes, laid
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Block, Settings
@@ -124,7 +124,7 @@ def test_a_frame_of_which_nothing_is_known_is_left_out_and_named() -> None:
     )
     adjusted = METHODS["bundle"](block, Settings())
     assert [w.frame for w in adjusted.warnings if w.code == "pose-not-determined"] == ["005.jpg"]
-    assert adjusted.status[5] == "placed" and adjusted.status.count("tied") == 11
+    assert adjusted.status[5] == "rejected" and adjusted.status.count("tied") == 11
     others = np.arange(12) != 5
     assert np.abs(adjusted.poses.positions_m - flown.truth.positions_m)[others].max() < 4.0
 
@@ -153,7 +153,8 @@ def test_a_part_is_laid_as_one(whole: complex) -> None:
     nadir = whole * place + (12.0 - 5.0j) + rng.normal(0.0, 1.0, 21) + 1j * rng.normal(0.0, 1.0, 21)
     nadir[::3] += rng.uniform(60.0, 200.0, 7) * np.exp(1j * rng.uniform(0.0, 6.0, 7))
     beliefs = Beliefs(nadir, np.full(21, 5.0), np.full(21, 0.05), np.full(21, 0.15))
-    found, shift, trust = laid(np.ones(21, np.complex128), place, beliefs)
+    fixes = Fixes(np.arange(21), np.zeros(21, np.complex128), nadir, np.full(21, 5.0))
+    found, shift, trust = laid(np.ones(21, np.complex128), place, beliefs, fixes)
     assert found == pytest.approx(whole, abs=0.02)
     assert shift == pytest.approx(12.0 - 5.0j, abs=1.5)
     assert trust[::3].max() < 1e-3 and np.delete(trust, np.s_[::3]).min() > 0.5

@@ -189,16 +189,14 @@ def test_folders_and_frames_that_are_none(tmp_path: Path) -> None:
 
 def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 2)
-    bare = write_jpeg(folder / "bare.jpg", picture(), exif_block(Make="X", Model="Y"))
-    with pytest.raises(
-        InputError, match=r"bare\.jpg: 1 of 3 frames have no GPS position, this one first; give .*--pos"
-    ):
-        read_survey(folder)
-    write_jpeg(bare, picture(), exif_block(Make="X", Model="Y", **gps(9.1, 48.7)))
+    bare = write_jpeg(folder / "bare.jpg", picture(), exif_block(Make="X", Model="Y", **gps(9.1, 48.7)))
     with pytest.raises(
         InputError, match=r"bare\.jpg: the frame doesn't tell its focal length; give .*--camera"
     ):
-        read_survey(folder)
+        read_survey(folder, leave_out="none")
+    assert [(o.name, o.reason) for o in read_survey(folder).left_out] == [
+        ("bare.jpg", "the frame doesn't tell its focal length")
+    ]
     bare.unlink()
     cut = folder / "DJI_0002.JPG"
     cut.write_bytes(cut.read_bytes()[:-200])

@@ -30,6 +30,8 @@ _DEM_LEVEL_SD_M = 2.0
 _ANY_RELIEF = 0.3
 _HILLS = 50.0
 _LEVEL_SD_SHARE = 0.04
+_BEGUN_SD_SHARE = 0.1
+"""Of the flying height: tilts of 5 degrees put frames so far off at the start."""
 _LEAST_LEVEL_SD_M = 2.0
 
 
@@ -42,12 +44,12 @@ def priors_of(
 ) -> Priors:
     """Poses as told, lenses, tie points (p, 3) about where they begin, and the terrain that binds them.
 
-    A frame without position is drawn to where it begins, with its height above the ground for a deviation:
-    next to nothing beside its ties, but it holds a block that nothing else holds.
+    A frame without position is drawn to where it begins, with a share of its height above the ground for a
+    deviation: next to nothing beside its ties, but it holds a block that nothing else holds.
     """
     assumed = position_assumed(block.poses)
-    height_m = heights_above_ground_m(block.poses, block.ground)
-    sd_m = np.where(assumed[:, None], height_m[:, None], block.poses.positions_sd_m)
+    begun_sd_m = _BEGUN_SD_SHARE * heights_above_ground_m(block.poses, block.ground)
+    sd_m = np.where(assumed[:, None], begun_sd_m[:, None], block.poses.positions_sd_m)
     return Priors(
         poses=replace(block.poses, positions_sd_m=sd_m),
         cameras=cameras,

@@ -16,7 +16,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
-from geomosaic.placement.prior import position_assumed
+from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_images
 
@@ -31,8 +31,9 @@ _LOCAL_SCALE_SD, _LOCAL_TURN_SD = 0.1, 0.1
 """How far a frame's scale and turn (rad) may go from what the pairs' average says: along a line of frames
 that all look 5 degrees ahead each pair's scale is off by some per cent, one way."""
 _CAUCHY = 3.0
-_ANYWHERE = 10.0
-"""Flying heights that a frame without position may be off, and times its scale: nothing beside the ties."""
+_ANYWHERE = 100.0
+"""Flying heights that a frame without position may be off: nothing beside the ties, but it holds a part that
+nothing else holds. And what its scale may be off, as a share."""
 
 
 @dataclass(frozen=True)
@@ -95,13 +96,16 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
 
 
 def placed_by_pictures(block: Block, start: Poses) -> Block:
-    """The block with its frames without position where the start has put them, and as high; nothing is known
-    of them still. Where no frame has a position, its ground pixel is that of these heights."""
+    """The block with its frames without position where the start has put them, as high, and headed as there
+    if they have no heading either; nothing is known of them still. Where no frame has a position, its ground
+    pixel is that of these heights."""
     assumed = position_assumed(block.poses)
     if not assumed.any():
         return block
     positions_m = np.where(assumed[:, None], start.positions_m, block.poses.positions_m)
-    moved = replace(block, poses=replace(block.poses, positions_m=positions_m))
+    turned = (assumed & heading_assumed(block.poses))[:, None, None]
+    rotations = np.where(turned, start.rotations, block.poses.rotations)
+    moved = replace(block, poses=replace(block.poses, positions_m=positions_m, rotations=rotations))
     if not assumed.all():
         return moved
     before, now = (heights_above_ground_m(b.poses, b.ground) for b in (block, moved))
@@ -113,16 +117,16 @@ def _control_fixes(block: Block, off_m: Floats) -> Fixes:
     seen = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
     frame = np.array([i for i, _, _ in seen], dtype=np.intp)
     if not len(frame):
-        return Fixes(frame, *np.zeros((2, 0), np.complex128), np.zeros(0))
+        nowhere = np.zeros(0, np.complex128)
+        return Fixes(frame, nowhere, nowhere, np.zeros(0))
     px = np.array([px for _, px, _ in seen])
     ground_m = ground_from_images(frame, px, block.poses, block.cameras, block.ground)
-    offset = (ground_m - block.poses.positions_m[frame])[:, :2] @ [1, 1j]
-    at, sd_m = (np.array([getattr(c, name) for _, _, c in seen]) for name in ("enu_m", "sd_m"))
+    offset: Complexes = (ground_m - block.poses.positions_m[frame])[:, :2] @ np.array([1, 1j])
+    at: Complexes = np.array([c.enu_m[:2] for _, _, c in seen]) @ np.array([1, 1j])
+    sd_m = np.hypot([c.sd_m[0] for _, _, c in seen], off_m[frame])
     hit, order = np.isfinite(offset), np.argsort(frame, kind="stable")
     order = order[hit[order]]
-    return Fixes(
-        frame[order], offset[order], (at[:, :2] @ [1, 1j])[order], np.hypot(sd_m[:, 0], off_m[frame])[order]
-    )
+    return Fixes(frame[order], offset[order], at[order], sd_m[order])
 
 
 def _scale_sd(block: Block, frame: int, height_m: float) -> float:
@@ -139,13 +143,15 @@ def _scale_sd(block: Block, frame: int, height_m: float) -> float:
 def _part(ties: _Ties, shape: Complexes, beliefs: Beliefs, fixes: Fixes) -> tuple[Complexes, Complexes]:
     """Turn and scale, and nadir point, of each frame of a part."""
     shape, place = shape / np.exp(np.log(np.abs(shape)).mean()), np.zeros(len(shape), np.complex128)
-    first, whole, trust = shape, 1.0 + 0j, np.zeros(len(shape))
+    own = fixes.offset == 0.0
+    trust = np.ones(len(shape))
+    trust[fixes.frame[own]] = 0.0
+    first, whole = shape, 1.0 + 0j
     for _ in range(_ROUNDS):
         wanted = (beliefs.nadir - beliefs.nadir.mean()) / whole
         shape, place = _agreed(ties, shape, first, wanted, beliefs.position_sd_m / abs(whole), trust)
         whole, shift, heard = laid(shape, place, beliefs, fixes)
-        trust = np.zeros(len(shape))
-        trust[fixes.frame[fixes.offset == 0.0]] = heard[fixes.offset == 0.0]
+        trust[fixes.frame[own]] = heard[own]
         place = place + (shift - beliefs.nadir.mean()) / whole
     return whole * shape, whole * place + beliefs.nadir.mean()
 

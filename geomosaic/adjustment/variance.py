@@ -79,13 +79,13 @@ def variance_components(
     miss, observed = own_miss(priors, state, factors), _observed(priors)
     for group, (first, *more) in GROUPS.items():
         columns = [first, *more]
-        known = np.isfinite(sd[:, columns]) & observed[:, columns]
+        told: Bools = np.isfinite(sd[:, columns]) & observed[:, columns]
         in_all = np.where(observed[:, columns], weight[:, columns], 0.0).sum(axis=1)
         alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
-        r = min(float((weight[:, columns] - share[:, columns])[known].sum()), alone)
+        r = min(float((weight[:, columns] - share[:, columns])[told].sum()), alone)
         if r < _LEAST_REDUNDANCY:
             continue
-        total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[known].sum())
+        total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[told].sum())
         factor = np.clip(_believed(factors.of(group) * np.sqrt(total / r), r), *_PRIOR_FACTORS)
         factors = replace(factors, **{group: float(factor)})
     return factors

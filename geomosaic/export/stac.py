@@ -11,7 +11,7 @@ from typing import Any, Final
 import shapely
 from pyproj import CRS
 
-from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.geodesy.mapcrs import MapProjection, check_on_earth
 from geomosaic.mosaic.model import Mosaic
 
 _PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.1.0/schema.json"
@@ -36,6 +36,7 @@ def stac_item(name: str, mosaic: Mosaic, times_s: Sequence[float], files: Sequen
     Args: files: names of those of `ASSETS` that exist; they are referred to relative to the item.
     """
     grid = mosaic.grid
+    check_on_earth(grid.crs, "STAC item")
     area = _valid_area(mosaic)
     code = CRS.from_user_input(grid.crs).to_epsg()
     start, end = (_utc(t) for t in (min(times_s, default=0.0), max(times_s, default=0.0)))

@@ -19,6 +19,7 @@ from rasterio.warp import transform_bounds
 
 from geomosaic.doors.raster import NO_SIDECARS, OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import check_on_earth
 from geomosaic.mosaic.gdal_failures import gdal_failures
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
@@ -58,6 +59,7 @@ def write_tiles(
         if tiff.crs is None:
             mend = "put it on a map first, such as with gdalwarp -rpc"
             raise InputError("has no map projection", file=mosaic_file, mend=mend)
+        check_on_earth(tiff.crs.to_wkt(), "web map")
         west, south, east, north = transform_bounds(tiff.crs, "OGC:CRS84", *tiff.bounds)
         gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]
     lat_deg = (south + north) / 2.0

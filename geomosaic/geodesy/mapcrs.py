@@ -37,6 +37,15 @@ def is_local(crs: str) -> bool:
     return crs == LOCAL_CRS
 
 
+def check_on_earth(crs: str, what: str) -> None:
+    """`InputError` where a map CRS is a local frame's, of which there can't be a `what`."""
+    if is_local(crs) or CRS.from_user_input(crs).type_name == "Engineering CRS":
+        raise InputError(
+            f"a mosaic in a local frame has no place on the Earth: no {what} can be made of it",
+            mend="give the frames positions with --pos, or control points with --gcp",
+        )
+
+
 def map_crs(text: str) -> CRS:
     """A projected CRS in metres from an EPSG code, WKT or PROJ string; `InputError` otherwise."""
     try:

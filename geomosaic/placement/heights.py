@@ -123,11 +123,11 @@ def with_any_height(survey: Survey) -> tuple[Survey, float]:
 
 
 def _height_by_control_m(survey: Survey, points: Sequence[ControlPoint]) -> float | None:
-    """The median of what the two control points farthest apart in each frame say of its height above ground."""
+    """The median of what the two control points farthest apart in each frame say of its flying height."""
     seen: dict[str, list[tuple[float, float, ControlPoint]]] = {}
     for point in points:
-        for frame, col, row in point.images:
-            seen.setdefault(frame, []).append((col, row, point))
+        for name, col, row in point.images:
+            seen.setdefault(name, []).append((col, row, point))
     heights = []
     for i, frame in enumerate(survey.frames):
         here = seen.get(frame.name, [])

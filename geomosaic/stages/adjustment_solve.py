@@ -70,7 +70,8 @@ class AdjustmentSolve(Stage):
         if nowhere:
             left = [block.names[i] for i in sorted(nowhere)]
             text = "without position, and tied to no frame that has one: left out of the mosaic"
-            context.warn("not-placed", left[0] if len(left) == 1 else "", f"{text} ({some(left)})")
+            few = f" ({some(left)})" if len(left) > 1 else ""
+            context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
         parts = [part for part in parts if part[0] not in nowhere]
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
             context.warn(

@@ -14,6 +14,7 @@ from geomosaic.survey.damage import wholeness
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
+from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
 
 _THUMBNAILS = 200
@@ -25,7 +26,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 4
+    version = 5
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
@@ -47,11 +48,17 @@ class SurveyRead(Stage):
             help="what becomes of frames whose data are damaged; mask: the part above the damage is used",
             choices=DAMAGED,
         )
+        leave_out: str = param(
+            "auto",
+            help="pictures that don't belong to the survey: copies, blurred, oblique, of another flight; "
+            "none: all are kept",
+            choices=LEAVE_OUT,
+        )
 
     @classmethod
     def check(cls, params: Params) -> None:
         """The frames' names and every file beside them, but for what only the frames' headers tell."""
-        told = params.model_dump(exclude={"frames", "dem_offset_m", "damaged"})
+        told = params.model_dump(exclude={"frames", "dem_offset_m", "damaged", "leave_out"})
         check_survey_files(params.frames, **told)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:

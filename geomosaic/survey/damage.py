@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import JpegStructure, parse_structure
 
+_COARSE: Final = 4  # of the half-size picture: blur of some pixels doesn't show there
+_LEAST_LOOKED_AT_PX: Final = 32
 _EOI: Final = b"\xff\xd9"
 _MOST_SCANS: Final = 200  # a progressive JPEG has about 10; each takes as long as the whole picture
 _RUN_BYTES: Final = 64  # of one value: a disk's or a card's lost blocks; coded pictures hardly repeat a byte
@@ -28,14 +31,25 @@ _TAIL: Final = np.random.default_rng(1).integers(0, 254, 4096, dtype=np.uint8).t
 
 
 @dataclass(frozen=True)
+class Look:
+    """What a frame looks like: 24 x 32 grey pixels, and the logarithm of how much fine detail it has against
+    its coarse one."""
+
+    small: NDArray[np.uint8]
+    detail: float
+
+
+@dataclass(frozen=True)
 class Wholeness:
     """damage: what the decoder said, '' where the frame is whole.
 
     whole_rows: of a damaged frame, how many rows from the top are surely whole; 0 where that can't be told.
+    look: of a whole frame; None of pixels without contrast, and of TIFF that isn't decoded.
     """
 
     damage: str
     whole_rows: int
+    look: Look | None = None
 
 
 def wholeness(path: str) -> Wholeness:
@@ -62,8 +76,21 @@ def _of_jpeg(data: bytes, structure: JpegStructure) -> Wholeness:
         end = data.find(_EOI, structure.data_start)
         said = _said(data[:end].rstrip(b"\0\xff") + data[end:])
     if not said or said.startswith("Warning"):
-        return Wholeness("", structure.height_px)
+        return Wholeness("", structure.height_px, _look(data))
     return Wholeness(f"libjpeg says '{said}'", _whole_rows(data, structure))
+
+
+def _look(data: bytes) -> Look | None:
+    """Of a JPEG, decoded at half its size."""
+    flags = cv2.IMREAD_REDUCED_GRAYSCALE_2 | cv2.IMREAD_IGNORE_ORIENTATION
+    grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if grey is None or min(grey.shape) < _LEAST_LOOKED_AT_PX:
+        return None
+    small = cv2.resize(grey, (32, 24), interpolation=cv2.INTER_AREA)
+    rows, cols = (n // _COARSE for n in grey.shape)
+    coarse = cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_AREA)
+    fine, rough = (float(cv2.Laplacian(g, cv2.CV_32F).var()) for g in (grey, coarse))
+    return Look(small, float(np.log(fine / rough))) if min(fine, rough) > 0.0 else None
 
 
 def _without_version(data: bytes) -> bytes:

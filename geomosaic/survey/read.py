@@ -24,9 +24,19 @@ from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, 
 from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
 from geomosaic.survey.observations import lonlat_of, observe
 from geomosaic.survey.places import check_area
-from geomosaic.survey.pos import read_pos
+from geomosaic.survey.pos import PosFile, read_pos
 from geomosaic.survey.rig import Captures, captures, incomplete_words
-from geomosaic.survey.usable import Inspect, inspect_all, usable
+from geomosaic.survey.strays import (
+    Stray,
+    blurred,
+    copies,
+    misplaced,
+    other_kinds,
+    told,
+    without,
+    without_camera,
+)
+from geomosaic.survey.usable import Inspect, Usable, inspect_all, usable
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -73,6 +83,7 @@ def read_survey(
     pos_crs: str | None = None,
     attitude_convention: str = "auto",
     damaged: str = "leave_out",
+    leave_out: str = "auto",
     inspect: Inspect = inspect_all,
     progress: Progress | None = None,
 ) -> Survey:
@@ -87,8 +98,8 @@ def read_survey(
     Args: pos, camera, dem, gcp: files as docs/inputs.md describes them; dem_offset_m: what is added to
     the DEM's values to have ellipsoidal heights; crs: the map's, `auto` for the UTM zone of the
     middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; damaged: one of
-    `usable.DAMAGED`; inspect: `damage.wholeness` of many frames; progress: called with frames done,
-    frames in all, and what is being done.
+    `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; inspect: `damage.wholeness` of many frames;
+    progress: called with frames done, frames in all, and what is being done.
     Raises: `InputError` and `FileError`, one line that names the file and the mend.
     """
     wanted_crs = None if crs == "auto" else map_crs(crs)
@@ -96,12 +107,20 @@ def read_survey(
     table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
     cameras = None if camera is None else read_cameras(camera)
     found = usable(files, inspect, mask_damaged=damaged == "mask", progress=progress)
-    _check_alike(found.headers)
-    rig = captures(found.headers)
-    headers, by_time = _in_order([b.header for b in rig.own] if rig else found.headers)
+    headers, by_time = _in_order(found.headers)
+    strays = [] if leave_out == "none" else other_kinds(headers)
+    headers = without(headers, strays)
+    rig = captures(headers)
+    if rig is not None:
+        headers, by_time = _in_order([b.header for b in rig.own])
+    if leave_out != "none":
+        strays += _strays(headers, found, table, with_lens=cameras is not None)
+        headers = without(headers, strays)
+    _check_alike(headers)
+    left_out = (*found.left_out, *(out for _, out in strays))
     names = [frame_name(h.path) for h in headers]
     control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
-    observed = observe(headers, table, [out.name for out in found.left_out])
+    observed = observe(headers, table, [out.name for out in left_out])
     located = [p for p in observed.positions if p.known]
     if not located and gcp is not None:
         there = np.median(lonlat_of_control(gcp, control), axis=0)
@@ -165,13 +184,14 @@ def read_survey(
         else wanted_crs.to_string(),
         elevation=elevation,
         control=control,
-        left_out=found.left_out,
+        left_out=left_out,
         band=band,
         other_bands=other_bands,
         warnings=(
             *lost,
             *([Warn("local-frame", "", _LOCAL)] if local else []),
             *found.warnings,
+            *told(strays),
             *order,
             *outside,
             *observed.warnings,
@@ -214,6 +234,22 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
         valid_mask=None,
         whole_rows=None,
     )
+
+
+def _strays(
+    headers: Sequence[FrameHeader], found: Usable, table: PosFile | None, *, with_lens: bool
+) -> list[Stray]:
+    """Pictures that don't belong to the survey. Args: headers of one kind, in order of capture; with_lens: a
+    camera file tells the lenses."""
+    out = copies(headers, [found.looks[h.path.name] for h in headers])
+    rest = without(headers, out)
+    if not with_lens:
+        out += without_camera(rest)
+        rest = without(headers, out)
+    out += blurred(rest, [found.looks[h.path.name] for h in rest])
+    rest = without(headers, out)
+    observed = observe(rest, table, [o.name for o in (*found.left_out, *(o for _, o in out))])
+    return out + misplaced(rest, observed.positions, observed.attitudes)
 
 
 def _check_alike(headers: Sequence[FrameHeader]) -> None:

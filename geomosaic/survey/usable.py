@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from geomosaic.doors.files import check_regular
-from geomosaic.errors import FileError
-from geomosaic.survey.damage import Wholeness, wholeness
+from geomosaic.errors import FileError, InputError
+from geomosaic.survey.damage import Look, Wholeness, wholeness
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic.survey.model import LeftOut, Warn
 
@@ -20,10 +20,12 @@ _LEAST_WHOLE: Final = 0.25  # of a damaged frame's rows: with less it hardly tie
 
 @dataclass(frozen=True)
 class Usable:
-    """headers of the frames that are used; whole_rows of those among them whose lower part is masked."""
+    """headers of the frames that are used; whole_rows of those among them whose lower part is masked; looks
+    by the names of their files."""
 
     headers: list[FrameHeader]
     whole_rows: dict[str, int]
+    looks: dict[str, Look | None]
     left_out: tuple[LeftOut, ...]
     warnings: tuple[Warn, ...]
 
@@ -42,21 +44,22 @@ def usable(
 ) -> Usable:
     """The frames that can be read whole; of damaged ones the whole part, if asked for and if that is told.
 
-    Raises: `FileError` of the first, if none can be used; `InputError` for pixels that aren't handled.
+    Raises: `InputError` of the first, if none can be used.
     """
     headers: list[FrameHeader] = []
-    unreadable: dict[str, FileError] = {}
+    unreadable: dict[str, InputError] = {}
     for i, file in enumerate(files):
         try:
             check_regular(file, "take it out of the folder")
             headers.append(read_header(file))
-        except FileError as error:
+        except InputError as error:
             unreadable[file.name] = error
         if progress is not None:
             progress(i + 1, len(files), "reading headers")
-    used, whole_rows, warnings = [], {}, []
+    used, whole_rows, looks, warnings = [], {}, {}, []
     for header, found in zip(headers, inspect([str(h.path) for h in headers]), strict=True):
         name, rows = header.path.name, found.whole_rows
+        looks[name] = found.look
         if not found.damage:
             used.append(header)
         elif mask_damaged and rows >= _LEAST_WHOLE * header.height_px:
@@ -74,4 +77,4 @@ def usable(
         raise next(unreadable[file.name] for file in files if file.name in unreadable)
     left_out = tuple(LeftOut(f.name, unreadable[f.name].problem) for f in files if f.name in unreadable)
     warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
-    return Usable(used, whole_rows, left_out, tuple(warnings))
+    return Usable(used, whole_rows, looks, left_out, tuple(warnings))

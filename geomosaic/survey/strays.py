@@ -1,0 +1,292 @@
+"""Pictures in a folder of frames that don't belong to the survey: each kind is left out and named.
+
+Told against the other frames, never by a value alone, and in doubt a frame stays: what is merely odd the
+adjustment judges.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from geomosaic.errors import InputError
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
+from geomosaic.survey.cameras import cameras_from_headers
+from geomosaic.survey.damage import Look
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.lens_tags import label
+from geomosaic.survey.model import Attitude, LeftOut, Position, Warn
+from geomosaic.survey.names import frame_name, natural_key, some
+from geomosaic.survey.plausible import Limit
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+LEAVE_OUT: Final = ("auto", "none")
+COPY: Final = Limit(
+    0.995, "correlation", "of small versions: a copy saved anew or in another size; neighbours have less", ""
+)
+_COPY_GREYS: Final = 4.0  # of 255: copies are as bright; bands of one capture aren't
+LOW: Final = Limit(
+    0.3,
+    "of the usual height above the ground",
+    "a frame sees less than a tenth of what others see: taken while climbing or landing",
+    "",
+)
+_FEW_LOW: Final = 0.1  # of all frames, at each end of the flight
+TILTED: Final = Limit(
+    35.0,
+    "degrees beyond the usual tilt",
+    "walls instead of roofs; makers' oblique passes beside nadir lines look 45 degrees aside",
+    "DJI Pilot, oblique collection: 45",
+)
+UPRIGHT: Final = Limit(20.0, "degrees", "the usual tilt of a survey that looks down", "")
+APART: Final = Limit(
+    2.0,
+    "extents of both flights together",
+    "between two flights: the mosaic of both would be nearly all empty",
+    "",
+)
+_NEAR_M: Final = 500.0
+_LEAST_FLIGHT: Final = 3
+BLURRED: Final = Limit(
+    2.3,
+    "natural logarithm",
+    "a tenth of its neighbours' share of fine detail: blurred over some 4 pixels",
+    "Gaussian blur of 2 px: 2.4 to 3",
+)
+SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", "")
+_BESIDE: Final = 5
+_NORMAL: Final = 1.4826
+_WORDS: Final = {
+    "frame-other-bands": "other bands or type than most frames have",
+    "frame-copy": "copies of other frames",
+    "frame-take-off": "taken far below all others at the flight's beginning or end",
+    "frame-oblique": "look aside or to the horizon while most look down",
+    "frame-other-place": "of another flight, far from the largest: mosaic it by itself",
+    "frame-blurred": "far blurrier than the frames beside them, which are sharp",
+    "frame-no-camera": "no lens is told, nor are they of the others' camera",
+}
+
+
+Stray = tuple[str, LeftOut]
+"""The code of its warning, and the frame."""
+
+
+def without(headers: Sequence[FrameHeader], strays: Sequence[Stray]) -> list[FrameHeader]:
+    """The frames that are left."""
+    names = {out.name for _, out in strays}
+    return [h for h in headers if frame_name(h.path) not in names]
+
+
+def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
+    """Frames of a camera and size that tell no lens, as long as they are fewer than half."""
+    out: list[Stray] = []
+    while True:
+        rest = without(headers, out)
+        try:
+            cameras_from_headers(rest)
+        except InputError as error:
+            kinds = {str(h.path): (label(h), h.width_px, h.height_px) for h in rest}
+            kind = kinds.get(error.file or "")
+            alike = [h for h in rest if kinds[str(h.path)] == kind]
+            if kind is None or 2 * (len(out) + len(alike)) >= len(headers):
+                return []
+            out += [_out("frame-no-camera", h, error.problem) for h in alike]
+        else:
+            return out
+
+
+def told(left_out: Sequence[Stray]) -> list[Warn]:
+    """One line for each kind of stray."""
+    out = []
+    for code, words in _WORDS.items():
+        names = [o.name for c, o in left_out if c == code]
+        if names:
+            few = f" ({len(names)}: {some(names)})" if len(names) > 1 else ""
+            text = f"left out: {words}{few}; survey.read.leave_out=none keeps all that can be kept"
+            out.append(Warn(code, names[0] if len(names) == 1 else "", text))
+    return out
+
+
+def other_kinds(headers: Sequence[FrameHeader]) -> list[Stray]:
+    """Frames of other bands or pixels than the largest kind, by how many pixels these have in all."""
+    kinds: Counter[tuple[int, str]] = Counter()
+    for h in headers:
+        kinds[h.bands, h.dtype] += h.width_px * h.height_px
+    usual = max(kinds, key=lambda kind: (kinds[kind], kind))
+    return [
+        _out("frame-other-bands", h, f"has {_kind(h.bands, h.dtype)}, most frames {_kind(*usual)}")
+        for h in headers
+        if (h.bands, h.dtype) != usual
+    ]
+
+
+def copies(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list[Stray]:
+    """Files of equal bytes; and the same capture under another name or in another size, of which the largest
+    is kept: by camera, time and place, and by what they look like."""
+    same: dict[object, list[int]] = {}
+    for i, header in enumerate(headers):
+        same.setdefault(header.path.stat().st_size, []).append(i)
+    groups = [g for alike in same.values() if len(alike) > 1 for g in _of_equal_bytes(headers, alike)]
+    captures: dict[object, list[int]] = {}
+    for i, (header, look) in enumerate(zip(headers, looks, strict=True)):
+        e = header.exif
+        if e.time_s is not None and look is not None:
+            captures.setdefault((label(header), e.time_s, e.lon_deg, e.lat_deg), []).append(i)
+    out: dict[int, int] = {}
+    for group in groups:
+        first, *others = sorted(group, key=lambda i: _own_name(headers[i]))
+        out |= dict.fromkeys(others, first)
+    for group in captures.values():
+        kept: list[int] = []
+        for i in sorted(group, key=lambda i: (-headers[i].width_px, _own_name(headers[i]))):
+            if i in out:
+                continue
+            of = next((j for j in kept if _alike(looks[i], looks[j])), None)
+            if of is None:
+                kept.append(i)
+            else:
+                out[i] = of
+    return [
+        _out("frame-copy", headers[i], f"is the same picture as {frame_name(headers[j].path)}")
+        for i, j in sorted(out.items())
+    ]
+
+
+def _own_name(header: FrameHeader) -> tuple[object, ...]:
+    """Copies have longer names than what they are copies of."""
+    return len(header.path.name), natural_key(header.path.name)
+
+
+def _of_equal_bytes(headers: Sequence[FrameHeader], alike: Sequence[int]) -> list[list[int]]:
+    found: dict[bytes, list[int]] = {}
+    for i in alike:
+        with headers[i].path.open("rb") as file:
+            found.setdefault(hashlib.file_digest(file, "sha256").digest(), []).append(i)
+    return [g for g in found.values() if len(g) > 1]
+
+
+def _alike(one: Look | None, other: Look | None) -> bool:
+    if one is None or other is None:
+        return False
+    a, b = one.small.astype(np.float64), other.small.astype(np.float64)
+    if abs(a.mean() - b.mean()) > _COPY_GREYS or abs(a.std() - b.std()) > _COPY_GREYS:
+        return False
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return size > 0.0 and float((a * b).sum()) > COPY.value * size
+
+
+def misplaced(
+    headers: Sequence[FrameHeader], positions: Sequence[Position], attitudes: Sequence[Attitude]
+) -> list[Stray]:
+    """Frames of another flight, taken during take-off or landing, or looking aside; in order of capture."""
+    lonlat = np.array([[p.lon_deg, p.lat_deg] for p in positions])
+    known = np.array([p.known for p in positions])
+    out: dict[int, Stray] = {}
+    for i, away_m in _other_flights(lonlat, known).items():
+        out[i] = _out(
+            "frame-other-place", headers[i], f"belongs to another flight, {away_m / 1000.0:.1f} km away"
+        )
+    rest = np.array([i for i in range(len(headers)) if i not in out], dtype=np.intp)
+    above = np.array([positions[i].height_above_ground_m for i in rest], dtype=np.float64)
+    for k in np.flatnonzero(_low_at_ends(above)):
+        text = f"was taken {above[k]:.0f} m above the ground, the others at {np.nanmedian(above):.0f} m"
+        out[int(rest[k])] = _out("frame-take-off", headers[rest[k]], text)
+    tilt = np.array([_tilt_deg(attitudes[i]) for i in rest])
+    usual = float(np.nanmedian(tilt)) if np.isfinite(tilt).any() else np.nan
+    if usual <= UPRIGHT.value:
+        for k in np.flatnonzero(tilt > usual + TILTED.value):
+            text = f"looks {tilt[k]:.0f} degrees aside of straight down"
+            out.setdefault(int(rest[k]), _out("frame-oblique", headers[rest[k]], text))
+    return [out[i] for i in sorted(out)]
+
+
+def _tilt_deg(attitude: Attitude) -> float:
+    """Between the view and straight down; NaN where it isn't the camera's own."""
+    if attitude.pitch_deg is None or attitude.roll_deg is None or attitude.source == "dji-flight":
+        return np.nan
+    pitch, roll = np.radians([attitude.pitch_deg, attitude.roll_deg])
+    return float(np.degrees(np.arccos(np.clip(np.cos(pitch) * np.cos(roll), -1.0, 1.0))))
+
+
+def _low_at_ends(above_m: Floats) -> Flags:
+    """Frames far below the usual height, in one run from the first frame on or up to the last."""
+    out = np.zeros(len(above_m), dtype=bool)
+    known = above_m[np.isfinite(above_m)]
+    if len(known) < 2 * _LEAST_FLIGHT:
+        return out
+    usual = float(np.median(known))
+    low = above_m < LOW.value * usual
+    most = max(1, int(_FEW_LOW * len(above_m)))
+    spread = _NORMAL * float(np.median(np.abs(known - usual)))
+    if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
+        return out
+    for order in (range(len(low)), range(len(low) - 1, -1, -1)):
+        run = 0
+        for i in order:
+            if not low[i]:
+                break
+            run += 1
+        out[list(order)[: run if run <= most else 0]] = True
+    return out
+
+
+def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
+    """Frames of flights apart from the largest by more than both reach, and how far (m)."""
+    at = np.flatnonzero(known)
+    if len(at) < 2 * _LEAST_FLIGHT:
+        return {}
+    en = mid_latitude_offset_m(*lonlat[at[0]], *lonlat[at].T)
+    typical = float(np.median(cKDTree(en).query(en, k=2)[0][:, 1]))
+    cells, cell = np.unique(np.floor(en / max(_NEAR_M, 10.0 * typical)), axis=0, return_inverse=True)
+    beside = cKDTree(cells).sparse_distance_matrix(cKDTree(cells), 1.5)
+    _, of_cell = connected_components(beside, directed=False)
+    part = of_cell[cell.ravel()]
+    sizes = np.bincount(part)
+    main = int(sizes.argmax())
+    here = en[part == main]
+    out: dict[int, float] = {}
+    for k in np.flatnonzero(sizes >= _LEAST_FLIGHT):
+        there = en[part == k]
+        gap_m = float(cKDTree(here).query(there)[0].min())
+        extent_m = max(float(np.linalg.norm(np.ptp(e, axis=0))) for e in (here, there))
+        if k != main and gap_m > max(APART.value * extent_m, _NEAR_M):
+            out |= dict.fromkeys(at[part == k].tolist(), gap_m)
+    return out
+
+
+def blurred(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list[Stray]:
+    """Frames with far less fine detail, against their coarse, than those before and after, which are sharp;
+    in order of capture. Each is covered by its neighbours: of two in a row none is left out."""
+    detail = np.array([np.nan if look is None else look.detail for look in looks])
+    n = len(detail)
+    if np.isfinite(detail).sum() < 2 * _LEAST_FLIGHT:
+        return []
+    beside = [[j for j in range(max(0, i - _BESIDE), min(n, i + _BESIDE + 1)) if j != i] for i in range(n)]
+    lack = np.array([np.nanmedian(detail[b]) if np.isfinite(detail[b]).any() else np.nan for b in beside])
+    lack -= detail
+    off = np.abs(lack - np.nanmedian(lack))
+    limit = max(BLURRED.value, SPREADS.value * _NORMAL * float(np.nanmedian(off)))
+    blurry = lack > limit
+    alone = [
+        i for i in np.flatnonzero(blurry) if 0 < i < n - 1 and not (blurry[i - 1] or blurry[i + 1])
+    ]  # fmt: skip
+    text = "has {:.0f} % of its neighbours' fine detail"
+    return [_out("frame-blurred", headers[i], text.format(100.0 * np.exp(-lack[i]))) for i in alone]
+
+
+def _kind(bands: int, dtype: str) -> str:
+    return f"{bands} band{'s' if bands > 1 else ''} of {dtype}"
+
+
+def _out(code: str, header: FrameHeader, reason: str) -> Stray:
+    return code, LeftOut(frame_name(Path(header.path)), reason)

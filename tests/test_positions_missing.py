@@ -1,0 +1,125 @@
+"""Frames without a position: among others, with control points, and with nothing at all."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import LOCAL_CRS
+from geomosaic.matching.candidates import to_compare
+from geomosaic.survey.read import read_survey
+from small_surveys import geomosaic, mosaic, small_survey, summary, warned
+from survey_files import picture, write_jpeg
+
+FEW = ("--set", "matching.sift.keypoints=1000")
+SIZE = {"lines": 2, "frames_per_line": 4, "width_px": 320, "height_px": 240, "seed": 5}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One flight twice: `both` with tags and control points, `none` without any position or attitude."""
+    out = tmp_path_factory.mktemp("flown")
+    small_survey(out / "both", control_points=5, **SIZE)
+    small_survey(out / "none", pos_in="csv", **SIZE)
+    return out
+
+
+def _places(path: Path) -> dict[str, np.ndarray]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return {
+            row["frame"]: np.array(
+                [float(row[c] or "nan") for c in ("easting_m", "northing_m", "height_ellipsoidal_m")]
+            )
+            for row in csv.DictReader(file)
+        }
+
+
+def _off_m(run: Path, truth: Path) -> np.ndarray:
+    found, true = _places(run / "positions.csv"), _places(truth / "truth" / "positions.csv")
+    return np.array([found[name] - true[name] for name in sorted(true) if name in found])
+
+
+def test_frames_without_gps_are_placed_by_the_pictures(tmp_path: Path, flown: Path) -> None:
+    """Two of eight have none, one of them at a turn of the flight; a ninth shows something else."""
+    frames = shutil.copytree(flown / "both" / "frames", tmp_path / "frames")
+    for name in ("F0003.jpg", "F0005.jpg"):
+        shutil.copy(flown / "none" / "frames" / name, frames / name)
+    with_tags = (flown / "none" / "frames" / "F0001.jpg").read_bytes()
+    strange = write_jpeg(frames / "F0009.jpg", picture(320, 240, seed=8)).read_bytes()
+    end_of_tags = with_tags.index(b"\xff\xdb")
+    (frames / "F0009.jpg").write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
+    assert mosaic(frames, tmp_path / "run", *FEW) == 0
+    told = summary(tmp_path / "run")
+    assert told["frames"] == {"total": 9, "tied": 8, "placed": 0, "rejected": 1}
+    assert warned(tmp_path / "run", "not-placed") == ["F0009.jpg"]
+    (line,) = [w["text"] for w in told["warnings"] if w["code"] == "position-missing"]
+    assert line == "no position: placed by the pictures (3 of 9 frames: F0009.jpg, F0003.jpg, F0005.jpg)"
+    assert np.abs(_off_m(tmp_path / "run", flown / "both")).max() < 1.0
+
+
+def test_control_points_stand_in_for_positions(tmp_path: Path, flown: Path) -> None:
+    run = tmp_path / "run"
+    assert mosaic(flown / "none" / "frames", run, "--gcp", flown / "both" / "gcp_list.txt", *FEW) == 0
+    assert summary(run)["frames"]["tied"] == 8
+    assert np.abs(_off_m(run, flown / "both")).max() < 0.3
+
+
+def test_with_nothing_the_mosaic_lies_in_a_frame_of_its_own(tmp_path: Path, flown: Path) -> None:
+    run = tmp_path / "run"
+    assert mosaic(flown / "none" / "frames", run, *FEW) == 0
+    told = summary(run)
+    assert told["frames"]["tied"] == 8 and told["mosaic"]["crs"] == LOCAL_CRS
+    assert told["mosaic"]["gsd_m"] == pytest.approx(1.0, rel=0.1)
+    assert len(warned(run, "local-frame")) == 1
+    raster = gdal.Open(str(run / "mosaic.tif"))
+    assert raster.GetSpatialRef().IsLocal()
+    with (run / "positions.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["lon_deg"] for row in csv.DictReader(file)} == {""}
+    for kind in ("stac", "tiles"):
+        assert geomosaic("export", kind, run) == 2
+    found, true = _places(run / "positions.csv"), _places(flown / "none" / "truth" / "positions.csv")
+    z, w = (np.array([p[n][:2] @ [1, 1j] for n in sorted(true)]) for p in (found, true))
+    z, w = z - z.mean(), w - w.mean()
+    turn = (w * z.conj()).sum() / (np.abs(z) ** 2).sum()
+    assert np.abs(w - turn * z).max() < 0.4
+
+
+def test_what_control_can_tell(tmp_path: Path, flown: Path) -> None:
+    frames, lines = flown / "none" / "frames", (flown / "both" / "gcp_list.txt").read_text().splitlines()
+    table = [line.split() for line in lines[1:]]
+    one = [line for line in table if line[6] == table[0][6]]
+    few = tmp_path / "few.txt"
+    few.write_text("\n".join([lines[0], *map(" ".join, one)]))
+    with pytest.raises(
+        InputError, match=r"few\.txt: no frame has a position, and 1 control point is measured"
+    ):
+        read_survey(frames, gcp=few)
+    flat = tmp_path / "flat.txt"
+    flat.write_text("\n".join([lines[0], *(" ".join([*t[:2], "0", *t[3:]]) for t in table)]))
+    survey = read_survey(frames, gcp=flat)
+    assert "control-plan-only" in {w.code for w in survey.warnings}
+    assert all(c.plan_only for c in survey.control) and not any(survey.located)
+    twice = tmp_path / "twice.txt"
+    twice.write_text("\n".join([lines[0], " ".join([*table[0][:2], "520.4", *table[0][3:]]), *lines[2:]]))
+    assert "control-spread" in {w.code for w in read_survey(frames, gcp=twice).warnings}
+
+
+def test_what_needs_the_earth_is_refused_without_positions(flown: Path) -> None:
+    frames = flown / "none" / "frames"
+    with pytest.raises(InputError, match="no frame has a position: the map can't be in EPSG:32632"):
+        read_survey(frames, crs="EPSG:32632")
+    with pytest.raises(InputError, match="no frame has a position: a DEM is of no use"):
+        read_survey(frames, dem=flown / "none" / "truth" / "dem.tif")
+
+
+def test_comparing_all_with_all_is_bounded() -> None:
+    assert to_compare(4, [1, 3]) == [(1, [0, 2, 3]), (3, [0, 2])]
+    compared = to_compare(2000, range(2000))
+    assert sum(len(others) for _, others in compared) <= 10_000
+    assert compared[1000][1] == [1001, 1002]

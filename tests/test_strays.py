@@ -1,0 +1,171 @@
+"""Pictures in the folder that don't belong to the survey: left out, named, and the rest is read."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.read import read_survey
+from survey_files import dji_xmp, exif_block, gps, picture, write_jpeg
+
+LON, LAT, STEP = 9.1234567, 48.7654321, 2.7e-4
+SIZE = (320, 240)
+
+
+def frame(
+    path: Path, i: int, *, pixels: np.ndarray | None = None, lon: float | None = None, **xmp: object
+) -> Path:
+    """Frame i of a flight east, 20 m a frame, 80 m above the ground."""
+    exif = exif_block(
+        Make="DJI", Model="FC6310", DateTimeOriginal=f"2024:05:17 10:{i // 60:02d}:{i % 60:02d}",
+        FocalLengthIn35mmFilm=24, **gps(LON + i * STEP if lon is None else lon, LAT, 412.5),
+    )  # fmt: skip
+    tags = {
+        "AbsoluteAltitude": "+412.50", "RelativeAltitude": "+80.20", "GimbalYawDegree": "+37.00",
+        "GimbalPitchDegree": "-90.00", "GimbalRollDegree": "+0.00",
+    } | xmp  # fmt: skip
+    return write_jpeg(path, picture(*SIZE, seed=i) if pixels is None else pixels, exif, dji_xmp(**tags))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Twelve good frames."""
+    for i in range(12):
+        frame(tmp_path / f"DJI_{i:04d}.JPG", i)
+    return tmp_path
+
+
+def left_out(folder: Path) -> dict[str, str]:
+    """Code of the warning of every picture that is left out; each code has one warning."""
+    survey = read_survey(folder)
+    lines = {w.code: w for w in survey.warnings if w.text.startswith("left out:")}
+    assert len(lines) == sum(w.text.startswith("left out:") for w in survey.warnings)
+    assert len(read_survey(folder, leave_out="none").left_out) == 0
+    return {
+        out.name: next(
+            c for c, w in lines.items() if len(lines) == 1 or out.name in (w.frame, *w.text.split())
+        )
+        for out in survey.left_out
+    }
+
+
+def test_good_frames_stay(folder: Path) -> None:
+    (folder / "._DJI_0001.JPG").write_bytes(b"\0\5\x16\7 of another system")
+    (folder / "Thumbs.db").write_bytes(b"junk")
+    assert left_out(folder) == {}
+
+
+def test_copies(folder: Path) -> None:
+    """The same bytes; the same capture saved anew at half its size. Frames of one second aren't copies."""
+    shutil.copy(folder / "DJI_0003.JPG", folder / "Copy of DJI_0003.JPG")
+    small = cv2.resize(picture(*SIZE, seed=5), (160, 120), interpolation=cv2.INTER_AREA)
+    frame(folder / "small.jpg", 5, pixels=small)
+    frame(folder / "DJI_0007b.JPG", 7, pixels=picture(*SIZE, seed=70))
+    assert left_out(folder) == {"Copy of DJI_0003.JPG": "frame-copy", "small.jpg": "frame-copy"}
+
+
+def test_bands_of_one_capture_are_no_copies(folder: Path) -> None:
+    for i in range(12):
+        frame(folder / f"DJI_{i:04d}.JPG", i, pixels=picture(*SIZE, 1, seed=i) // 2 + 40)
+        frame(folder / f"DJI_{i:04d}_b.JPG", i, pixels=picture(*SIZE, 1, seed=i) // 2 + 100)
+    assert left_out(folder) == {}
+
+
+def test_take_off_and_landing(folder: Path) -> None:
+    """Only at the ends of the flight: one low frame amid it may be right."""
+    frame(folder / "DJI_0000.JPG", 0, RelativeAltitude="+4.00")
+    frame(folder / "DJI_0011.JPG", 11, RelativeAltitude="+9.00")
+    frame(folder / "DJI_0006.JPG", 6, RelativeAltitude="+9.00")
+    assert left_out(folder) == {"DJI_0000.JPG": "frame-take-off", "DJI_0011.JPG": "frame-take-off"}
+
+
+def test_oblique_and_horizon(folder: Path) -> None:
+    frame(folder / "DJI_0004.JPG", 4, GimbalPitchDegree="-30.00")
+    frame(folder / "DJI_0008.JPG", 8, GimbalPitchDegree="-2.00")
+    frame(folder / "DJI_0009.JPG", 9, GimbalPitchDegree="-65.00")
+    assert left_out(folder) == {"DJI_0004.JPG": "frame-oblique", "DJI_0008.JPG": "frame-oblique"}
+
+
+def test_a_survey_that_looks_aside_is_one(folder: Path) -> None:
+    for i in range(12):
+        frame(folder / f"DJI_{i:04d}.JPG", i, GimbalPitchDegree="-50.00" if i < 9 else "-90.00")
+    assert left_out(folder) == {}
+
+
+def test_another_flight(folder: Path) -> None:
+    """4 km away; one frame far off alone stays: its position may be wrong."""
+    for i in range(4):
+        frame(folder / f"OTHER_{i}.JPG", 40 + i, lon=LON + 0.055 + i * STEP)
+    frame(folder / "DJI_0006.JPG", 6, lon=LON - 0.03)
+    out = left_out(folder)
+    assert out == {f"OTHER_{i}.JPG": "frame-other-place" for i in range(4)}
+    (text,) = [w.text for w in read_survey(folder).warnings if w.code == "frame-other-place"]
+    assert "(4: OTHER_0.JPG, OTHER_1.JPG, OTHER_2.JPG and 1 more)" in text
+
+
+def test_two_fields_of_one_flight_stay(folder: Path) -> None:
+    for i in range(4):
+        frame(folder / f"FIELD_{i}.JPG", 40 + i, lon=LON + 0.008 + i * STEP)
+    assert left_out(folder) == {}
+
+
+def test_blurred(folder: Path) -> None:
+    """One amid sharp ones; not two in a row, whose ground nobody else may see; nor smooth ground."""
+    blur = cv2.GaussianBlur(_fine(5), (0, 0), 4.0)
+    for i in range(12):
+        frame(folder / f"DJI_{i:04d}.JPG", i, pixels=_fine(i))
+    frame(folder / "DJI_0005.JPG", 5, pixels=blur)
+    frame(folder / "DJI_0008.JPG", 8, pixels=_fine(8) // 8 + 100)
+    assert left_out(folder) == {"DJI_0005.JPG": "frame-blurred"}
+    frame(folder / "DJI_0006.JPG", 6, pixels=cv2.GaussianBlur(_fine(6), (0, 0), 4.0))
+    assert left_out(folder) == {}
+
+
+def _fine(seed: int) -> np.ndarray:
+    """A picture with detail of all sizes."""
+    rng = np.random.default_rng(seed)
+    grey = sum(
+        cv2.resize(rng.normal(0.0, 12.0, (SIZE[1] // k, SIZE[0] // k)), SIZE, interpolation=cv2.INTER_CUBIC)
+        for k in (1, 2, 4, 8, 16)
+    )
+    return np.repeat(np.clip(grey + 128.0, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def test_other_bands_and_other_cameras(folder: Path) -> None:
+    """A grey one among colour, and a screenshot that tells no lens."""
+    frame(folder / "DJI_0004.JPG", 4, pixels=picture(*SIZE, 1))
+    write_jpeg(folder / "Screenshot.jpg", picture(200, 100, seed=99))
+    assert left_out_but_kinds(folder) == {
+        "DJI_0004.JPG": "has 1 band of uint8, most frames 3 bands of uint8",
+        "Screenshot.jpg": "the frame doesn't tell its focal length",
+    }
+
+
+def left_out_but_kinds(folder: Path) -> dict[str, str]:
+    return {out.name: out.reason for out in read_survey(folder).left_out}
+
+
+def test_orientation_is_known_and_pixels_stay_as_stored(tmp_path: Path) -> None:
+    """All eight values of EXIF's tag: columns and rows are the sensor's, whatever a viewer would show."""
+    stored = picture(*SIZE, seed=3)
+    for value in range(1, 9):
+        exif = exif_block(
+            Make="X", Model="Y", Orientation=value, FocalLengthIn35mmFilm=24,
+            DateTimeOriginal=f"2024:05:17 10:11:{value:02d}", **gps(LON + value * STEP, LAT, 412.5),
+        )  # fmt: skip
+        write_jpeg(tmp_path / f"F{value}.jpg", stored, exif)
+    survey = read_survey(tmp_path)
+    assert len(survey.frames) == 8 and len(survey.cameras) == 1
+    first, _ = read_pixels(survey.frames[0])
+    for f in survey.frames:
+        assert (f.width_px, f.height_px) == SIZE
+        for reduction in (1, 8):
+            pixels, _ = read_pixels(f, reduction)
+            expected, _ = read_pixels(survey.frames[0], reduction)
+            assert np.array_equal(pixels, expected)
+    assert np.abs(first.astype(int) - stored).mean() < 3.0
