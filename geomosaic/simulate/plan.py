@@ -208,6 +208,8 @@ class SurveyPlan:
                     )
         if self.lens == "fisheye" and (self.p1 or self.p2):
             raise InputError("a fisheye has no decentring here", mend="leave p1 and p2 at 0")
+        if self.lens == "fisheye" and self.lens_told and self.lens_in_tags and (self.k2 or self.k3):
+            raise InputError("a fisheye's tags hold k1 alone", mend="leave k2 and k3 at 0")
 
     @property
     def frames(self) -> int:

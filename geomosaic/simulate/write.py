@@ -261,8 +261,8 @@ def true_positions(
 
 
 def opensfm_camera(camera: Camera) -> dict[str, dict[str, object]]:
-    """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, centre from
-    the middle."""
+    """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, the centre
+    from the middle."""
     side = float(max(camera.width_px, camera.height_px))
     fisheye = isinstance(camera, Fisheye)
     terms = {"k1": camera.k1, "k2": camera.k2}
