@@ -175,13 +175,14 @@ def _line(rng: Random, v: Values) -> str:
 
 def _heights(rng: Random, v: Values, low: float, high: float) -> float:
     """Between two shares of the flying height."""
-    return round(float(rng.uniform(low, high)) * v["height_above_ground_m"], 1)
+    return round(float(rng.uniform(low, high) * v["height_above_ground_m"]), 1)
 
 
 def _sign(rng: Random) -> int:
     return 1 if rng.random() < 0.5 else -1
 
 
+_OTHERS = ("take_off", "oblique", "horizon", "landing")
 _NO_OTHER = {"relative_height_told": False}
 _ALTITUDES = (
     "altitude_drifts", "altitude_in_steps", "altitude_from_take_off", "altitude_constant",
@@ -243,4 +244,3 @@ FAULTS: tuple[Fault, ...] = (
     Fault("water", 0.1, lambda r, v: {"water_share": _number(r, 0.1, 0.3)}),
     Fault("cars", 0.2, lambda r, v: {"moving_cars": _number(r, 0.5, 2.0)}),
 )  # fmt: skip
-_OTHERS = ("take_off", "oblique", "horizon", "landing")

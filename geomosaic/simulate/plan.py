@@ -171,8 +171,8 @@ class SurveyPlan:
                 f"stale_yaw_line is {self.stale_yaw_line}",
                 mend="give the number of a later flight line, or 0",
             )
-        for field in ("lost", "turned", "no_gps", "blurred"):
-            self.numbered(field)
+        for listed in ("lost", "turned", "no_gps", "blurred"):
+            self.numbered(listed)
         if not self.kept:
             raise InputError("all frames are lost", mend="leave some of them in")
         if self.duplicates > len(self.kept):
@@ -201,10 +201,10 @@ class SurveyPlan:
         if self.pos_in == "csv" and (self.gyroscope_told or self.readout_told or self.lens_in_tags):
             raise InputError("tags are asked for in frames without tags", mend="give pos_in exif or both")
         if self.rolling_shutter_s == 0.0:
-            for field in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
-                if getattr(self, field):
+            for needing in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
+                if getattr(self, needing):
                     raise InputError(
-                        f"{field} without a rolling shutter", mend="give rolling_shutter_s above 0"
+                        f"{needing} without a rolling shutter", mend="give rolling_shutter_s above 0"
                     )
         if self.lens == "fisheye" and (self.p1 or self.p2):
             raise InputError("a fisheye has no decentring here", mend="leave p1 and p2 at 0")

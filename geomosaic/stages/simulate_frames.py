@@ -248,7 +248,7 @@ class SimulateFrames(Stage):
                 params.dirty, {k: options[k] for k in options if k in params.model_fields_set}
             )
             plan = drawn.plan
-        paths = simulate_frames(context.run_folder, plan, context.progress, drawn and drawn.told())
+        paths = simulate_frames(context.run_folder, plan, context.progress, drawn.told() if drawn else None)
         for path in dataclasses.astuple(paths):
             if path is not None and path.is_file():
                 context.keep(path)
