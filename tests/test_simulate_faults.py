@@ -22,7 +22,6 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.simulate.changing import gusts, sway
-from geomosaic.simulate.fisheye import Fisheye
 from geomosaic.simulate.flight import fly, observe
 from geomosaic.simulate.light import (
     MEAN_LIGHT,
@@ -283,17 +282,14 @@ def test_the_second_battery_has_positions_of_its_own() -> None:
     np.testing.assert_allclose(off[3:, 2], 3.0)
 
 
-def test_a_fisheye_grows_with_the_angle() -> None:
-    lens = Fisheye("f", 800, 600, 500.0, 410.0, 290.0, k1=0.05, k2=-0.01)
-    angle = np.radians(35.0)
-    radius = 500.0 * angle * (1.0 + 0.05 * angle**2 - 0.01 * angle**4)
-    seen = lens.image_from_camera(
-        np.array([3.0 * np.sin(angle) * 0.6, 3.0 * np.sin(angle) * 0.8, -3.0 * np.cos(angle)])
-    )
-    np.testing.assert_allclose(seen, [410.0 + 0.6 * radius, 290.0 - 0.8 * radius])
-    px = np.array([[0.5, 0.5], [410.0, 290.0], [700.0, 40.0]])
-    np.testing.assert_allclose(lens.image_from_camera(lens.ray_from_image(px)), px, atol=1e-6)
-    assert np.isnan(lens.image_from_camera(np.array([0.0, 1.0, 0.1]))).all()
+def test_a_fisheye_frame_shows_the_ground_by_the_angle() -> None:
+    plan = SurveyPlan(lens="fisheye", k1=0.05, k2=-0.01, principal_col_offset_px=10.0)
+    angle = np.radians(27.0)
+    radius = 1000.0 * angle * (1.0 + 0.05 * angle**2 - 0.01 * angle**4)
+    sight = sight_of(plan.camera(), POSE, WORLD)
+    true = WORLD.map_from_enu(100.0 * np.tan(angle) * np.array([0.8, -0.6, 0.0]))[:2]
+    at = 375.0 + 0.6 * radius, 510.0 + 0.8 * radius
+    np.testing.assert_allclose([float(s.ev(*at)) for s in (sight.easting, sight.northing)], true, atol=2e-3)
 
 
 def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> None:

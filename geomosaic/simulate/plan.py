@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import LENSES
 from geomosaic.errors import InputError, UnknownNameError
-from geomosaic.simulate.fisheye import Fisheye
 
 KINDS = {
     "block": "parallel flight lines",
@@ -27,7 +27,6 @@ ALTITUDES = {
     "constant": "that of the first frame in every frame",
     "ground": "the ground's, whatever the flying height",
 }
-LENSES = ("brown", "fisheye")
 POS_IN = ("both", "csv", "exif")
 FORMATS = ("jpeg", "tiff8", "tiff16")
 PAPER_SIZE_PX = (5344, 4008)
@@ -235,9 +234,9 @@ class SurveyPlan:
         if self.kind == "paper":
             width, height = (round(n * self.scale) for n in PAPER_SIZE_PX)
             focal = PAPER_HEIGHT_M / PAPER_PIXEL_M * self.scale
-        kind = Fisheye if self.lens == "fisheye" else Camera
-        return kind(
+        return Camera(
             name="simulated",
+            kind=self.lens,
             width_px=width,
             height_px=height,
             focal_length_px=focal,

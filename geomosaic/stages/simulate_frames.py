@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from geomosaic.camera.lens import LENSES
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.simulate.dirty import dirty_survey
-from geomosaic.simulate.plan import ALTITUDES, FORMATS, KINDS, LENSES, POS_IN, SurveyPlan
+from geomosaic.simulate.plan import ALTITUDES, FORMATS, KINDS, POS_IN, SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
 
 _PLAN = SurveyPlan()
