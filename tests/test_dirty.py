@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -66,6 +67,12 @@ def test_each_fault_is_as_likely_as_its_table_says() -> None:
             fault.name
         )
     assert 3.0 < np.mean([len(d.faults) for d in DRAWN]) < 7.0
+
+
+def test_the_documents_table_is_the_one_that_is_drawn_from() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "simulation.md").read_text()
+    told = re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE)
+    assert told == [(fault.name, f"{fault.probability:g}") for fault in FAULTS]
 
 
 def test_surveys_are_flown_as_people_fly_them() -> None:

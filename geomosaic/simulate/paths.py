@@ -103,7 +103,7 @@ def _free(plan: SurveyPlan) -> Course:
         heading += curve * _FREE_TURN_RAD / _STEPS
         at = at + base / _STEPS * np.array([np.cos(heading), np.sin(heading)])
         path.append(at)
-    course = _along(plan, np.array(path), np.cumsum(base * rng.uniform(*_FREE_BASE, n)))
+    course = _along(plan, np.array(path), base * np.cumsum(rng.uniform(*_FREE_BASE, n), dtype=np.float64))
     strays = np.convolve(rng.standard_normal(n + 4), np.ones(5) / np.sqrt(5.0), mode="valid")
     return Course(
         course.at_m - course.at_m.mean(axis=0),
