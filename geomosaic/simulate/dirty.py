@@ -18,6 +18,8 @@ GROUND_SHARES = {"flat": 0.5, "slope": 0.2, "hills": 0.3}
 SIZE_SHARES = {(640, 480): 0.4, (720, 540): 0.25, (800, 600): 0.2, (1000, 750): 0.15}
 TREES_SHARE, HOUSES_SHARE = 0.3, 0.4
 FRAMES = (12, 30)
+HEIGHT_M, FOCAL_WIDTHS = (40.0, 110.0), (0.7, 1.05)
+"""Flying height above the ground, and focal length in widths of a frame."""
 OVERLAP = (0.65, 0.85)
 
 
@@ -103,8 +105,8 @@ def _survey(rng: Random) -> tuple[str, Values]:
     each = min(
         max(round(count / (lines * times)), -(-FRAMES[0] // (lines * times))), FRAMES[1] // (lines * times)
     )
-    pixel = round(float(np.exp(rng.uniform(np.log(0.04), np.log(0.12)))), 4)
-    above = round(float(rng.uniform(0.7, 1.05)) * width * pixel, 1)
+    above = round(float(np.exp(rng.uniform(*np.log(HEIGHT_M)))), 1)
+    pixel = round(above / float(rng.uniform(*FOCAL_WIDTHS)) / width, 4)
     relief = {
         "flat": (0.0, 300.0),
         "slope": (rng.uniform(0.08, 0.2), 12.0),
