@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from rasterio.windows import Window
 from small_surveys import geomosaic
 
 from geomosaic.simulate.dirty import FAULTS, GROUND_SHARES, KIND_SHARES, OVERLAP, dirty_survey
@@ -23,7 +24,7 @@ import bench_dirty
 import bench_dirty_judge
 
 TINY = ["--width-px", "96", "--height-px", "72", "--height-above-ground-m", "8", "--ground-pixel-m", "0.1"]
-DRAWN = [dirty_survey(seed) for seed in range(1, 601)]
+DRAWN = [dirty_survey(seed) for seed in range(1, 301)]
 
 
 def simulate(out: Path, seed: int, *more: object) -> dict[str, bytes]:
@@ -63,7 +64,7 @@ def test_each_fault_is_as_likely_as_its_table_says() -> None:
             and not set(fault.unless) & (set(d.faults) - {fault.name})
         ]
         sd = np.sqrt(fault.probability * (1.0 - fault.probability) / len(able))
-        assert counts[fault.name] / len(able) == pytest.approx(fault.probability, abs=3.5 * sd + 0.005), (
+        assert counts[fault.name] / len(able) == pytest.approx(fault.probability, abs=3.5 * sd + 0.01), (
             fault.name
         )
     assert 3.0 < np.mean([len(d.faults) for d in DRAWN]) < 7.0
@@ -81,7 +82,7 @@ def test_surveys_are_flown_as_people_fly_them() -> None:
         (GROUND_SHARES, [d.ground for d in DRAWN]),
     ):
         for name, share in shares.items():
-            assert drawn.count(name) / len(DRAWN) == pytest.approx(share, abs=0.07)
+            assert drawn.count(name) / len(DRAWN) == pytest.approx(share, abs=0.09)
     for d in DRAWN:
         assert 12 <= d.plan.planned_frames <= 30
         assert (640, 480) <= (d.plan.width_px, d.plan.height_px) <= (1000, 750)
@@ -163,8 +164,15 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
         "--height-px", 300, "--height-above-ground-m", 40, "--buildings-stand", "--trees-stand", "--seed", 4,
     ) == 0  # fmt: skip
     with rasterio.open(tmp_path / "s" / "truth" / "ortho.tif") as ortho:
-        picture, profile = ortho.read(), ortho.profile
-        mask = ortho.dataset_mask()
+        valid = np.argwhere(ortho.dataset_mask() > 0)
+        (top, left), (end, right) = valid.min(axis=0), valid.max(axis=0) + 1
+        part = Window(int(left), int(top), int(right - left), int(end - top))
+        picture, mask = ortho.read(window=part), ortho.dataset_mask(window=part)
+        profile = {**ortho.profile, "width": part.width, "height": part.height}
+        profile["transform"] = ortho.transform @ Affine.translation(int(left), int(top))
+    (tmp_path / "t" / "truth").mkdir(parents=True)
+    with rasterio.open(tmp_path / "t" / "truth" / "ortho.tif", "w", **profile) as out:
+        out.write(picture)
     for name, step in (("whole", 0), ("torn", 3)):
         torn = picture.copy()
         half = picture.shape[2] // 2
@@ -178,10 +186,10 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
         nowhere = {**profile, "count": 4, "photometric": "RGB", "transform": Affine(0.05, 0, 0, 0, -0.05, 0)}
         with rasterio.open(path, "w", **nowhere, ALPHA="YES") as out:
             out.write(np.concatenate([np.moveaxis(away, -1, 0), alpha[None]]))
-        found = bench_dirty_judge.of_map(tmp_path / "s", path)
-        assert found["laid"] and found["covered"] > 0.8
+        found = bench_dirty_judge.of_map(tmp_path / "t", path)
+        assert found["laid"] and found["covered"] > 0.7
         assert found["map_absolute_m"] is None
         assert (found["after_px"] < 0.4) == (not step)
     with rasterio.open(bench_dirty_judge.open_ground(tmp_path / "s")) as judge:
-        hidden = (judge.dataset_mask() == 0).sum() - (mask == 0).sum()
-    assert 0.01 < hidden / mask.size < 0.9, "what houses may hide isn't judged"
+        hidden = (mask > 0).sum() - (judge.dataset_mask() > 0).sum()
+    assert 0.01 < hidden / (mask > 0).sum() < 0.95, "what houses and trees may hide isn't judged"

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -41,7 +42,7 @@ Row = dict[str, Any]
 
 def survey(kind: str, seed: int, out: Path, again: bool, instead: list[str]) -> Row:
     """One survey from simulation to judgement; its row is kept in its folder."""
-    folder = out / f"{kind}-{seed}"
+    folder = out / re.sub(r"[^\w.-]+", "_", "-".join([kind, str(seed), *instead]))
     kept = folder / "row.json"
     if kept.exists() and not again:
         row: Row = json.loads(kept.read_text())

@@ -34,6 +34,7 @@ LEAST_PATCHES = 12
 LEAST_SHARE = 0.3
 """Of the patches, that must be found: else the mosaic is first laid onto the ortho by its own features."""
 FARTHEST_PX = 1600
+KEYPOINTS = 3000
 MATCH_RATIO = 0.75
 SEARCH_PX = 128
 
@@ -126,7 +127,7 @@ def laid_onto(mosaic: Path, ortho: Path, path: Path) -> Path | None:
         ]
         whole, profile, crs = made.read(), made.profile, true.crs
         to_map = true.transform
-    sift = cv2.SIFT_create(6000)
+    sift = cv2.SIFT_create(KEYPOINTS)
     grey = [cv2.cvtColor(np.moveaxis(p, 0, -1), cv2.COLOR_RGB2GRAY) for p in small]
     (points, words), (true_points, true_words) = (sift.detectAndCompute(g, None) for g in grey)
     if words is None or true_words is None or min(len(words), len(true_words)) < 3:
