@@ -49,6 +49,7 @@ def test_equal_seeds_draw_equal_surveys_and_others_others(tmp_path: Path) -> Non
         "height_px": "72",
         "height_above_ground_m": "8.0",
         "ground_pixel_m": "0.1",
+        "without": "[]",
     }
     assert plan["width_px"] == 96
 
@@ -99,6 +100,8 @@ def test_one_fault_more_or_less_leaves_the_others(monkeypatch: pytest.MonkeyPatc
     after = dirty_survey(before.seed)
     assert after.faults == {k: v for k, v in before.faults.items() if k != name}
     assert after.survey == before.survey
+    monkeypatch.undo()
+    assert dirty_survey(before.seed, without=[name]).faults == after.faults
 
 
 def test_a_turned_line_is_a_line_also_behind_take_off_frames() -> None:
@@ -112,7 +115,7 @@ def test_a_turned_line_is_a_line_also_behind_take_off_frames() -> None:
 
 @pytest.mark.parametrize(
     ("more", "words"),
-    [(["--seed", "3"], "both dirty and a seed"), (["--clouds", "2"], "clouds"), (["--turned", "99"], "turned: '99'")],
+    [(["--seed", "3"], "both dirty and a seed"), (["--clouds", "2"], "clouds"), (["--turned", "99"], "turned: '99'"), (["--without", "cloud"], "cloud"),],
 )  # fmt: skip
 def test_what_can_not_be_drawn_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], words: str
@@ -173,12 +176,13 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
     (tmp_path / "t" / "truth").mkdir(parents=True)
     with rasterio.open(tmp_path / "t" / "truth" / "ortho.tif", "w", **profile) as out:
         out.write(picture)
+        out.write_mask(mask)
     for name, step in (("whole", 0), ("torn", 3)):
         torn = picture.copy()
         half = picture.shape[2] // 2
         if step:
             torn[:, step:, half:] = picture[:, :-step, half:]
-        turn = cv2.getRotationMatrix2D((picture.shape[2] / 2, picture.shape[1] / 2), 25.0, 0.9)
+        turn = cv2.getRotationMatrix2D((picture.shape[2] / 2, picture.shape[1] / 2), 25.0, 0.75)
         size = picture.shape[2], picture.shape[1]
         away = cv2.warpAffine(np.moveaxis(torn, 0, -1), turn, size, flags=cv2.INTER_CUBIC)
         alpha = cv2.warpAffine(mask, turn, size, flags=cv2.INTER_NEAREST)

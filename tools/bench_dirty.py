@@ -8,7 +8,7 @@ nothing but its frames. Right: after the best similarity 1 px, jumps (99 %) 1.5 
 stated deviations, and nine tenths of the land shown. Of a survey that nothing places (no GPS at all), shape
 alone is judged. What the run says of itself (`verdict` in run.json) stands beside it. --plain: surveys
 without faults, by EXIF's default accuracy: 0.2 px. Options after `--` go to the simulation, instead of draws,
-such as `-- --rolling-shutter-s 0`. --again mosaics surveys whose row is there already. Tables go to standard
+such as `-- --without vibration`. --again mosaics surveys whose row is there already. Tables go to standard
 output, OUT/dirty.md and OUT/dirty.json; exit code 1 if one survey has no mosaic, one is wrong without its
 verdict saying so, or fewer than 95 % are right.
 """

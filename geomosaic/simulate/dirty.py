@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.errors import UnknownNameError
 from geomosaic.simulate.plan import SurveyPlan
 
 Values = dict[str, Any]
@@ -62,18 +63,26 @@ class DirtySurvey:
         }
 
 
-def dirty_survey(seed: int, given: Mapping[str, Any] | None = None) -> DirtySurvey:
-    """Draw a survey and its faults; `given` fields of `SurveyPlan` are not drawn.
+def dirty_survey(
+    seed: int, given: Mapping[str, Any] | None = None, without: Iterable[str] = ()
+) -> DirtySurvey:
+    """Draw a survey and its faults; `given` fields of `SurveyPlan` are not drawn, nor are faults `without`.
 
     Each fault has random numbers of its own, so that one more or less leaves the others as they are.
+    Raises: `UnknownNameError` for a fault that isn't known.
     """
+    without = set(without)
+    known = [fault.name for fault in FAULTS]
+    for name in sorted(without.difference(known)):
+        raise UnknownNameError("fault", name, known)
     ground, survey = _survey(_random(seed, "survey"))
     faults: dict[str, Values] = {}
     values = dict(survey)
     for fault in FAULTS:
         rng = _random(seed, fault.name)
         may = (
-            values["kind"] in fault.kinds
+            fault.name not in without
+            and values["kind"] in fault.kinds
             and (not fault.needs or fault.needs in faults)
             and faults.keys().isdisjoint(fault.unless)
         )
@@ -81,7 +90,7 @@ def dirty_survey(seed: int, given: Mapping[str, Any] | None = None) -> DirtySurv
             faults[fault.name] = fault.draw(rng, values)
             values |= faults[fault.name]
     plan = SurveyPlan(**{**values, **(given or {}), "seed": seed})
-    return DirtySurvey(seed, ground, survey, faults, dict(given or {}), plan)
+    return DirtySurvey(seed, ground, survey, faults, {**(given or {}), "without": sorted(without)}, plan)
 
 
 def _random(seed: int, purpose: str) -> Random:
