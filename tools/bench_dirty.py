@@ -64,7 +64,8 @@ def survey(kind: str, seed: int, out: Path, again: bool, instead: list[str]) -> 
         verdict = summary.get("verdict") or {}
         row |= {
             "grade": verdict.get("grade", "none"),
-            "reasons": [r["code"] for r in verdict.get("reasons", [])],
+            "cause": verdict.get("cause", ""),
+            "against": [e["name"] for e in verdict.get("evidence", []) if e["grade"] != "good"],
             "warnings": sorted({w["code"] for w in summary["warnings"]}),
             **of_map(folder, run / "mosaic.tif"),
             **of_positions(folder, run),
@@ -137,7 +138,8 @@ def line(r: Row) -> str:
         r["seed"], r["flown"], r["ground"], ", ".join(r["faults"]),
         *(number(name, 2) for name in ("after_px", "jump_px")), number("covered", 0, 100.0),
         *(number(name, 2) for name in ("absolute_m", "stated_m")),
-        f"{r['tied']} of {r['wanted']}" if "tied" in r else "", r.get("grade", ""), f"{r['s']:.0f}",
+        f"{r['tied']} of {r['wanted']}" if "tied" in r else "",
+        " ".join([r.get("grade", ""), *(f"({name})" for name in r.get("against", []))]).strip(), f"{r['s']:.0f}",
         r["outcome"] + (f": {'; '.join(r['missed'])}" if r["missed"] else ""),
     )  # fmt: skip
     return f"| {' | '.join(map(str, cells))} |"

@@ -79,7 +79,7 @@ def _spiral(plan: SurveyPlan) -> Course:
     angle = np.linspace(0.0, 2.0 * np.pi * np.sqrt(2.0 * n * max(base / apart, 1.0)) + 2.0 * np.pi, 200 * n)
     radius = apart * (0.25 + angle / (2.0 * np.pi))
     path = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return _along(plan, np.asarray(path, dtype=np.float64), np.arange(n) * base)
+    return _along(plan, path, base * np.arange(n, dtype=np.float64))
 
 
 def _free(plan: SurveyPlan) -> Course:
