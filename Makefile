@@ -9,6 +9,7 @@ DATA ?= ../shared
 SEED ?= 1
 CASES ?= 10000
 TRIALS ?= 200
+SEEDS ?= 100
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -50,6 +51,9 @@ bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao b
 bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, matched once, then solved (about an hour)
 	$(PY) tools/bench_start.py --out out/bench-start
 
+bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (about 2 hours); SEEDS=n SEED=n WORKERS=n
+	$(PY) tools/bench_dirty.py --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
+
 bench-speed: setup ## 1,000 frames with 300,000 image observations (about a minute)
 	$(PY) tools/bench_speed.py --whole
 
@@ -79,4 +83,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-start bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-start bench-dirty bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean

@@ -14,6 +14,7 @@ from geomosaic.simulate.control import MEASURED_SD_PX, SURVEYED_SD_M, surveyed, 
 from geomosaic.simulate.flight import fly
 from geomosaic.simulate.landscape import Landscape
 from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.readout import Readout, readout_of
 from geomosaic.simulate.render import sight_of
 from geomosaic.simulate.survey import simulate_frames, world_of
 from geomosaic.survey.read import read_survey
@@ -24,14 +25,17 @@ PLAN = SurveyPlan(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("ground", ["flat, rolling shutter", "hills"])
+@pytest.mark.parametrize("ground", ["flat, rolling shutter", "flat, shaken fisheye", "hills"])
 def test_rays_through_the_measured_pixels_meet_the_points(ground: str) -> None:
-    more = (
-        {"rolling_shutter_s": 0.08} if "shutter" in ground else {"relief_m": 8.0, "relief_wavelength_m": 60.0}
-    )
+    more = {
+        "flat, rolling shutter": {"rolling_shutter_s": 0.08},
+        "flat, shaken fisheye": {"rolling_shutter_s": 0.08, "vibration_deg_per_s": 9.0, "lens": "fisheye"},
+        "hills": {"relief_m": 8.0, "relief_wavelength_m": 60.0},
+    }[ground]
     plan = dataclasses.replace(PLAN, **more)
     flight, camera = fly(plan), plan.camera()
-    world, readouts = world_of(plan, flight), flight.velocity_m_per_s * plan.rolling_shutter_s
+    world = world_of(plan, flight)
+    readouts = [readout_of(plan, flight, i) for i in range(plan.frames)]
     sights = [sight_of(camera, flight.poses[i], world, readouts[i]) for i in range(plan.frames)]
     bounds = [s.bounds_m for s in sights]
     points = true_points(plan, camera, flight.poses, readouts, world, bounds)
@@ -52,7 +56,7 @@ def test_what_is_told_has_the_stated_noise() -> None:
     flight, camera = fly(plan), plan.camera()
     world = world_of(plan, flight)
     bounds = [sight_of(camera, p, world).bounds_m for p in (flight.poses[i] for i in range(6))]
-    points = true_points(plan, camera, flight.poses, np.zeros((6, 3)), world, bounds)
+    points = true_points(plan, camera, flight.poses, [Readout()] * 6, world, bounds)
     told = surveyed(plan, points)
     off_m = np.array([b.map_m - a.map_m for a, b in zip(points, told, strict=True)])
     off_px = np.array([
@@ -89,7 +93,7 @@ def test_points_keep_clear_of_what_stands() -> None:
     world = world_of(plan, flight)
     bounds = [sight_of(camera, p, world).bounds_m for p in (flight.poses[i] for i in range(6))]
     low, high = np.min(bounds, axis=0)[:2], np.max(bounds, axis=0)[2:]
-    points = true_points(plan, camera, flight.poses, np.zeros((6, 3)), world, bounds)
+    points = true_points(plan, camera, flight.poses, [Readout()] * 6, world, bounds)
     land = Landscape(plan.seed, plan.buildings)
     everything = (low[0] - 30.0, low[1] - 30.0, high[0] + 30.0, high[1] + 30.0)
     roofs, trees = land.buildings_in(everything), land.trees_in(everything)
@@ -110,4 +114,4 @@ def test_more_points_than_there_is_room_for_are_refused() -> None:
     world = world_of(plan, flight)
     bounds = [sight_of(camera, flight.poses[i], world).bounds_m for i in range(2)]
     with pytest.raises(InputError, match=r"room for \d control points.*fewer control_points"):
-        true_points(plan, camera, flight.poses, np.zeros((2, 3)), world, bounds)
+        true_points(plan, camera, flight.poses, [Readout()] * 2, world, bounds)

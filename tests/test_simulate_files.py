@@ -355,7 +355,7 @@ def test_a_folder_that_can_not_be_made(tmp_path: Path) -> None:
 
 def test_the_stage_declares_every_number_of_the_plan(tmp_path: Path) -> None:
     fields = {f.name: f.default for f in dataclasses.fields(SurveyPlan) if f.name != "seed"}
-    assert SimulateFrames.Params().model_dump() == fields
+    assert SimulateFrames.Params().model_dump() == {"dirty": None, "without": "", **fields}
 
 
 def test_the_stage_writes_the_survey_into_its_folder(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.errors import UnknownNameError
 from geomosaic.simulate.plan import SurveyPlan
 
 Values = dict[str, Any]
@@ -18,6 +19,8 @@ GROUND_SHARES = {"flat": 0.5, "slope": 0.2, "hills": 0.3}
 SIZE_SHARES = {(640, 480): 0.4, (720, 540): 0.25, (800, 600): 0.2, (1000, 750): 0.15}
 TREES_SHARE, HOUSES_SHARE = 0.3, 0.4
 FRAMES = (12, 30)
+HEIGHT_M, FOCAL_WIDTHS = (40.0, 110.0), (0.7, 1.05)
+"""Flying height above the ground, and focal length in widths of a frame."""
 OVERLAP = (0.65, 0.85)
 
 
@@ -60,18 +63,26 @@ class DirtySurvey:
         }
 
 
-def dirty_survey(seed: int, given: Mapping[str, Any] | None = None) -> DirtySurvey:
-    """Draw a survey and its faults; `given` fields of `SurveyPlan` are not drawn.
+def dirty_survey(
+    seed: int, given: Mapping[str, Any] | None = None, without: Iterable[str] = ()
+) -> DirtySurvey:
+    """Draw a survey and its faults; `given` fields of `SurveyPlan` are not drawn, nor are faults `without`.
 
     Each fault has random numbers of its own, so that one more or less leaves the others as they are.
+    Raises: `UnknownNameError` for a fault that isn't known.
     """
+    without = set(without)
+    known = [fault.name for fault in FAULTS]
+    for name in sorted(without.difference(known)):
+        raise UnknownNameError("fault", name, known)
     ground, survey = _survey(_random(seed, "survey"))
     faults: dict[str, Values] = {}
     values = dict(survey)
     for fault in FAULTS:
         rng = _random(seed, fault.name)
         may = (
-            values["kind"] in fault.kinds
+            fault.name not in without
+            and values["kind"] in fault.kinds
             and (not fault.needs or fault.needs in faults)
             and faults.keys().isdisjoint(fault.unless)
         )
@@ -79,7 +90,7 @@ def dirty_survey(seed: int, given: Mapping[str, Any] | None = None) -> DirtySurv
             faults[fault.name] = fault.draw(rng, values)
             values |= faults[fault.name]
     plan = SurveyPlan(**{**values, **(given or {}), "seed": seed})
-    return DirtySurvey(seed, ground, survey, faults, dict(given or {}), plan)
+    return DirtySurvey(seed, ground, survey, faults, {**(given or {}), "without": sorted(without)}, plan)
 
 
 def _random(seed: int, purpose: str) -> Random:
@@ -103,8 +114,8 @@ def _survey(rng: Random) -> tuple[str, Values]:
     each = min(
         max(round(count / (lines * times)), -(-FRAMES[0] // (lines * times))), FRAMES[1] // (lines * times)
     )
-    pixel = round(float(np.exp(rng.uniform(np.log(0.04), np.log(0.12)))), 4)
-    above = round(float(rng.uniform(0.7, 1.05)) * width * pixel, 1)
+    above = round(float(np.exp(rng.uniform(*np.log(HEIGHT_M)))), 1)
+    pixel = round(above / float(rng.uniform(*FOCAL_WIDTHS)) / width, 4)
     relief = {
         "flat": (0.0, 300.0),
         "slope": (rng.uniform(0.08, 0.2), 12.0),
@@ -175,13 +186,14 @@ def _line(rng: Random, v: Values) -> str:
 
 def _heights(rng: Random, v: Values, low: float, high: float) -> float:
     """Between two shares of the flying height."""
-    return round(float(rng.uniform(low, high)) * v["height_above_ground_m"], 1)
+    return round(float(rng.uniform(low, high) * v["height_above_ground_m"]), 1)
 
 
 def _sign(rng: Random) -> int:
     return 1 if rng.random() < 0.5 else -1
 
 
+_OTHERS = ("take_off", "oblique", "horizon", "landing")
 _NO_OTHER = {"relative_height_told": False}
 _ALTITUDES = (
     "altitude_drifts", "altitude_in_steps", "altitude_from_take_off", "altitude_constant",
@@ -243,4 +255,3 @@ FAULTS: tuple[Fault, ...] = (
     Fault("water", 0.1, lambda r, v: {"water_share": _number(r, 0.1, 0.3)}),
     Fault("cars", 0.2, lambda r, v: {"moving_cars": _number(r, 0.5, 2.0)}),
 )  # fmt: skip
-_OTHERS = ("take_off", "oblique", "horizon", "landing")

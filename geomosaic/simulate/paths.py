@@ -79,7 +79,7 @@ def _spiral(plan: SurveyPlan) -> Course:
     angle = np.linspace(0.0, 2.0 * np.pi * np.sqrt(2.0 * n * max(base / apart, 1.0)) + 2.0 * np.pi, 200 * n)
     radius = apart * (0.25 + angle / (2.0 * np.pi))
     path = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return _along(plan, path, np.arange(n) * base)
+    return _along(plan, path, base * np.arange(n, dtype=np.float64))
 
 
 def _free(plan: SurveyPlan) -> Course:
@@ -103,7 +103,7 @@ def _free(plan: SurveyPlan) -> Course:
         heading += curve * _FREE_TURN_RAD / _STEPS
         at = at + base / _STEPS * np.array([np.cos(heading), np.sin(heading)])
         path.append(at)
-    course = _along(plan, np.array(path), np.cumsum(base * rng.uniform(*_FREE_BASE, n)))
+    course = _along(plan, np.array(path), base * np.cumsum(rng.uniform(*_FREE_BASE, n), dtype=np.float64))
     strays = np.convolve(rng.standard_normal(n + 4), np.ones(5) / np.sqrt(5.0), mode="valid")
     return Course(
         course.at_m - course.at_m.mean(axis=0),

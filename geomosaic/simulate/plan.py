@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import LENSES
 from geomosaic.errors import InputError, UnknownNameError
-from geomosaic.simulate.fisheye import Fisheye
 
 KINDS = {
     "block": "parallel flight lines",
@@ -27,7 +27,6 @@ ALTITUDES = {
     "constant": "that of the first frame in every frame",
     "ground": "the ground's, whatever the flying height",
 }
-LENSES = ("brown", "fisheye")
 POS_IN = ("both", "csv", "exif")
 FORMATS = ("jpeg", "tiff8", "tiff16")
 PAPER_SIZE_PX = (5344, 4008)
@@ -171,8 +170,8 @@ class SurveyPlan:
                 f"stale_yaw_line is {self.stale_yaw_line}",
                 mend="give the number of a later flight line, or 0",
             )
-        for field in ("lost", "turned", "no_gps", "blurred"):
-            self.numbered(field)
+        for listed in ("lost", "turned", "no_gps", "blurred"):
+            self.numbered(listed)
         if not self.kept:
             raise InputError("all frames are lost", mend="leave some of them in")
         if self.duplicates > len(self.kept):
@@ -201,13 +200,15 @@ class SurveyPlan:
         if self.pos_in == "csv" and (self.gyroscope_told or self.readout_told or self.lens_in_tags):
             raise InputError("tags are asked for in frames without tags", mend="give pos_in exif or both")
         if self.rolling_shutter_s == 0.0:
-            for field in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
-                if getattr(self, field):
+            for needing in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
+                if getattr(self, needing):
                     raise InputError(
-                        f"{field} without a rolling shutter", mend="give rolling_shutter_s above 0"
+                        f"{needing} without a rolling shutter", mend="give rolling_shutter_s above 0"
                     )
         if self.lens == "fisheye" and (self.p1 or self.p2):
             raise InputError("a fisheye has no decentring here", mend="leave p1 and p2 at 0")
+        if self.lens == "fisheye" and self.lens_told and self.lens_in_tags and (self.k2 or self.k3):
+            raise InputError("a fisheye's tags hold k1 alone", mend="leave k2 and k3 at 0")
 
     @property
     def frames(self) -> int:
@@ -233,9 +234,9 @@ class SurveyPlan:
         if self.kind == "paper":
             width, height = (round(n * self.scale) for n in PAPER_SIZE_PX)
             focal = PAPER_HEIGHT_M / PAPER_PIXEL_M * self.scale
-        kind = Fisheye if self.lens == "fisheye" else Camera
-        return kind(
+        return Camera(
             name="simulated",
+            kind=self.lens,
             width_px=width,
             height_px=height,
             focal_length_px=focal,

@@ -191,14 +191,14 @@ def render(
             seen[window][hit] = colour[hit]
         size = (camera.width_px, bottom - top)
         out[top:bottom] = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        if sight.elevation is not None:
-            up = sight.elevation(np.arange(top, bottom) + 0.5, np.arange(camera.width_px) + 0.5)
-            _haze(out[top:bottom], up)
     return out
 
 
-def _haze(light: Floats32, up_rad: Floats) -> None:
+def haze(light: Floats32, sight: Sight) -> None:
     """Hide what is far behind haze, and paint the sky above the horizon (in place)."""
+    if sight.elevation is None:
+        return
+    up_rad = sight.elevation(*(np.arange(n) + 0.5 for n in light.shape[:2]))
     slant = 1.0 / np.tan(np.clip(-up_rad, 1e-3, 1.57))
     hidden = np.clip((slant - _SLANT_HAZY) / (_SLANT_END - _SLANT_HAZY), 0.0, 1.0)
     blue = np.clip(up_rad / _SKY_RAD, 0.0, 1.0)[..., None]

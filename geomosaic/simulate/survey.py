@@ -23,7 +23,7 @@ from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.rasters import Texture, write_cover, write_heights, write_ortho
 from geomosaic.simulate.readout import Readout, readout_of
 from geomosaic.simulate.relief import Relief, hills, raster_height_m, raster_relief
-from geomosaic.simulate.render import Sight, World, develop, outline_of, render, sight_of
+from geomosaic.simulate.render import Sight, World, develop, haze, outline_of, render, sight_of
 from geomosaic.simulate.spread import in_threads
 from geomosaic.simulate.terrain import Ground
 from geomosaic.simulate.write import (
@@ -210,6 +210,7 @@ def _frame(
     if plan.clouds:
         shade = clouds_shade(plan, sight, float(flight.time_s[i]), camera.width_px, camera.height_px)
         light *= shade[..., None]
+    haze(light, sight)
     if plan.exposure_time_s:
         light = motion_blur(light, smear_px(plan, camera, flight, i))
     if i in plan.numbered("blurred"):

@@ -21,7 +21,6 @@ from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.simulate.exif import camera_tags, gps_tags, tiff_bytes, with_segments, xmp_packet
-from geomosaic.simulate.fisheye import Fisheye
 from geomosaic.simulate.flight import START_S, Flight, Observed, rotations_in
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.readout import gyroscope_tag, readout_of
@@ -143,7 +142,7 @@ def _camera_xmp(plan: SurveyPlan, told: Camera, flight: Flight, i: int) -> dict[
     mm = float(SENSOR_WIDTH_MM) / told.width_px
     if plan.lens_in_tags:
         tags["PrincipalPoint"] = f"{told.principal_col_px * mm:.6f},{told.principal_row_px * mm:.6f}"
-        if isinstance(told, Fisheye):
+        if told.kind == "fisheye":
             half_turn_px = told.focal_length_px * math.pi / 2.0
             tags["ModelType"] = "fisheye"
             tags["FisheyeAffineMatrix"] = f"{half_turn_px:.6f},0,0,{half_turn_px:.6f}"
@@ -261,10 +260,10 @@ def true_positions(
 
 
 def opensfm_camera(camera: Camera) -> dict[str, dict[str, object]]:
-    """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, centre from
-    the middle."""
+    """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, the centre
+    from the middle."""
     side = float(max(camera.width_px, camera.height_px))
-    fisheye = isinstance(camera, Fisheye)
+    fisheye = camera.kind == "fisheye"
     terms = {"k1": camera.k1, "k2": camera.k2}
     terms |= {"k3": camera.k3, "k4": 0.0} if fisheye else {"p1": camera.p1, "p2": camera.p2, "k3": camera.k3}
     kind = "fisheye_opencv" if fisheye else "brown"

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from geomosaic.camera.lens import LENSES
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.simulate.dirty import dirty_survey
-from geomosaic.simulate.plan import ALTITUDES, FORMATS, KINDS, LENSES, POS_IN, SurveyPlan
+from geomosaic.simulate.plan import ALTITUDES, FORMATS, KINDS, POS_IN, SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
 
 _PLAN = SurveyPlan()
@@ -31,6 +32,7 @@ class SimulateFrames(Stage):
         dirty: int | None = param(
             None, help="draw a survey as people deliver them, with its faults; what else is given holds", ge=0
         )
+        without: str = param("", help="faults that a dirty survey is not to have, like clouds,vibration")
         kind: str = param(_PLAN.kind, help="how the survey is flown", choices=KINDS)
         scale: float = param(_PLAN.scale, help="size of the paper's frames, 1 for full", ge=0.05, le=1)
         lon_deg: float = param(_PLAN.lon_deg, help="longitude of the middle", unit="deg", ge=-180, le=180)
@@ -237,18 +239,20 @@ class SimulateFrames(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Write the survey; what is wrong with it on purpose is in truth.json, not in warnings."""
-        options = params.model_dump(exclude={"dirty"})
+        options = params.model_dump(exclude={"dirty", "without"})
         drawn = None
         if params.dirty is None:
+            if params.without:
+                raise InputError("without is for dirty surveys", mend="give dirty too, or leave it away")
             plan = SurveyPlan(seed=context.seed, **options)
         else:
             if context.seed:
                 raise InputError("both dirty and a seed are given", mend="leave the seed away")
-            drawn = dirty_survey(
-                params.dirty, {k: options[k] for k in options if k in params.model_fields_set}
-            )
+            given = {name: options[name] for name in options if name in params.model_fields_set}
+            without = [name.strip() for name in params.without.split(",") if name.strip()]
+            drawn = dirty_survey(params.dirty, given, without)
             plan = drawn.plan
-        paths = simulate_frames(context.run_folder, plan, context.progress, drawn and drawn.told())
+        paths = simulate_frames(context.run_folder, plan, context.progress, drawn.told() if drawn else None)
         for path in dataclasses.astuple(paths):
             if path is not None and path.is_file():
                 context.keep(path)
