@@ -55,6 +55,26 @@ def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse:
     return found
 
 
+def lasting(found: Sequence[Step]) -> list[Step]:
+    """The steps less those that go and come back in one pair alone: a cloud's edges, not lines lost for good.
+
+    Lines that a CCD lost are seen by both pairs that share it; such steps are believed.
+    """
+
+    def alone(step: Step) -> bool:
+        return not any(
+            other.index != step.index
+            and abs(other.count) == abs(step.count)
+            and abs(other.line - step.line) <= _SHARP_LINES
+            for other in found
+        )
+
+    def comes_back(step: Step) -> bool:
+        return any(o.index == step.index and o.count == -step.count and alone(o) for o in found)
+
+    return [step for step in found if not (alone(step) and comes_back(step))]
+
+
 def _steep(dline_px: Floats, least_px: float) -> list[int]:
     """Knots, some apart, about which any pair's curve rises or falls more than motion and relief let it."""
     apart = dline_px - np.median(dline_px, axis=0) if len(dline_px) >= _ENOUGH_PAIRS else dline_px

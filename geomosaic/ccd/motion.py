@@ -69,7 +69,7 @@ CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
 
 
 def first_habits(likely: Expected) -> Habits:
-    """What is expected before anything was seen: of the motion by its usual change, of own parts by relief."""
+    """What is expected before anything was seen: motion by its usual change, own parts by relief."""
     jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
     relief = _RELIEF * likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
     motion = (Curve(STRAIGHT, jerk),)
