@@ -24,7 +24,7 @@ _OWN_PX = 2.0
 _FREE_KNOTS = 60
 # How much a knot bends off straight on, of what the motion and relief usually change within a knot.
 _JERK, _RELIEF = 2.1, 1.4
-# A slope of an own part lasts for some ten strides: as steps that know nothing of each other they were larger.
+# A slope of an own part lasts for some ten strides: as free steps they were so much larger.
 _LASTING = 10.0**0.5
 _MOTION_ORDER = 12
 _OWN_STRIDE = 4
