@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.expected import Expected, expected
-from geomosaic.ccd.joint_window import KnotOffsets, curve_of, first_offsets, solved_window
-from geomosaic.ccd.lost_lines import Step, steps
+from geomosaic.ccd.joint_window import KnotOffsets, Start, curve_of, first_offsets, solved_window
+from geomosaic.ccd.lost_lines import Step, lasting, steps
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
@@ -94,24 +94,30 @@ def _solved(
     """A window's curves; lines found lost or repeated are added to what is known, from there to the end."""
     step = likely.knot_lines
     first, last = window.first * step, window.last * step
+    before = [px[first:].copy() for px in known_px]
     pairs = [
         row_pair(strips, pair, first, last, px[first:last])
         for pair, px in zip(strips.pairs, known_px, strict=True)
     ]
 
-    def known(lost: list[Step]) -> bool:
+    def begun(lost: list[Step]) -> Start:
+        for px, mine in zip(known_px, before, strict=True):
+            px[first:] = mine
         for at in lost:
             known_px[at.index][first + at.line :] += at.count
-        return bool(lost)
+        return first_offsets(pairs, settings, likely)
 
-    start = first_offsets(pairs, settings, likely)
-    if known(steps(pairs, start.offset_px, likely, coarse=True)):
-        start = first_offsets(pairs, settings, likely)
-    found = solved_window(pairs, start, likely)
+    start = begun([])
+    lost = lasting(steps(start.clear(pairs), start.offset_px, likely, coarse=True))
+    if lost:
+        start = begun(lost)
+    found, clear = solved_window(pairs, start, likely)
     for _ in range(_MOST_ROUNDS):
-        if not known(steps(pairs, found.offset_px, likely)):
+        more = lasting([*lost, *steps(clear, found.offset_px, likely)])
+        if more == lost:
             break
-        found = solved_window(pairs, first_offsets(pairs, settings, likely), likely)
+        lost = more
+        found, clear = solved_window(pairs, begun(lost), likely)
     level = np.hypot(*np.median(found.offset_px, axis=(0, 1)))
     return found if level <= likely.far_px else found.doubted(float(level))
 

@@ -23,6 +23,7 @@ from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair
+from geomosaic.ccd.second_layers import widest_step
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
 
 _COARSE_SD_PX = 1.2
@@ -78,22 +79,32 @@ class Start:
     information: Floats
     suspect: list[Flags]
 
+    def clear(self, pairs: Sequence[RowPair]) -> list[RowPair]:
+        """The pairs without what may be cloud."""
+        if not self.suspect:
+            return list(pairs)
+        return [replace(p, valid=p.valid & ~hidden) for p, hidden in zip(pairs, self.suspect, strict=True)]
 
-def solved_window(pairs: Sequence[RowPair], start: Start, likely: Expected) -> KnotOffsets:
-    """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand."""
+
+def solved_window(
+    pairs: Sequence[RowPair], start: Start, likely: Expected
+) -> tuple[KnotOffsets, list[RowPair]]:
+    """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand.
+
+    Returns also the pairs, less the pixels that turned out to be clouds.
+    """
     centres = _centres(pairs, likely)
     coarse, weights = start.offset_px, start.information
     habits = first_habits(likely)
     now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
     cells: list[Cells] = []
+    cloudy, believed = False, list(pairs)
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
-        ready = each(partial(pictures, scale=scale), pairs)
-        if start.suspect and _moves(pairs, ready, now, coarse, start.suspect, centres, habits):
-            clear = [
-                replace(p, valid=p.valid & ~hidden) for p, hidden in zip(pairs, start.suspect, strict=True)
-            ]
-            ready = each(partial(pictures, scale=scale), clear)
+        ready = each(partial(pictures, scale=scale), believed)
+        if not cloudy and start.suspect and _moves(pairs, ready, now, coarse, start.suspect, centres, habits):
+            cloudy, believed = True, start.clear(pairs)
+            ready = each(partial(pictures, scale=scale), believed)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
             now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
@@ -106,7 +117,9 @@ def solved_window(pairs: Sequence[RowPair], start: Start, likely: Expected) -> K
     little = np.clip((_ENOUGH_SHARE - own.mean()) / (0.5 * _ENOUGH_SHARE), 0.0, 1.0)
     away = np.stack([_away(mine) for mine in own]) * likely.knot_lines
     variance += (little * away[..., None] * _ADRIFT_PX_PER_LINE) ** 2
-    return KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
+    found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
+    step = widest_step(np.stack([c.offset_px for c in cells]), own, likely)
+    return found.doubted(step) if step else found, believed
 
 
 def _away(own: Flags) -> Floats:
@@ -158,7 +171,7 @@ def _moves(
     part, rest = share > _MOSTLY, share < _HARDLY
     measured = np.where((part | rest)[..., None, None], measured, 0.0)
     if not (part & found).any():
-        return False
+        return True
     level = _level(offset, found & rest, now)
     weighed = measured
     for _ in range(3):

@@ -26,7 +26,7 @@ _STEEP_KNOTS, _STEEP_COARSE_PX = 8, 3.5
 _LEAST_COARSE = 3
 _COARSE_PX = (-0.8, 0.0, 0.8)
 _AROUND_LINES, _SHARP_LINES = 256, 48
-_MOST_MISFIT = 0.3
+_MOST_MISFIT, _LEAST_SEEN = 0.3, 0.6
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,26 @@ def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse:
         most = max((abs(step.count) for step in here if step), default=0)
         found += [step for step in here if step and abs(step.count) == most]
     return found
+
+
+def lasting(found: Sequence[Step]) -> list[Step]:
+    """The steps less those that go and come back in one pair alone: a cloud's edges, not lines lost for good.
+
+    Lines that a CCD lost are seen by both pairs that share it; such steps are believed.
+    """
+
+    def alone(step: Step) -> bool:
+        return not any(
+            other.index != step.index
+            and abs(other.count) == abs(step.count)
+            and abs(other.line - step.line) <= _SHARP_LINES
+            for other in found
+        )
+
+    def comes_back(step: Step) -> bool:
+        return any(o.index == step.index and o.count == -step.count and alone(o) for o in found)
+
+    return [step for step in found if not (alone(step) and comes_back(step))]
 
 
 def _steep(dline_px: Floats, least_px: float) -> list[int]:
@@ -104,6 +124,7 @@ def _step(
 def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float, int] | None:
     """What misfit is left if a pair lies at `before` up to a line and then at `after`, and that line."""
     misfit = np.stack([_misfit(pair, u, curve) for curve in (before, after)])
+    seen = pair.valid[u].mean(axis=1)
     if not np.isfinite(misfit).all():
         return None
     sums = np.concatenate([np.zeros((2, 1)), np.cumsum(misfit, axis=1)], axis=1)
@@ -111,6 +132,11 @@ def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float
     if not _SHARP_LINES <= where <= len(u) - _SHARP_LINES:
         return None
     ahead, behind = misfit[:, where - _SHARP_LINES : where], misfit[:, where : where + _SHARP_LINES]
+    if (
+        min(seen[where - _SHARP_LINES : where].mean(), seen[where : where + _SHARP_LINES].mean())
+        < _LEAST_SEEN
+    ):
+        return None
     (here, there), (back, then) = ahead.sum(axis=1), behind.sum(axis=1)
     sharp = here < _MOST_MISFIT * there and then < _MOST_MISFIT * back
     return (float(here + then), int(u[where])) if sharp else None

@@ -24,6 +24,8 @@ _OWN_PX = 2.0
 _FREE_KNOTS = 60
 # How much a knot bends off straight on, of what the motion and relief usually change within a knot.
 _JERK, _RELIEF = 2.1, 1.4
+# A slope of an own part lasts for some ten strides: as free steps they were so much larger.
+_LASTING = 10.0**0.5
 _MOTION_ORDER = 12
 _OWN_STRIDE = 4
 _MOST_RADIUS = 0.9995
@@ -64,18 +66,26 @@ class Smoothed:
         return self.motion[None] + self.own
 
 
+LEVEL = np.array([1.0])
 STRAIGHT = np.array([2.0, -1.0])
 CUBIC = np.array([4.0, -6.0, 4.0, -1.0])
 
 
 def first_habits(likely: Expected) -> Habits:
-    """What is expected before anything was seen: of the motion by its usual change, of own parts by relief."""
+    """What is expected before anything was seen: motion by its usual change, own parts by relief."""
     jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
     relief = _RELIEF * likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
     motion = (Curve(STRAIGHT, jerk),)
     fine, warmth = (0.02, 0.03), 0.05
     own = [
-        (Curve(STRAIGHT, sd), Curve(STRAIGHT, math.hypot(warmth, by), _OWN_STRIDE))
+        tuple(
+            Curve(weights, by_px, stride)
+            for weights, by_px, stride in (
+                (STRAIGHT, sd, 1),
+                (STRAIGHT, math.hypot(warmth, by), _OWN_STRIDE),
+                (LEVEL, 2 * math.hypot(warmth, by), _OWN_STRIDE),
+            )
+        )
         for sd, by in zip(fine, (0.0, relief), strict=True)
     ]
     return Habits((motion, motion), (own[0], own[1]), likely.far_px)
@@ -169,11 +179,12 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
     apart = []
     for axis in (0, 1):
         curves = list(own[:, :, axis])
-        bending, slow = before.own[axis]
+        bending, slow, level = before.own[axis]
         apart.append(
             (
-                _held_to(curves, list(known), CUBIC, 1, 0.002, bending),
-                _held_to(curves, list(known), STRAIGHT, _OWN_STRIDE, 0.003, slow),
+                _held_to(curves, list(known), CUBIC, 1, 0.002, bending, 1.2),
+                _held_to(curves, list(known), STRAIGHT, _OWN_STRIDE, 0.003, slow, 1.2),
+                _held_to(curves, list(known), LEVEL, _OWN_STRIDE, 0.003, level, _LASTING),
             )
         )
     return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
@@ -210,13 +221,20 @@ def _fitted(
 
 
 def _held_to(
-    curves: list[Floats], known: list[Flags], weights: Floats, stride: int, least_px: float, before: Curve
+    curves: list[Floats],
+    known: list[Flags],
+    weights: Floats,
+    stride: int,
+    least_px: float,
+    before: Curve,
+    wider: float,
 ) -> Curve:
-    """How much curves bend off a prediction; as expected before where too little is known."""
+    """How much curves bend off a prediction, times so much; as expected before if too little is known."""
     y, a = _windows(curves, known, len(weights), stride)
     if len(y) < 30:
         return before
-    return Curve(weights, max(1.2 * float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
+    usual = max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px)
+    return Curve(weights, wider * usual, stride)
 
 
 def _stable(weights: Floats) -> Floats:
