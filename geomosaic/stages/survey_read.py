@@ -25,7 +25,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 4
+    version = 5
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
