@@ -13,7 +13,7 @@ MOUNTING = 3
 
 
 def random_normals(
-    seed: int, frames: int = 5, cameras: int = 2, points: int = 12, numbers: int = 8
+    seed: int, frames: int = 5, cameras: int = 2, points: int = 12, numbers: int = 8, d: int = 6
 ) -> tuple[Normals, np.ndarray]:
     """Normals of random derivatives with weak priors, a level and a mounting, and the same as one dense
     matrix with its right side: poses, cameras, level, mounting, points."""
@@ -22,8 +22,8 @@ def random_normals(
     order = np.lexsort((frame, point))
     frame, point = frame[order], point[order]
     camera_of = np.arange(frames) % cameras
-    m, f6, ck = len(frame), 6 * frames, numbers * cameras
-    parts = rng.normal(0, 1, (m, 2, 6)), rng.normal(0, 1, (m, 2, numbers)), rng.normal(0, 1, (m, 2, 3))
+    m, fd, ck = len(frame), d * frames, numbers * cameras
+    parts = rng.normal(0, 1, (m, 2, d)), rng.normal(0, 1, (m, 2, numbers)), rng.normal(0, 1, (m, 2, 3))
     residual, weight = rng.normal(0, 1, (m, 2)), rng.uniform(0.5, 2.0, m)
     counts = (frames, cameras, numbers, points)
     n = build_normals(
@@ -32,65 +32,69 @@ def random_normals(
         camera_of,
         counts,
         lambda which: (residual[which], weight[which], *(a[which] for a in parts)),
+        d,
     )
     level_point = rng.normal(0, 0.1, (points, 3))
     for block, prior in ((n.pose, 0.3), (n.interior, 0.2), (n.points, 1.0)):
         i = np.arange(block.shape[-1])
         block[:, i, i] += prior
-    by_mounting = rng.normal(0, 0.3, (6 * frames, MOUNTING))
+    by_mounting = rng.normal(0, 0.3, (d * frames, MOUNTING))
     n = replace(
         n,
         level_point=level_point,
         level=7.0,
         level_side=1.3,
-        pose_mounting=by_mounting.reshape(frames, 6, MOUNTING),
+        pose_mounting=by_mounting.reshape(frames, d, MOUNTING),
         mounting=by_mounting.T @ by_mounting + 2.0 * np.eye(MOUNTING),
         mounting_side=np.array([0.7, -1.1, 0.4]),
     )
-    shared = f6 + ck + 1 + MOUNTING
+    shared = fd + ck + 1 + MOUNTING
     design = np.zeros((2 * m, shared + 3 * points))
     for i in range(m):
         rows = slice(2 * i, 2 * i + 2)
-        design[rows, 6 * frame[i] : 6 * frame[i] + 6] = parts[0][i]
-        at = f6 + numbers * camera_of[frame[i]]
+        design[rows, d * frame[i] : d * frame[i] + d] = parts[0][i]
+        at = fd + numbers * camera_of[frame[i]]
         design[rows, at : at + numbers] = parts[1][i]
         at = shared + 3 * point[i]
         design[rows, at : at + 3] = parts[2][i]
     p = np.repeat(weight, 2)
     dense = design.T @ (p[:, None] * design)
-    priors = [np.full(f6, 0.3), np.full(ck, 0.2), [7.0], np.zeros(MOUNTING), np.full(3 * points, 1.0)]
+    priors = [np.full(fd, 0.3), np.full(ck, 0.2), [7.0], np.zeros(MOUNTING), np.full(3 * points, 1.0)]
     dense += np.diag(np.concatenate(priors))
-    dense[f6 + ck, shared:] = dense[shared:, f6 + ck] = level_point.ravel()
+    dense[fd + ck, shared:] = dense[shared:, fd + ck] = level_point.ravel()
     here = slice(shared - MOUNTING, shared)
     dense[here, here] = n.mounting
-    dense[:f6, here] = by_mounting
-    dense[here, :f6] = by_mounting.T
+    dense[:fd, here] = by_mounting
+    dense[here, :fd] = by_mounting.T
     side = design.T @ (p * residual.ravel())
-    side[f6 + ck] = 1.3
+    side[fd + ck] = 1.3
     side[here] = n.mounting_side
     return n, np.column_stack([dense, side])
 
 
-@pytest.mark.parametrize(("seed", "numbers"), [(0, 8), (7, 9)])
-def test_the_reduced_system_solves_the_whole_one(seed: int, numbers: int) -> None:
-    n, whole = random_normals(seed, numbers=numbers)
+@pytest.mark.parametrize(("seed", "numbers", "d"), [(0, 8, 6), (7, 9, 9)])
+def test_the_reduced_system_solves_the_whole_one(seed: int, numbers: int, d: int) -> None:
+    n, whole = random_normals(seed, numbers=numbers, d=d)
     inverse = np.linalg.inv(whole[:, :-1])
     x = inverse @ whole[:, -1]
     ck = 2 * numbers
-    level = 30 + ck
+    poses = 5 * d
+    level = poses + ck
     end = level + 1 + MOUNTING
     reduced = reduce_normals(n)
     pose, interior, points, up, mounting = reduced.solve()
-    assert pose.ravel() == pytest.approx(x[:30])
-    assert interior.ravel() == pytest.approx(x[30:level])
+    assert pose.ravel() == pytest.approx(x[:poses])
+    assert interior.ravel() == pytest.approx(x[poses:level])
     assert up == pytest.approx(x[level])
     assert mounting == pytest.approx(x[level + 1 : end])
     assert points.ravel() == pytest.approx(x[end:])
     by_frame, shared = reduced.covariance()
-    assert by_frame[3] == pytest.approx(inverse[18:24, 18:24])
-    assert shared == pytest.approx(inverse[30:end, 30:end])
+    assert by_frame[3] == pytest.approx(inverse[3 * d : 4 * d, 3 * d : 4 * d])
+    assert shared == pytest.approx(inverse[poses:end, poses:end])
     gradient = np.random.default_rng(1).normal(0, 1, (end, 3))
-    assert reduced.propagate(gradient[:30], gradient[30:]) == pytest.approx(
+    gradient[:poses].reshape(5, d, 3)[:, 6:] = 0.0
+    by_pose = gradient[:poses].reshape(5, d, 3)[:, :6]
+    assert reduced.propagate(by_pose, gradient[poses:]) == pytest.approx(
         gradient.T @ inverse[:end, :end] @ gradient
     )
 
@@ -116,7 +120,7 @@ def test_held_numbers_keep_their_variance_and_make_the_others_wrong_by_it() -> N
     assert by_frame[3] == pytest.approx(want[18:24, 18:24])
     assert shared == pytest.approx(want[30:end, 30:end])
     gradient = np.random.default_rng(1).normal(0, 1, (end, 3))
-    assert considered.propagate(gradient[:30], gradient[30:]) == pytest.approx(
+    assert considered.propagate(gradient[:30].reshape(5, 6, -1), gradient[30:]) == pytest.approx(
         gradient.T @ want[:end, :end] @ gradient
     )
 

@@ -25,6 +25,9 @@ _LENS_SD = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0
 _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
 _READOUT_SD_S = 0.05
+_RATE_SD, _TOLD_RATE_SD = 0.15, 0.05
+"""Of a constant rate of turning in rad/s: small aircraft in wind turn by some 10 degrees a second; a small
+gyroscope's zero is off by a degree or two."""
 _MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
 _DEM_LEVEL_SD_M = 2.0
 _ANY_RELIEF = 0.3
@@ -53,7 +56,7 @@ def priors_of(
     return Priors(
         poses=replace(block.poses, positions_sd_m=sd_m),
         cameras=cameras,
-        interior_sd=np.stack([interior_deviations(c, readout=settings.rolling_shutter) for c in cameras]),
+        interior_sd=np.stack([_interior_deviations(c, settings) for c in cameras]),
         mounting=_mounting(settings),
         points_m=points_m,
         points_sd_m=_point_deviations(block, points_m),
@@ -61,7 +64,17 @@ def priors_of(
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
         assumed=assumed,
+        rate_sd_rad_per_s=_rate_sd(block) if settings.turning else 0.0,
     )
+
+
+def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
+    known = replace(camera, distortion_sd=0.0) if settings.free_lens else camera
+    return interior_deviations(known, readout=settings.rolling_shutter)
+
+
+def _rate_sd(block: Block) -> float:
+    return _RATE_SD if block.poses.turns is None else _TOLD_RATE_SD
 
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:

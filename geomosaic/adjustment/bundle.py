@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_equations import (
     KNOWN,
+    READOUT,
     cost_of,
     has_say,
     image_sd_px,
@@ -23,7 +24,7 @@ from geomosaic.adjustment.bundle_equations import (
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
-from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, interior_of
+from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, interior_of, with_rates
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight
@@ -134,6 +135,7 @@ def _solve(
         np.stack([interior_of(c) for c in (again.cameras if again else priors.cameras)]),
         again.points_m if again else priors.points_m,
         again.mounting if again else np.zeros(len(MOUNTING)),
+        rates=_first_rates(priors, again),
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
     held = again.held if again else np.zeros(shared_miss(priors, state).size, dtype=bool)
@@ -151,6 +153,12 @@ def _solve(
         if np.array_equal(more, held):
             return replace(_finish(tracks, camera_of, priors, state, factors, iterations), strayed=strayed)
         held, may_free = more, False
+
+
+def _first_rates(priors: Priors, again: Bundle | None) -> Floats | None:
+    if not priors.rate_sd_rad_per_s:
+        return None
+    return np.zeros((len(priors.poses), 3)) if again is None or again.rates is None else again.rates
 
 
 def _with_held(priors: Priors, state: State, held: Bools) -> State:
@@ -252,11 +260,12 @@ def _moved(state: State, share: float, *step: Any) -> State:
     pose, interior, point, level, mounting = (share * part for part in step)
     return State(
         state.positions + pose[:, :3],
-        exp_turn(pose[:, 3:]) @ state.rotations,
+        exp_turn(pose[:, 3:6]) @ state.rotations,
         state.interior + interior,
         state.points + point,
         state.mounting + mounting if mounting.size else state.mounting,
         state.level + level,
+        None if state.rates is None else state.rates + pose[:, 6:],
     )
 
 
@@ -274,6 +283,7 @@ def _finish(
     if priors.held is not None and priors.held.any():
         reduced = reduced.considering(_held_variance(priors, priors.held, len(reduced.shared)))
     covariance, shared = reduced.covariance()
+    covariance = covariance[:, :6, :6]
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     image = image_from_ground(*observed(tracks, camera_of, priors, state))
     residual = tracks.image_px - image
@@ -282,14 +292,17 @@ def _finish(
     full = np.eye(cameras + mounting) * KNOWN**2
     full[: len(solved), : len(solved)] = shared[np.ix_(solved, solved)]
     spread = np.sqrt(np.diag(full))
+    poses = replace(
+        priors.poses,
+        positions_m=state.positions,
+        rotations=state.rotations,
+        positions_sd_m=sd[:, :3],
+        rotations_sd_rad=sd[:, 3:],
+    )
+    if state.rates is not None:
+        poses = with_rates(poses, state.rates, float(np.abs(state.interior[:, READOUT]).max()) or 1.0)
     return Bundle(
-        poses=replace(
-            priors.poses,
-            positions_m=state.positions,
-            rotations=state.rotations,
-            positions_sd_m=sd[:, :3],
-            rotations_sd_rad=sd[:, 3:],
-        ),
+        poses=poses,
         cameras=tuple(with_interior(c, row) for c, row in zip(priors.cameras, state.interior, strict=True)),
         points_m=state.points,
         points_sd_m=np.sqrt(np.diagonal(reduced.points_inverse, axis1=1, axis2=2)),
@@ -308,6 +321,7 @@ def _finish(
         factors=factors,
         trust=trust_of(priors),
         left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,
+        rates=state.rates,
         iterations=iterations,
         reduced=reduced,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,8 @@ from geomosaic.adjustment.collinearity import (
     image_from_ground,
     interior_of,
     kinds_of,
-    passing,
     project,
+    readout_of,
 )
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
@@ -27,6 +28,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
+READOUT = INTERIOR.index("readout_s")
 KNOWN = 1e-6
 """Prior deviation of what is known or held: next to nothing, in its unit or as a share of its deviation."""
 
@@ -37,6 +39,8 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
     total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
+    if state.rates is not None:
+        total += float(((state.rates / priors.rate_sd_rad_per_s) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
             priors.terrain,
@@ -63,7 +67,8 @@ def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, fa
         return residual, weight, by_pose, by_interior, by_point
 
     counts = (len(state.positions), *state.interior.shape, len(state.points))
-    n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised)
+    d = 6 if state.rates is None else 9
+    n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised, d)
     n = _with_priors(n, priors, state, factors)
     if priors.terrain is None:
         return replace(n, level=1.0)
@@ -77,8 +82,11 @@ def _with_priors(n: Normals, priors: Priors, state: State, factors: Factors) -> 
     weighted = (trust_of(priors) / pose_sd(priors, factors) ** 2)[:, :, None]
     miss = present_miss(priors, state)[:, :, None]
     back = np.swapaxes(by_pose, 1, 2)
-    n.pose[:] += back @ (weighted * by_pose)
-    n.pose_side[:] += (back @ (weighted * miss))[:, :, 0]
+    n.pose[:, :6, :6] += back @ (weighted * by_pose)
+    n.pose_side[:, :6] += (back @ (weighted * miss))[:, :, 0]
+    if state.rates is not None:
+        n.pose[:, [6, 7, 8], [6, 7, 8]] += 1.0 / priors.rate_sd_rad_per_s**2
+        n.pose_side[:, 6:] -= state.rates / priors.rate_sd_rad_per_s**2
     n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / priors.points_sd_m**2
     n.point_side[:] += (priors.points_m - state.points) / priors.points_sd_m**2
     weight, off = 1.0 / shared_sd(priors) ** 2, shared_miss(priors, state)
@@ -90,7 +98,7 @@ def _with_priors(n: Normals, priors: Priors, state: State, factors: Factors) -> 
         return n
     return replace(
         n,
-        pose_mounting=back @ (weighted * by_mounting),
+        pose_mounting=np.pad(back @ (weighted * by_mounting), ((0, 0), (0, n.pose.shape[1] - 6), (0, 0))),
         mounting=np.einsum("fai,faj->ij", by_mounting, weighted * by_mounting) + np.diag(weight[c * k :]),
         mounting_side=np.einsum("fai,fa->i", by_mounting, (weighted * miss)[:, :, 0])
         + (weight * off)[c * k :],
@@ -134,31 +142,26 @@ def trust_of(priors: Priors) -> Floats:
     return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
 
 
-def observed(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State
-) -> tuple[Floats, Floats, Floats, Floats, Floats | None, Ints | None]:
+def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
     """What `project` and `image_from_ground` take, a row an observation."""
-    camera, velocities = camera_of[tracks.frame], priors.poses.velocities_m_per_s
+    camera, frame, poses = camera_of[tracks.frame], tracks.frame, priors.poses
+    interior, kinds = state.interior[camera], kinds_of(priors.cameras)
+    seen = state.positions[frame], state.rotations[frame], interior, state.points[tracks.point]
+    kind = None if kinds is None else kinds[camera]
+    told = poses.velocities_m_per_s is not None or poses.turns is not None
+    if not _rolls(priors) or not (told or state.rates is not None):
+        return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
-    kinds = kinds_of(priors.cameras)
-    return (
-        state.positions[tracks.frame],
-        state.rotations[tracks.frame],
-        state.interior[camera],
-        state.points[tracks.point],
-        passing(
-            velocities[tracks.frame] if velocities is not None and _rolls(priors) else None,
-            tracks.image_px[:, 1],
-            heights,
-        ),
-        None if kinds is None else kinds[camera],
+    read = readout_of(
+        poses, state.rotations, state.rates, frame, tracks.image_px[:, 1], heights, interior[:, READOUT]
     )
+    after_s = None if state.rates is None else read.after_s
+    return seen[0], read.rotations, *seen[2:], read.passed_m_per_s, kind, read.turned_rad_per_s, after_s
 
 
 def _rolls(priors: Priors) -> bool:
     """Whether any camera reads its rows one after the other, or may."""
-    readout = INTERIOR.index("readout_s")
-    return bool(priors.interior_sd[:, readout].any()) or any(c.readout_s for c in priors.cameras)
+    return bool(priors.interior_sd[:, READOUT].any()) or any(c.readout_s for c in priors.cameras)
 
 
 def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Floats:

@@ -57,10 +57,12 @@ class Priors:
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
-    observed, so that it tells nothing of the others' deviations. trust (f, 6): factors of the pose priors'
-    weights, 1 but for tags that lie; held (s,): which of the shared unknowns, cameras' numbers before the
-    mounting's, keep what they were given as the block does not determine them; left_out (f,): frames whose
-    pictures have no say, since they made the system unsolvable; all three set by the solver.
+    observed, so that it tells nothing of the others' deviations. rate_sd_rad_per_s: of each frame's constant
+    rate of turning while its rows are read, beside the poses' turns; 0 where it isn't asked for. trust (f, 6):
+    factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared unknowns,
+    cameras' numbers before the mounting's, keep what they were given as the block does not determine them;
+    left_out (f,): frames whose pictures have no say, since they made the system unsolvable; all three set by
+    the solver.
     """
 
     poses: Poses
@@ -73,6 +75,7 @@ class Priors:
     mounting: Mounting = NO_MOUNTING
     part: NDArray[np.intp] | None = None
     assumed: Bools | None = None
+    rate_sd_rad_per_s: float = 0.0
     trust: Floats | None = None
     held: Bools | None = None
     left_out: Bools | None = None
@@ -90,7 +93,7 @@ class Bundle:
     drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
-    reduced: the last normal equations.
+    rates (f, 3): see `Priors`; the poses' turns hold them. reduced: the last normal equations.
     """
 
     poses: Poses
@@ -109,6 +112,7 @@ class Bundle:
     factors: Factors
     trust: Floats
     left_out: Bools
+    rates: Floats | None
     iterations: int
     reduced: Reduced
 
@@ -121,6 +125,7 @@ class State:
     points: Floats
     mounting: Floats
     level: float = 0.0
+    rates: Floats | None = None
 
 
 def with_interior(camera: Camera, interior: Sequence[float] | Floats) -> Camera:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation as Turn
 
+from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS, Lens
 
@@ -35,6 +37,8 @@ def image_from_ground(
     points_m: Floats,
     passing_m_per_s: Floats | None = None,
     kinds: Ints | None = None,
+    turning_rad_per_s: Floats | None = None,
+    after_s: Floats | None = None,
 ) -> Floats:
     """Image coordinates (m, 2) as `project` gives them, without derivatives."""
     _, u, v, _ = _directions(positions_m, rotations, interior, points_m, passing_m_per_s)
@@ -52,6 +56,8 @@ def project(
     points_m: Floats,
     passing_m_per_s: Floats | None = None,
     kinds: Ints | None = None,
+    turning_rad_per_s: Floats | None = None,
+    after_s: Floats | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Image coordinates and their derivatives, one row an observation.
 
@@ -59,10 +65,11 @@ def project(
     frame's axes from the left, R = exp([t]) R0.
 
     Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR,
-        points_m (m, 3). passing_m_per_s (m, 3): by what the projection centre moves for each second of
-        readout until the observation's row is read, see `passing`. kinds (m,): of lenses, see `kinds_of`.
-    Returns: image_px (m, 2); by_pose (m, 2, 6): position, then turn in rad; by_interior (m, 2, 9);
-        by_point (m, 2, 3). NaN behind the camera.
+        points_m (m, 3). passing_m_per_s, turning_rad_per_s (m, 3): see `Readout`, whose rotations are to be
+        given with them. kinds (m,): of lenses, see `kinds_of`. after_s (m,): when each row is read, from the
+        middle one on, where frames' rates of turning are unknown.
+    Returns: image_px (m, 2); by_pose (m, 2, 6 or 9): position, turn in rad, rate about the work
+        frame's axes; by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
     """
     d, u, v, z = _directions(positions_m, rotations, interior, points_m, passing_m_per_s)
     f = interior[:, 0]
@@ -85,17 +92,21 @@ def project(
         by_camera[:, axis, 2] = -(by_u[axis] * u + by_v[axis] * v)
     by_camera *= (f / z)[:, None, None]
     by_point = by_camera @ np.swapaxes(rotations, 1, 2)
-    by_pose = np.empty((len(u), 2, 6))
+    by_pose = np.empty((len(u), 2, 6 if after_s is None else 9))
     np.negative(by_point, out=by_pose[:, :, :3])
     for axis in range(3):
         one, two = (axis + 1) % 3, (axis + 2) % 3
         by_pose[:, :, 3 + axis] = (
             by_point[:, :, one] * d[:, two, None] - by_point[:, :, two] * d[:, one, None]
         )
+    if after_s is not None:
+        by_pose[:, :, 6:] = by_pose[:, :, 3:6] * after_s[:, None, None]
     by_interior[:, :, 0] = bent.T
     by_interior[:, 0, 1] = by_interior[:, 1, 2] = 1.0
     if passing_m_per_s is not None:
         by_interior[:, :, 8] = -np.einsum("maj,mj->ma", by_point, passing_m_per_s)
+    if turning_rad_per_s is not None:
+        by_interior[:, :, 8] += np.einsum("maj,mj->ma", by_pose[:, :, 3:6], turning_rad_per_s)
     return image, by_pose, by_interior, by_point
 
 
@@ -127,12 +138,63 @@ def _lenses(kinds: Ints | None) -> list[tuple[Lens, Ints | slice]]:
     return [(lenses[k], np.flatnonzero(kinds == k)) for k in np.unique(kinds)]
 
 
-def passing(velocities_m_per_s: Floats | None, row_px: Floats, heights_px: Floats) -> Floats | None:
-    """`project`'s passing_m_per_s from velocities (m, 3), the rows of observations (m,) as measured, and the
-    heights of their pictures (m,)."""
-    if velocities_m_per_s is None:
-        return None
-    return np.asarray(velocities_m_per_s * (row_px / heights_px - 0.5)[:, None])
+@dataclass(frozen=True)
+class Readout:
+    """What rolling shutters make of the poses of m observations, by their rows as measured.
+
+    rotations (m, 3, 3): as they were when each row was read. after_s (m,): when, from the middle row on.
+    passed_m_per_s, turned_rad_per_s (m, 3): by what the projection centre moves and the camera turns, in the
+    work frame, for each second of readout until then.
+    """
+
+    rotations: Floats
+    after_s: Floats
+    passed_m_per_s: Floats
+    turned_rad_per_s: Floats | None
+
+
+def readout_of(
+    poses: Poses,
+    rotations: Floats,
+    rates_rad_per_s: Floats | None,
+    frame: Ints,
+    row_px: Floats,
+    heights_px: Floats,
+    readouts_s: Floats,
+) -> Readout:
+    """Of observations (m,) in frames with present rotations (f, 3, 3), by their rows, heights of their
+    pictures and readout times, (m,) each.
+
+    rates_rad_per_s (f, 3): about the work frame's axes, on top of the poses' own turns:
+    `R(row) = exp(rate t) R exp(turn(t))`.
+    """
+    share = row_px / heights_px - 0.5
+    after_s, at_row = share * readouts_s, rotations[frame]
+    passed, turned = np.zeros((len(frame), 3)), None
+    if poses.velocities_m_per_s is not None:
+        passed = poses.velocities_m_per_s[frame] * share[:, None]
+    if poses.turns is not None:
+        turn, rate = poses.turns.at(after_s, frame)
+        at_row = at_row @ exp_turn(turn)
+        turned = np.einsum("mij,mj->mi", at_row, rate) * share[:, None]
+    if rates_rad_per_s is not None:
+        rate = rates_rad_per_s[frame]
+        more = exp_turn(rate * after_s[:, None])
+        at_row = more @ at_row
+        turned = rate * share[:, None] + (0.0 if turned is None else np.einsum("mij,mj->mi", more, turned))
+    return Readout(at_row, after_s, passed, turned)
+
+
+def with_rates(poses: Poses, rates_rad_per_s: Floats, span_s: float) -> Poses:
+    """Poses whose turns hold such rates too, see `readout_of`; span_s: over which they are tabled if they
+    have none so far."""
+    turns = poses.turns or Turns(span_s, np.zeros((len(poses), 2, 3)))
+    n, k = turns.rad.shape[:2]
+    after_s = np.linspace(-0.5, 0.5, k) * turns.span_s
+    rates = np.einsum("nji,nj->ni", poses.rotations, rates_rad_per_s)
+    more = exp_turn((rates[:, None] * after_s[:, None]).reshape(-1, 3))
+    rad = log_turn(more @ exp_turn(turns.rad.reshape(-1, 3))).reshape(n, k, 3)
+    return replace(poses, turns=Turns(turns.span_s, rad))
 
 
 def exp_turn(turn_rad: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import MEASURED_SD_PX, Bundle, Priors
-from geomosaic.adjustment.collinearity import interior_of, kinds_of, passing, project
+from geomosaic.adjustment.collinearity import interior_of, kinds_of, project, readout_of
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
@@ -133,7 +133,7 @@ def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
         of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
-        return bundle.reduced.propagate(poses.reshape(-1, 3), shared)
+        return bundle.reduced.propagate(poses, shared)
 
     return spread
 
@@ -168,8 +168,8 @@ def _place(
     else:
         at_m = _nearest_to_rays(poses, cameras, frames, image_px)
     interior = np.stack([interior_of(cameras[i]) for i in frames])
-    velocities = None if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frames]
-    passed = passing(velocities, image_px[:, 1], np.array([cameras[i].height_px for i in frames]))
+    heights = np.array([cameras[i].height_px for i in frames])
+    read = readout_of(poses, poses.rotations, None, frames, image_px[:, 1], heights, interior[:, -1])
     kinds = kinds_of([cameras[i] for i in frames])
     level = np.zeros((3, 3))
     if single:
@@ -179,7 +179,7 @@ def _place(
             return None
         many = np.broadcast_to(at_m, (len(frames), 3))
         image, by_pose, by_interior, by_point = project(
-            poses.positions_m[frames], poses.rotations[frames], interior, many, passed, kinds
+            poses.positions_m[frames], read.rotations, interior, many, read.passed_m_per_s, kinds
         )
         if not np.isfinite(image).all():
             return None

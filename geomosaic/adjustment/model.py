@@ -73,8 +73,9 @@ class Settings:
 
     epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
     rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
-    boresight, lever_arm, gps_lag, rolling_shutter: whether a bundle solves for them, see `Mounting` and
-    `Camera`.
+    boresight, lever_arm, gps_lag, rolling_shutter, turning: whether a bundle solves for them, see `Mounting`,
+    `Camera` and `Priors`. free_lens: a maker's lens counts for nothing but where to begin. model: `auto` adds
+    to all that what the evidence speaks for, see `chosen_model`; `given` doesn't.
     """
 
     epsilon_px: float = 10.0
@@ -85,6 +86,9 @@ class Settings:
     lever_arm: bool = False
     gps_lag: bool = False
     rolling_shutter: bool = False
+    turning: bool = False
+    free_lens: bool = False
+    model: str = "auto"
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,19 @@ class SharedUnknowns:
 
 
 @dataclass(frozen=True)
+class ModelChoice:
+    """Models of lens and shutter that were tried beside the one as given, and the one that was taken.
+
+    taken: what was added, see `chosen_model`, in order. names, left_out_px: every model, its additions
+    joined by +, and the median residual of the tie points left out of its solve.
+    """
+
+    taken: tuple[str, ...]
+    names: tuple[str, ...]
+    left_out_px: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class ImageResiduals:
     """What a solve leaves of its tie points' image coordinates.
 
@@ -140,7 +157,8 @@ class Adjusted:
     that goes with the poses: the block's own, unless the method estimates it. control: of the block's
     control and check points that were measured in pictures. Of methods that solve for them:
     pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), of frames that took
-    no part that of their POS; shared and image_residuals.
+    no part that of their POS; shared, image_residuals, and model, where
+    more than the given one was tried.
     """
 
     poses: Poses
@@ -155,3 +173,4 @@ class Adjusted:
     pose_covariance: Floats | None = None
     shared: SharedUnknowns | None = None
     image_residuals: ImageResiduals | None = None
+    model: ModelChoice | None = None

@@ -20,8 +20,8 @@ _BATCH = 8192
 
 @dataclass(frozen=True)
 class Normals:
-    """Blocks of A'PA and A'Pl: f frames of 6 unknowns, c cameras of k, p points of 3, and what all frames
-    share: the ground's level and q unknowns of the mounting, which meet the poses alone.
+    """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and
+    what all frames share: the ground's level and q unknowns of the mounting, which meet the poses alone.
 
     The m observations' own blocks (point by frame) are kept, in order of points, for the reduction.
     """
@@ -30,15 +30,15 @@ class Normals:
     point: Ints
     camera_of: Ints
     pose: Floats
-    """(f, 6, 6)"""
+    """(f, d, d)"""
     interior: Floats
     """(c, k, k)"""
     points: Floats
     """(p, 3, 3)"""
     pose_interior: Floats
-    """(f, 6, k), each frame with its own camera"""
+    """(f, d, k), each frame with its own camera"""
     point_pose: Floats
-    """(m, 3, 6), an observation each"""
+    """(m, 3, d), an observation each"""
     interior_point: Floats
     """(c, p, k, 3)"""
     pose_side: Floats
@@ -49,7 +49,7 @@ class Normals:
     level: float
     level_side: float
     pose_mounting: Floats
-    """(f, 6, q)"""
+    """(f, d, q)"""
     mounting: Floats
     """(q, q)"""
     mounting_side: Floats
@@ -62,6 +62,7 @@ def build_normals(
     camera_of: Ints,
     counts: tuple[int, int, int, int],
     linearised: Callable[[Ints], tuple[Floats, Floats, Floats, Floats, Floats]],
+    d: int = 6,
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
     mounting (none here) with them.
@@ -69,27 +70,28 @@ def build_normals(
     Derivatives are asked for some frames at a time, so that no array of all of them is ever made.
 
     Args: frame, point (m,): in order of points; camera_of (f,); counts: frames, cameras, numbers of a
-        camera, points. linearised: of some observations (n,) residuals (n, 2) observed minus computed,
-        weights (n,), and derivatives by pose, interior and point as `collinearity.project` gives them.
+        camera, points; d: unknowns of a frame. linearised: of some observations (n,) residuals (n, 2)
+        observed minus computed, weights (n,), and derivatives by pose, interior and point as
+        `collinearity.project` gives them.
     """
     f, c, k, p = counts
     order, ends = _sorted(frame, f)
-    point_pose = np.empty((len(order), 3, 6))
-    in_frame, in_point = np.empty((f, k + 7, k + 7)), np.zeros((c * p, 3, k + 4))
+    point_pose = np.empty((len(order), 3, d))
+    in_frame, in_point = np.empty((f, d + k + 1, d + k + 1)), np.zeros((c * p, 3, k + 4))
     for first, last in _batches(ends):
         which = order[ends[first] : ends[last]]
         residual, weight, by_pose, by_interior, by_point = linearised(which)
         rows = np.concatenate([by_pose, by_interior, residual[:, :, None], by_point], axis=2)
         rows *= np.sqrt(weight)[:, None, None]
         for i in range(first, last):
-            mine = rows[ends[i] - ends[first] : ends[i + 1] - ends[first], :, :-3].reshape(-1, k + 7)
+            mine = rows[ends[i] - ends[first] : ends[i + 1] - ends[first], :, :-3].reshape(-1, d + k + 1)
             in_frame[i] = mine.T @ mine
         by_rows = np.swapaxes(rows[:, :, -3:], 1, 2) @ rows
-        point_pose[which] = by_rows[:, :, :6]
+        point_pose[which] = by_rows[:, :, :d]
         met, local = np.unique(camera_of[frame[which]] * p + point[which], return_inverse=True)
         into, starts = _sorted(local, len(met))
         summing = csr_matrix((np.ones(len(into)), into, starts), shape=(len(met), len(into)))
-        in_point[met] += (summing @ by_rows[:, :, 6:].reshape(len(into), -1)).reshape(-1, 3, k + 4)
+        in_point[met] += (summing @ by_rows[:, :, d:].reshape(len(into), -1)).reshape(-1, 3, k + 4)
     of_camera = np.eye(c)[camera_of].T
     by_camera = in_point.reshape(c, p, 3, k + 4)
     both = by_camera[..., k:].sum(axis=0)
@@ -97,19 +99,19 @@ def build_normals(
         frame=frame,
         point=point,
         camera_of=camera_of,
-        pose=in_frame[:, :6, :6].copy(),
-        interior=np.tensordot(of_camera, in_frame[:, 6:-1, 6:-1], axes=1),
+        pose=in_frame[:, :d, :d].copy(),
+        interior=np.tensordot(of_camera, in_frame[:, d:-1, d:-1], axes=1),
         points=both[..., 1:].copy(),
-        pose_interior=in_frame[:, :6, 6:-1],
+        pose_interior=in_frame[:, :d, d:-1],
         point_pose=point_pose,
         interior_point=np.swapaxes(by_camera[..., :k], 2, 3),
-        pose_side=in_frame[:, :6, -1].copy(),
-        interior_side=of_camera @ in_frame[:, 6:-1, -1],
+        pose_side=in_frame[:, :d, -1].copy(),
+        interior_side=of_camera @ in_frame[:, d:-1, -1],
         point_side=both[..., 0].copy(),
         level_point=np.zeros((p, 3)),
         level=0.0,
         level_side=0.0,
-        pose_mounting=np.zeros((f, 6, 0)),
+        pose_mounting=np.zeros((f, d, 0)),
         mounting=np.zeros((0, 0)),
         mounting_side=np.zeros(0),
     )
@@ -138,7 +140,7 @@ class Reduced:
 
     poses: bsr_matrix
     border: Floats
-    """(6f, s)"""
+    """(d f, s)"""
     shared: Floats
     """(s, s)"""
     pose_side: Floats
@@ -151,14 +153,14 @@ class Reduced:
         return BlockTridiagonal(self.poses)
 
     def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
-        """Corrections of poses (f, 6), interiors (c, k), points (p, 3), the ground's level and the
+        """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
         mounting (q,)."""
         y = self._factors.solve(np.column_stack([self.border, self.pose_side]))
         corner = self.shared - self.border.T @ y[:, :-1]
         shared = _spd_solve(corner, (self.shared_side - self.border.T @ y[:, -1])[:, None])[:, 0]
         pose = y[:, -1] - y[:, :-1] @ shared
         n = self.normals
-        dp = pose.reshape(-1, 6)
+        dp = pose.reshape(len(n.pose), -1)
         dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
         side = n.point_side - (_points_by_frames(n) @ pose).reshape(-1, 3)
         side -= np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
@@ -167,10 +169,10 @@ class Reduced:
         return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
 
     def covariance(self) -> tuple[Floats, Floats]:
-        """Covariances for unit weight, with all correlations: each pose's own (f, 6, 6), and the full matrix
+        """Covariances for unit weight, with all correlations: each frame's own (f, d, d), and the full matrix
         of what frames share (s, s)."""
         shared = self.shared_covariance()
-        by_shared = self._by_border.reshape(-1, 6, len(shared))
+        by_shared = self._by_border.reshape(len(self.normals.pose), -1, len(shared))
         return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared
 
     def shared_covariance(self) -> Floats:
@@ -203,8 +205,10 @@ class Reduced:
     def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
         """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.
 
-        Args: derivatives by_pose (6f, r), by_shared (s, r).
+        Args: derivatives by_pose (f, 6, r), by_shared (s, r).
         """
+        f, d = self.normals.pose_side.shape
+        by_pose = np.pad(by_pose, ((0, 0), (0, d - by_pose.shape[1]), (0, 0))).reshape(d * f, -1)
         solved = self._factors.solve(np.column_stack([self.border, by_pose]))
         y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
         rest = by_shared - y.T @ by_pose
@@ -215,7 +219,7 @@ class Reduced:
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
     to the diagonal."""
-    f, (c, k) = len(n.pose), n.interior_side.shape
+    (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
     pose, interior, points = (_damped(a, damping) for a in (n.pose, n.interior, n.points))
     inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
     by_camera = n.interior_point.transpose(1, 3, 0, 2).reshape(len(points), 3, c * k)
@@ -223,11 +227,11 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     flat = met.reshape(3 * len(points), -1)
     less, less_beside = _met_through_points(n, inverse, flat)
     less_shared = flat.T @ (inverse @ met).reshape(flat.shape)
-    own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(6 * f, 6 * f), blocksize=(6, 6))
-    border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(6 * f, -1)])
+    own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(d * f, d * f), blocksize=(d, d))
+    border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
     for i in range(c):
         rows = np.flatnonzero(n.camera_of == i)
-        index = (6 * rows[:, None] + np.arange(6)).ravel()
+        index = (d * rows[:, None] + np.arange(d)).ravel()
         border[index, k * i : k * i + k] += n.pose_interior[rows].reshape(-1, k)
     corner = block_diag(*interior, n.level, _damped(n.mounting, damping))
     corner[: c * k + 1, : c * k + 1] -= less_shared[:-1, :-1]
@@ -245,23 +249,23 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
 
 
 def _points_by_frames(n: Normals) -> bsr_matrix:
-    """The points' rows of the normal equations in the columns of the poses, (3p, 6f)."""
+    """The points' rows of the normal equations in the columns of the poses, (3p, d f)."""
     starts = np.searchsorted(n.point, np.arange(len(n.points) + 1))
-    shape = (3 * len(n.points), 6 * len(n.pose))
-    return bsr_matrix((n.point_pose, n.frame, starts), shape=shape, blocksize=(3, 6))
+    shape = (3 * len(n.points), n.pose_side.size)
+    return bsr_matrix((n.point_pose, n.frame, starts), shape=shape, blocksize=(3, n.pose.shape[1]))
 
 
 def _met_through_points(n: Normals, inverse: Floats, beside: Floats) -> tuple[bsr_matrix, Floats]:
     """W V^-1 W' and W V^-1 times beside (3p, r), with W the poses' rows in the columns of the points and V
     the points' own blocks."""
-    by_frames = _points_by_frames(n)
-    order, ends = _sorted(n.frame, len(n.pose))
+    by_frames, (f, d) = _points_by_frames(n), n.pose_side.shape
+    order, ends = _sorted(n.frame, f)
     products, others = [], []
     for first, last in _batches(ends):
         which = order[ends[first] : ends[last]]
         blocks = np.swapaxes(n.point_pose[which], 1, 2) @ inverse[n.point[which]]
-        starts, shape = ends[first : last + 1] - ends[first], (6 * (last - first), len(beside))
-        scaled = bsr_matrix((blocks, n.point[which], starts), shape=shape, blocksize=(6, 3))
+        starts, shape = ends[first : last + 1] - ends[first], (d * (last - first), len(beside))
+        scaled = bsr_matrix((blocks, n.point[which], starts), shape=shape, blocksize=(d, 3))
         products.append(scaled @ by_frames)
         others.append(scaled @ beside)
     counts = np.concatenate([np.diff(a.indptr) for a in products])
@@ -270,8 +274,7 @@ def _met_through_points(n: Normals, inverse: Floats, beside: Floats) -> tuple[bs
         np.concatenate([a.indices for a in products]),
         np.concatenate([[0], np.cumsum(counts)]),
     )
-    size = 6 * len(n.pose)
-    return bsr_matrix(together, shape=(size, size), blocksize=(6, 6)), np.concatenate(others)
+    return bsr_matrix(together, shape=(d * f, d * f), blocksize=(d, d)), np.concatenate(others)
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from geomosaic.adjustment.chosen_ground import (
     off_ground_m,
     surface_of,
 )
+from geomosaic.adjustment.chosen_model import chosen_model, model_warnings
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
 from geomosaic.adjustment.doubts import (
@@ -93,7 +95,14 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     camera_of = np.array([number[c.name] for c in block.cameras])
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
-    found = _found(block, settings, few, camera_of, cameras, start)
+    found, choice = _found(block, settings, few, camera_of, cameras, start), None
+    if settings.model == "auto" and found.ties.points:
+        solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
+        as_given = _of_ties(found.solved, found.ties)
+        block, settings, choice = chosen_model(block, settings, found.ties, as_given, solve)
+    if choice is not None and choice.taken:
+        cameras = tuple({c.name: c for c in block.cameras}.values())
+        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if few is not tracks:
         found = _with_all(block, settings, tracks, camera_of, cameras, found)
     kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
@@ -114,6 +123,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *undetermined_wishes(shared),
             *unsolved_frames(block, bundle.left_out),
             *strayed_lenses(cameras, bundle.strayed),
+            *model_warnings(choice),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
         figures=_figures(bundle, kept) | _relief(found),
@@ -123,8 +133,18 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         outcome,
         pose_covariance=bundle.pose_covariance,
         shared=shared,
+        model=choice,
         image_residuals=ImageResiduals(kept.frame, kept.image_px, bundle.residual_px, bundle.weight),
     )
+
+
+def _free(
+    block: Block, settings: Settings, tracks: Tracks, camera_of: NDArray[np.intp], start: Poses
+) -> Bundle:
+    """The solution with points of their own and no control, as models are compared."""
+    cameras = tuple({c.name: c for c in block.cameras}.values())
+    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+    return solve_bundle(kept, camera_of, priors_of(block, settings, cameras, points), start)
 
 
 @dataclass(frozen=True)

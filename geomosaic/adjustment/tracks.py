@@ -65,6 +65,13 @@ def join_tracks(ties: TiePoints) -> Tracks:
     return Tracks(frame[good].astype(np.intp), point.astype(np.intp), image_px[good])
 
 
+def chosen_tracks(tracks: Tracks, chosen: NDArray[np.bool_]) -> Tracks:
+    """Some of the tracks: chosen (p,)."""
+    keep = chosen[tracks.point]
+    _, point = np.unique(tracks.point[keep], return_inverse=True)
+    return Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
+
+
 def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Tracks:
     """At most about per_frame observations a frame, spread evenly, long tracks first.
 
@@ -82,9 +89,7 @@ def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 1
     order = np.lexsort((tracks.point, -length, cell))
     rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
     asked = order[rank < max(1, per_frame // cells**2)]
-    keep = np.isin(tracks.point, tracks.point[asked])
-    _, point = np.unique(tracks.point[keep], return_inverse=True)
-    return Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
+    return chosen_tracks(tracks, np.isin(np.arange(tracks.points), tracks.point[asked]))
 
 
 def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:

@@ -25,7 +25,8 @@ def _half_turned(block: Block) -> list[int]:
 def _turned_poses(poses: Poses, frames: list[int]) -> Poses:
     rotations = poses.rotations.copy()
     rotations[frames] = Rotation(rotations[frames]).turned(2).matrix
-    return replace(poses, rotations=rotations)
+    turns = None if poses.turns is None else poses.turns.turned(frames, 2)
+    return replace(poses, rotations=rotations, turns=turns)
 
 
 def as_taken(block: Block) -> Block:

@@ -59,7 +59,8 @@ def variance_components(
     reduced = reduce_normals(n)
     covariance, shared = reduced.covariance()
     sd, weight = pose_sd(priors, factors), trust_of(priors)
-    share = np.diagonal(covariance, axis1=1, axis2=2) * weight / sd**2
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    share = variances[:, :6] * weight / sd**2
     control = priors.control[tracks.point]
     length_px = lengths_px(tracks, camera_of, priors, state)
     tied = ~control & has_say(tracks, priors)
@@ -69,7 +70,9 @@ def variance_components(
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
-        unknowns = 6 * len(state.positions) + state.interior.size + 3 * int((~priors.control).sum()) - settled
+        if state.rates is not None:
+            settled += float(variances[:, 6:].sum()) / priors.rate_sd_rad_per_s**2
+        unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
         image_px = factors.image_px * float(np.sqrt((robust * length**2).sum() / redundancy))
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))

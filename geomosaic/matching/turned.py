@@ -209,10 +209,11 @@ def _total(costs: list[tuple[int, int, Floats]], turn: Ints, fee_m: float) -> fl
 def righted(poses: Poses, turns: dict[int, int]) -> Poses:
     """Poses with the rotations of turned pictures; a picture turned clockwise shows its points turned
     counter-clockwise about the nadir."""
-    rotations = poses.rotations.copy()
+    rotations, turned = poses.rotations.copy(), poses.turns
     for i, quarters in turns.items():
         rotations[i] = poses[i].rotation.turned(quarters).matrix
-    return replace(poses, rotations=rotations)
+        turned = None if turned is None else turned.turned([i], quarters)
+    return replace(poses, rotations=rotations, turns=turned)
 
 
 def reheaded(poses: Poses, headings_rad: dict[int, float]) -> Poses:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Poses
+from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
@@ -110,6 +110,10 @@ def prior_poses(
         np.array([getattr(f.attitude, angle) or 0.0 for f in frames]) for angle in ("pitch_deg", "roll_deg")
     )
     local = ATTITUDES[attitude](yaw, pitch, roll).matrix
+    times_s = np.array([or_nan(f.time_s) for f in frames])
+    velocities = velocities_m_per_s(positions, times_s, lines)
+    for i in (i for i, f in enumerate(frames) if f.velocity_m_per_s is not None):
+        velocities[i] = work_from_local[i] @ frames[i].velocity_m_per_s
     sd_tilt = np.array([f.attitude.sd_tilt_deg for f in frames])
     return Poses(
         positions_m=positions,
@@ -118,5 +122,17 @@ def prior_poses(
             [[[f.position.sd_east_m, f.position.sd_north_m] for f in frames], heights_sd_m]
         ),
         rotations_sd_rad=np.radians(np.column_stack([sd_tilt, sd_tilt, sd_yaw])),
-        velocities_m_per_s=velocities_m_per_s(positions, np.array([or_nan(f.time_s) for f in frames]), lines),
+        velocities_m_per_s=velocities,
+        turns=_turns(survey),
     )
+
+
+def _turns(survey: Survey) -> Turns | None:
+    """Those of all frames, over one span; 0 for frames without."""
+    known = [f.turns for f in survey.frames if f.turns is not None]
+    if not known:
+        return None
+    span_s, times = max(t.span_s for t in known), max(len(t.rad) for t in known)
+    none = np.zeros((times, 3))
+    tables = [none if f.turns is None else f.turns.tabled(span_s, times).rad for f in survey.frames]
+    return Turns(span_s, np.stack(tables))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import turned_by
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface
@@ -24,7 +25,10 @@ Floats32 = NDArray[np.float32]
 _NODES = 5
 _HEIGHT_ROUNDS = 3
 _ROWS_AT_ONCE = 64
-_READOUT_ROUNDS = 2
+_MOVING_ROUNDS, _TURNING_ROUNDS = 2, 5
+_TIMES_A_ROW = (
+    4  # turns are looked up, not interpolated: vibration turns a camera by some tenths of a pixel a row
+)
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,8 @@ def frame_from_map(
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
     limit = camera.radius_limit**2
     velocity = np.zeros(3) if pose.velocity_m_per_s is None else pose.velocity_m_per_s @ pose.rotation.matrix
-    rolling = camera.readout_s != 0.0 and bool(velocity.any())
+    turns = _turns_by_row(pose, camera)
+    rolling = turns is not None or (camera.readout_s != 0.0 and bool(velocity.any()))
     col = np.empty((v.size, u.size), dtype=np.float32)
     row = np.empty_like(col)
     for top in range(0, v.size, _ROWS_AT_ONCE):
@@ -138,11 +143,24 @@ def frame_from_map(
             _image_from_camera(camera, limit, x, y, z, *into)
             continue
         _image_from_camera(camera, limit, x.copy(), y.copy(), z.copy(), *into)
-        for _ in range(_READOUT_ROUNDS):
+        for _ in range(_MOVING_ROUNDS if turns is None else _TURNING_ROUNDS):
             after_s = camera.read_after_s(into[1])
             mx, my, mz = (axis - after_s * np.float32(v) for axis, v in zip((x, y, z), velocity, strict=True))
+            if turns is not None:
+                at = np.clip(np.nan_to_num(into[1] * _TIMES_A_ROW + 0.5), 0, turns.shape[1] - 1).astype(
+                    np.intp
+                )
+                mx, my, mz = turned_by([turn[at] for turn in turns], (mx, my, mz))
             _image_from_camera(camera, limit, mx, my, mz, *into)
     return col, row
+
+
+def _turns_by_row(pose: Pose, camera: Camera) -> Floats32 | None:
+    """The turns (3, times) from present to middle camera axes, backwards, for each quarter of a row."""
+    if pose.turns is None or not camera.readout_s:
+        return None
+    row_px = np.arange(_TIMES_A_ROW * camera.height_px + 1) / _TIMES_A_ROW
+    return np.asarray(-pose.turns.at(camera.read_after_s(row_px))[0].T, dtype=np.float32)
 
 
 def _image_from_camera(

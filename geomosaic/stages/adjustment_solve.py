@@ -55,6 +55,12 @@ class AdjustmentSolve(Stage):
         boresight: bool = param(False, help="a bundle solves for the attitude between platform and camera")
         lever_arm: bool = param(False, help="a bundle solves for where positions are told, from the camera")
         gps_lag: bool = param(False, help="a bundle solves for how late positions are, along the flight")
+        model: str = param(
+            "auto",
+            help="lens and shutter: what tie points left out of the solve speak for, or as given",
+            choices=("auto", "given"),
+        )
+        turning: bool = param(False, help="a bundle solves for how frames turn while their rows are read")
         rolling_shutter: bool = param(False, help="a bundle solves for the time from first to last row")
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
@@ -100,6 +106,8 @@ class AdjustmentSolve(Stage):
             context.warn(warning.code, warning.frame, warning.text)
         _tell_control(context, adjusted)
         _tell_shared(context, adjusted)
+        if adjusted.model is not None:
+            context.metric("adjustment.model", asdict(adjusted.model))
         for name, value in adjusted.figures.items():
             context.metric(f"adjustment.{name}", value)
         context.metric("ground.kind", adjusted.ground.kind)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.doors.files import printable
 from geomosaic.geodesy.local import LocalFrame
@@ -56,7 +57,8 @@ class Frame:
 
     `name` is the file's name without folders; `path` is absolute. `valid_mask` names a raster of
     the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
-    that is used none the less, only the first `whole_rows` count.
+    that is used none the less, only the first `whole_rows` count. velocity_m_per_s: east, north, up;
+    turns: while its rows were read.
     """
 
     name: str
@@ -71,6 +73,8 @@ class Frame:
     time_s: float | None = None
     valid_mask: str | None = None
     nodata: float | None = None
+    velocity_m_per_s: tuple[float, float, float] | None = None
+    turns: Turns | None = None
     whole_rows: int | None = None
 
 

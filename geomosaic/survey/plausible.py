@@ -79,6 +79,10 @@ RESURVEYED: Final = Limit(
     "RTK: 0.05 m",
 )
 SLOWEST: Final = Limit(5.0, "s", "to read a frame's rows: rolling shutters take under 0.3 s", "makers' tags")
+FASTEST: Final = Limit(1000.0, "m/s", "three times the speed of sound", "SR-71: 980")
+FASTEST_TURN: Final = Limit(
+    35.0, "rad/s", "2000 degrees a second, where small gyroscopes end", "InvenSense MPU-6000, full scale"
+)
 _NEIGHBOURS: Final = 8
 _NORMAL: Final = 1.4826
 

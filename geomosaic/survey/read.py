@@ -21,6 +21,7 @@ from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, Warn
+from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
 from geomosaic.survey.observations import lonlat_of, observe
 from geomosaic.survey.places import check_area
@@ -162,6 +163,8 @@ def read_survey(
             time_s=h.exif.time_s,
             valid_mask=sidecars.get(h.path.name),
             nodata=h.nodata,
+            velocity_m_per_s=velocity_of(h),
+            turns=turns_of(h),
             whole_rows=found.whole_rows.get(h.path.name),
         )
         for h, name, position, attitude in zip(

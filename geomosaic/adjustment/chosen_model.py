@@ -1,0 +1,151 @@
+"""Which model of lens and shutter a block is solved with: the one that predicts tie points left out best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.bundle_model import Bundle
+from geomosaic.adjustment.model import Block, ModelChoice, Settings
+from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays
+from geomosaic.camera.interior import Camera
+from geomosaic.survey.model import Warn
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+GOOD_PX = 1.0
+"""Image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a picture
+that is matched at its size or half of it."""
+_PATTERN_PX = 0.5
+"""Root mean square of what residuals have in common by their place in the picture: a keypoint's own error."""
+_CELLS = 8
+_BETTER = 0.9
+"""Of the last model's residuals a richer one has to leave less than this share."""
+_LEFT_OUT = 5  # one track of so many
+_LEAST_TRACKS = 100
+_LEAST_PX = 0.5  # of tracks left out: nothing is to be gained beyond
+_GIVEN = "given"
+_NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
+_TEXTS = {
+    "lens": "the lens free of what its maker says",
+    "fisheye": "a fisheye lens",
+    "readout": "rows read one after the other, their time solved for",
+    "turning": "each frame turning at a rate of its own while its rows are read",
+    "untold_turns": "without the turns that the tags tell",
+}
+
+
+Solve = Callable[[Block, Settings, Tracks], Bundle]
+
+
+def chosen_model(
+    block: Block, settings: Settings, tracks: Tracks, first: Bundle, solve: Solve
+) -> tuple[Block, Settings, ModelChoice | None]:
+    """Block and settings of the model to solve with, and how it was chosen; None where the given one is good
+    from the start.
+
+    What is missing is added one by one, each time what helps most, as long as it helps by a tenth. Every
+    model is judged on the same tracks, which took no part in its solve.
+
+    Args: first: the solution as given; solve: of tracks with a model.
+    """
+    good = first.factors.image_px <= GOOD_PX and pattern_px(block, tracks, first) <= _PATTERN_PX
+    if good or tracks.points < _LEAST_TRACKS:
+        return block, settings, None
+    out = np.random.default_rng(0).permutation(tracks.points) % _LEFT_OUT == 0
+    rest, judges = chosen_tracks(tracks, ~out), chosen_tracks(tracks, out)
+    tried = {_GIVEN: _left_out_px(judges, block, solve(block, settings, rest))}
+    taken: tuple[str, ...] = ()
+    while tried["+".join(taken) or _GIVEN] > _LEAST_PX:
+        more = dict(_candidates(block, settings, taken))
+        for name, (its_block, its_settings) in more.items():
+            tried["+".join((*taken, name))] = _left_out_px(
+                judges, its_block, solve(its_block, its_settings, rest)
+            )
+        best = min(more, key=lambda name: tried["+".join((*taken, name))], default="")
+        if not best or tried["+".join((*taken, best))] > _BETTER * tried["+".join(taken) or _GIVEN]:
+            break
+        taken = (*taken, best)
+        block, settings = more[best]
+    return block, settings, ModelChoice(taken, tuple(tried), tuple(tried.values()))
+
+
+def model_warnings(choice: ModelChoice | None) -> list[Warn]:
+    """A line if something other than the given was needed."""
+    if choice is None or not choice.taken:
+        return []
+    before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(choice.taken)))
+    text = (
+        f"lens and shutter as given leave {before:.2g} px at tie points left out of the solve; taken "
+        f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in choice.taken)}"
+    )
+    return [Warn("model-chosen", "", text)]
+
+
+def _candidates(
+    block: Block, settings: Settings, taken: tuple[str, ...]
+) -> Iterator[tuple[str, tuple[Block, Settings]]]:
+    """What can be added to a model, each with its block and settings."""
+    moving = block.poses.velocities_m_per_s is not None or block.poses.turns is not None
+    read = any(c.readout_s for c in block.cameras) or settings.rolling_shutter
+    if not settings.free_lens and any(c.distortion_sd for c in block.cameras):
+        yield "lens", (block, replace(settings, free_lens=True))
+    if "fisheye" not in taken and not any(c.distortion_sd for c in block.cameras):
+        yield "fisheye", (_each_camera(block, _as_fisheye), settings)
+    if moving and not settings.rolling_shutter:
+        turns = block.poses.turns
+        begin_s = _NOMINAL_READOUT_S if turns is None else turns.span_s
+
+        def rolling(camera: Camera) -> Camera:
+            return camera if camera.readout_s else replace(camera, readout_s=begin_s)
+
+        yield "readout", (_each_camera(block, rolling), replace(settings, rolling_shutter=True))
+    if read and not settings.turning:
+        yield "turning", (block, replace(settings, turning=True))
+    if read and block.poses.turns is not None:
+        yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
+
+
+def _each_camera(block: Block, change: Callable[[Camera], Camera]) -> Block:
+    return replace(block, cameras=tuple(change(c) for c in block.cameras))
+
+
+def _as_fisheye(camera: Camera) -> Camera:
+    if camera.kind == "fisheye":
+        return camera
+    return replace(camera, kind="fisheye", k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+
+
+def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> float:
+    """Median residual of tracks that a solution has not seen, their points put nearest to their rays."""
+    number = {c.name: k for k, c in enumerate(solved.cameras)}
+    cameras = [solved.cameras[number[c.name]] for c in block.cameras]
+    centre = np.median(solved.points_m, axis=0)
+    near = np.broadcast_to(centre, (tracks.points, 3))
+    points = nearest_to_rays(tracks, solved.poses, cameras, near)
+    seen = np.empty_like(tracks.image_px)
+    for i in np.unique(tracks.frame):
+        mine = np.flatnonzero(tracks.frame == i)
+        seen[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
+    length = np.linalg.norm(tracks.image_px - seen, axis=1)
+    return float(np.median(np.nan_to_num(length, nan=1e6)))
+
+
+def pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:
+    """What residuals have in common by their place in the picture, beyond chance: root mean square over
+    cells."""
+    sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
+    at = np.clip(tracks.image_px / sizes[tracks.frame] * _CELLS, 0, _CELLS - 1).astype(np.intp)
+    cell = at[:, 1] * _CELLS + at[:, 0]
+    weight = np.where(np.isfinite(solved.residual_px).all(axis=1), solved.weight, 0.0)
+    residual = np.nan_to_num(solved.residual_px)
+    total = np.bincount(cell, weight, _CELLS**2)
+    known = total > 1.0
+    sums = np.stack([np.bincount(cell, weight * residual[:, k], _CELLS**2) for k in range(2)], axis=1)
+    mean = sums[known] / total[known, None]
+    chance = 2.0 * solved.factors.image_px**2 / total[known]
+    return float(np.sqrt(max(np.mean((mean**2).sum(axis=1) - chance), 0.0))) if known.any() else 0.0

@@ -1,0 +1,80 @@
+"""How a frame moved while its rows were read: the inertial unit's samples in Pix4D's namespace `Camera`."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Turns
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.plausible import FASTEST, FASTEST_TURN, SLOWEST
+from geomosaic.survey.xmp import Xmp, numbers
+
+Floats = NDArray[np.float64]
+
+CAMERA_FROM_UNIT: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""The unit's axes are the body's, forward, right and down, and forward is the picture's top: of all 24
+right-handed assignments the one that the pictures confirm, see docs/design.md."""
+UNIT_DELAY_S: Final = 0.0425
+"""By how much the rates that a Sequoia writes lag: the middle row was read when the middle sample was taken,
+and its true rates are those written so much later. From the pictures, see docs/design.md."""
+_SAMPLE: Final = np.dtype([("time_us", "<u8"), ("rad_per_s", "<f4", 3), ("flags", "<u4")])
+_MOST_SAMPLES: Final = 4096  # of 1 kHz in a readout of 0.2 s: 185
+_LONGEST: Final = 4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4
+_LEAST_SAMPLES: Final = 8
+_SAMPLES_A_TURN: Final = 4  # vibration of some tens of Hz, sampled at 1 kHz: the turn is smooth over 4 ms
+_EDGE: Final = 5  # samples whose mean goes on beyond the first and the last
+
+
+def turns_of(header: FrameHeader) -> Turns | None:
+    """The frame's turns by `Camera:IMUAngularVelocity`, None without it or where it can't be.
+
+    Base64 of 24-byte records, little endian: uint64 microseconds, three float32 in rad/s, uint32.
+    """
+    samples = _samples(header.xmp or {})
+    if samples is None:
+        return None
+    time_s, rates = samples
+    span_s = float(time_s[-1])
+    before, after = rates[:_EDGE].mean(axis=0), rates[-_EDGE:].mean(axis=0)
+    time_s = np.concatenate([[-span_s], time_s, [2.0 * span_s]])
+    rates = np.concatenate([[before], rates, [after]]) @ CAMERA_FROM_UNIT.T
+    steps = (rates[1:] + rates[:-1]) / 2.0 * np.diff(time_s)[:, None]
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    times = 2 * (len(time_s) // (2 * _SAMPLES_A_TURN)) + 1
+    at_s = span_s / 2.0 + UNIT_DELAY_S + np.linspace(-0.5, 0.5, times) * span_s
+    rad = np.stack([np.interp(at_s, time_s, turned[:, axis]) for axis in range(3)], axis=1)
+    return Turns(span_s, rad - rad[times // 2])
+
+
+def velocity_of(header: FrameHeader) -> tuple[float, float, float] | None:
+    """`Camera:IMULinearVelocity`: east, north and up in m/s, as the positions of the frames confirm."""
+    found = numbers(header.xmp or {}, "Camera:IMULinearVelocity", 3)
+    if found is None or not max(map(abs, found)) <= FASTEST.value:
+        return None
+    return found[0], found[1], found[2]
+
+
+def _samples(xmp: Xmp) -> tuple[Floats, Floats] | None:
+    """Times (n,) from the first one on, in s, and rates (n, 3) about the unit's axes."""
+    text = xmp.get("Camera:IMUAngularVelocity", "")
+    if not 0 < len(text) <= _LONGEST:
+        return None
+    try:
+        data = base64.b64decode(text, validate=True)
+    except binascii.Error:
+        return None
+    if len(data) % _SAMPLE.itemsize or not _LEAST_SAMPLES <= len(data) // _SAMPLE.itemsize <= _MOST_SAMPLES:
+        return None
+    samples = np.frombuffer(data, dtype=_SAMPLE)
+    time_us = samples["time_us"]
+    passed_us = np.diff(time_us)  # of unsigned numbers: a step back is a huge one
+    rates = samples["rad_per_s"].astype(np.float64)
+    if not (np.abs(rates) <= FASTEST_TURN.value).all() or not passed_us.all():
+        return None
+    time_s = 1e-6 * np.concatenate([[0.0], np.cumsum(passed_us.astype(np.float64))])
+    return (time_s, rates) if time_s[-1] <= SLOWEST.value else None
