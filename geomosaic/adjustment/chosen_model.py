@@ -27,14 +27,20 @@ _BETTER = 0.9
 """Of the last model's residuals a richer one has to leave less than this share."""
 _LEFT_OUT = 5  # one track of so many
 _LEAST_TRACKS = 100
-_LEAST_PX = 0.5  # of tracks left out: nothing is to be gained beyond
+_LEAST_PX = 0.25
+"""Of tracks left out, what keypoints themselves are off by: nothing is to be gained below. Above it a shutter
+that nothing tells of may hide though all looks well: along straight lines it only stretches the block, and the
+principal point takes up how frames turn while they are read."""
+_CONTRADICTS = 1.2
+"""Positions that fit worse by more than this are against a model, however well it pleases the tie points: a block
+that is bent or stretched pleases them too."""
 _GIVEN = "given"
 _NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
 _TEXTS = {
     "lens": "the lens free of what its maker says",
     "fisheye": "a fisheye lens",
     "readout": "rows read one after the other, their time solved for",
-    "turning": "each frame turning at a rate of its own while its rows are read",
+    "turning": "each frame turning at a rate of its own while its rows are read one after the other",
     "untold_turns": "without the turns that the tags tell",
 }
 
@@ -54,60 +60,99 @@ def chosen_model(
     Args: first: the solution as given; solve: of tracks with a model.
     """
     good = first.factors.image_px <= GOOD_PX and pattern_px(block, tracks, first) <= _PATTERN_PX
+    if untold_shutter(block, settings):
+        good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
     if good or tracks.points < _LEAST_TRACKS:
         return block, settings, None
     out = np.random.default_rng(0).permutation(tracks.points) % _LEFT_OUT == 0
     rest, judges = chosen_tracks(tracks, ~out), chosen_tracks(tracks, out)
-    tried = {_GIVEN: _left_out_px(judges, block, solve(block, settings, rest))}
     taken: tuple[str, ...] = ()
+    now = solve(block, settings, rest)
+    tried = {_GIVEN: _left_out_px(judges, block, now)}
+    contradicted: list[str] = []
     while tried["+".join(taken) or _GIVEN] > _LEAST_PX:
-        more = dict(_candidates(block, settings, taken))
-        for name, (its_block, its_settings) in more.items():
-            tried["+".join((*taken, name))] = _left_out_px(
-                judges, its_block, solve(its_block, its_settings, rest)
-            )
-        best = min(more, key=lambda name: tried["+".join((*taken, name))], default="")
-        if not best or tried["+".join((*taken, best))] > _BETTER * tried["+".join(taken) or _GIVEN]:
+        before = tried["+".join(taken) or _GIVEN]
+        fitting: dict[str, tuple[Block, Settings, Bundle]] = {}
+        for name, (its_block, its_settings) in _candidates(block, settings, taken):
+            whole = "+".join((*taken, name))
+            its = solve(its_block, its_settings, rest)
+            tried[whole] = _left_out_px(judges, its_block, its)
+            if its.factors.horizontal <= _CONTRADICTS * now.factors.horizontal:
+                fitting[name] = its_block, its_settings, its
+            elif tried[whole] <= _BETTER * before:
+                contradicted.append(whole)
+        best = min(fitting, key=lambda name: tried["+".join((*taken, name))], default="")
+        if not best or tried["+".join((*taken, best))] > _BETTER * before:
             break
         taken = (*taken, best)
-        block, settings = more[best]
-    return block, settings, ModelChoice(taken, tuple(tried), tuple(tried.values()))
+        block, settings, now = fitting[best]
+    choice = ModelChoice(taken, tuple(tried), tuple(tried.values()), tuple(contradicted))
+    return block, settings, choice
 
 
-def model_warnings(choice: ModelChoice | None) -> list[Warn]:
-    """A line if something other than the given was needed."""
-    if choice is None or not choice.taken:
+def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
+    """A line if something other than the given was needed, and one if how frames turn is the pictures' word
+    alone or can't be told."""
+    if choice is None:
         return []
-    before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(choice.taken)))
-    text = (
-        f"lens and shutter as given leave {before:.2g} px at tie points left out of the solve; taken "
-        f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in choice.taken)}"
+    out = []
+    before, after = (
+        choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(choice.taken) or _GIVEN)
     )
-    return [Warn("model-chosen", "", text)]
+    if choice.taken:
+        text = (
+            f"lens and shutter as given leave {before:.2g} px at tie points left out of the solve; taken "
+            f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in choice.taken)}"
+        )
+        out.append(Warn("model-chosen", "", text))
+    if "turning" in choice.taken and block.poses.turns is None:
+        text = "frames turn while their rows are read, and no gyroscope tells how: their shapes are estimated"
+        out.append(Warn("shutter-doubtful", "", text))
+    elif choice.contradicted:
+        text = (
+            f"tie points would fit better with {_TEXTS[choice.contradicted[0].split('+')[-1]]}, but the positions "
+            "speak against it; not taken"
+        )
+        out.append(Warn("shutter-doubtful", "", text))
+    return out
 
 
 def _candidates(
     block: Block, settings: Settings, taken: tuple[str, ...]
 ) -> Iterator[tuple[str, tuple[Block, Settings]]]:
     """What can be added to a model, each with its block and settings."""
-    moving = block.poses.velocities_m_per_s is not None or block.poses.turns is not None
+    moving = _moving(block)
     read = any(c.readout_s for c in block.cameras) or settings.rolling_shutter
+    turns = block.poses.turns
+    begin_s = _NOMINAL_READOUT_S if turns is None else turns.span_s
+
+    def rolling(camera: Camera) -> Camera:
+        return camera if camera.readout_s else replace(camera, readout_s=begin_s)
+
     if not settings.free_lens and any(c.distortion_sd for c in block.cameras):
         yield "lens", (block, replace(settings, free_lens=True))
     if "fisheye" not in taken and not any(c.distortion_sd for c in block.cameras):
         yield "fisheye", (_each_camera(block, _as_fisheye), settings)
     if moving and not settings.rolling_shutter:
-        turns = block.poses.turns
-        begin_s = _NOMINAL_READOUT_S if turns is None else turns.span_s
-
-        def rolling(camera: Camera) -> Camera:
-            return camera if camera.readout_s else replace(camera, readout_s=begin_s)
-
         yield "readout", (_each_camera(block, rolling), replace(settings, rolling_shutter=True))
-    if read and not settings.turning:
-        yield "turning", (block, replace(settings, turning=True))
+    if not settings.turning:
+        solved = settings.rolling_shutter or (moving and not read)
+        yield (
+            "turning",
+            (_each_camera(block, rolling), replace(settings, turning=True, rolling_shutter=solved)),
+        )
     if read and block.poses.turns is not None:
         yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
+
+
+def untold_shutter(block: Block, settings: Settings) -> bool:
+    """Whether rows may be read one after the other, without a word of it, while the frames move."""
+    told = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
+    return _moving(block) and not told
+
+
+def _moving(block: Block) -> bool:
+    return block.poses.velocities_m_per_s is not None or block.poses.turns is not None
 
 
 def _each_camera(block: Block, change: Callable[[Camera], Camera]) -> Block:

@@ -122,10 +122,10 @@ def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
     return out
 
 
-def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
+def spread_of(bundle: Bundle, camera_of: Ints, common_m2: Floats) -> Spread:
     """Covariance of what depends on a bundle's poses and cameras, with all their correlations.
 
-    Args: camera_of (f,): the camera's index of each frame.
+    Args: camera_of (f,): the camera's index of each frame; common_m2 (3,): see `variance.common_error`.
     """
 
     def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
@@ -133,7 +133,8 @@ def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
         of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
-        return bundle.reduced.propagate(poses, shared)
+        moved = by_pose[:, :, :3].sum(axis=0)
+        return bundle.reduced.propagate(poses, shared) + moved @ np.diag(common_m2) @ moved.T
 
     return spread
 

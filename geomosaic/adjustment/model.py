@@ -126,12 +126,14 @@ class ModelChoice:
     """Models of lens and shutter that were tried beside the one as given, and the one that was taken.
 
     taken: what was added, see `chosen_model`, in order. names, left_out_px: every model, its additions
-    joined by +, and the median residual of the tie points left out of its solve.
+    joined by +, and the median residual of the tie points left out of its solve. contradicted: those that
+    would please the tie points, but not the positions.
     """
 
     taken: tuple[str, ...]
     names: tuple[str, ...]
     left_out_px: tuple[float, ...]
+    contradicted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.start import placed_by_pictures, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
+from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
@@ -107,6 +108,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         found = _with_all(block, settings, tracks, camera_of, cameras, found)
     kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
     bundle = _of_ties(found.solved, kept)
+    held = any(not c.check and c.observations for c in block.control)
+    common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
+    bundle = with_common_error(bundle, common_m2)
     moves = (bundle.poses.positions_m - told.poses.positions_m)[:, :2]
     first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
     shared = _shared(bundle, priors)
@@ -123,11 +127,11 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *undetermined_wishes(shared),
             *unsolved_frames(block, bundle.left_out),
             *strayed_lenses(cameras, bundle.strayed),
-            *model_warnings(choice),
+            *model_warnings(block, choice),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
         figures=_figures(bundle, kept) | _relief(found),
-        spread=spread_of(bundle, camera_of),
+        spread=spread_of(bundle, camera_of, common_m2),
     )
     return replace(
         outcome,

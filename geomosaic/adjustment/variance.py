@@ -17,16 +17,22 @@ from geomosaic.adjustment.bundle_equations import (
     shared_sd,
     trust_of,
 )
-from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Factors, Priors, State
+from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight, lie_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
+from geomosaic.camera.exterior import Poses
+from geomosaic.placement.prior import position_assumed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _LEAST_SIGMA_PX = 0.02
+_MAY_BE_CHANCE = 0.5  # of the stated variance: a dozen frames may show so little by chance
+_COMMON_SD_M = 2.5
+"""Per axis: clocks, orbits and the ionosphere move a code receiver's positions by 1 to 4 m for hours (GPS SPS
+Performance Standard 2020, table 3.8-3: 8 m at 95 % in the worst place)."""
 _DETERMINED = 0.7
 _ERRORS_ALIKE = 5.0
 _PRIOR_FACTORS = (0.1, 10.0)
@@ -230,3 +236,28 @@ def median_px(lengths_px: Floats) -> float:
     """Median of what is known, else 0."""
     known = lengths_px[np.isfinite(lengths_px)]
     return float(np.median(known)) if known.size else 0.0
+
+
+def common_error(bundle: Bundle, given: Poses) -> Floats:
+    """Variances (3,), east, north and up in m², of what all positions may be off by in common.
+
+    Residuals show how positions scatter about the block; a shift of all of them they don't show. Where they
+    scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is stated
+    may be such a shift, horizontally up to what a receiver's errors have in common over a flight.
+    """
+    known = ~position_assumed(given)
+    if not known.any():
+        return np.zeros(3)
+    told = np.median(given.positions_sd_m[known], axis=0)
+    scatter = np.array([bundle.factors.horizontal] * 2 + [bundle.factors.vertical])
+    rest = told**2 * np.maximum(1.0 - scatter**2 / _MAY_BE_CHANCE, 0.0)
+    return np.minimum(rest, [_COMMON_SD_M**2, _COMMON_SD_M**2, np.inf])
+
+
+def with_common_error(bundle: Bundle, variance_m2: Floats) -> Bundle:
+    """The poses' deviations with `common_error` counted in full in every frame."""
+    covariance = bundle.pose_covariance.copy()
+    for axis in range(3):
+        covariance[:, axis, axis] += variance_m2[axis]
+    sd = np.sqrt(bundle.poses.positions_sd_m**2 + variance_m2)
+    return replace(bundle, pose_covariance=covariance, poses=replace(bundle.poses, positions_sd_m=sd))

@@ -115,6 +115,11 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
         "tie points don't determine the poses of some frames",
         "look at those frames; more overlap there",
     ),
+    "shutter-doubtful": (
+        "doubtful",
+        "the frames' rows were read one after the other while the camera turned, in a way that nothing tells",
+        "a camera with a global shutter or a gyroscope in its tags, or control points",
+    ),
     "lens-strayed": (
         "doubtful",
         "no lens bends pictures as these are bent",
