@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from geomosaic.ccd.expected import expected
 from geomosaic.ccd.joint import far_from_nominal, joint
+from geomosaic.ccd.lost_lines import Step, lasting
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Settings
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
@@ -36,7 +38,7 @@ def errors(plan, offsets):
     out = []
     for found in offsets:
         truth = truths[found.pair]
-        apart = geometry.side(found.pair) * SEPARATION
+        apart = geometry.side(found.pair) * geometry.row_separation_lines
         there = np.arange(len(truth.dcol_px)) + apart + truth.dline_px
         shared = (there >= 3) & (there < geometry.lines[found.pair + 1] - 3)
         off = np.stack([found.dcol_px - truth.dcol_px, found.dline_px - truth.dline_px], axis=1)
@@ -99,16 +101,27 @@ def test_low_contrast():
 
 
 @pytest.mark.parametrize(
-    ("wind_m_per_s", "wind_deg", "height_m"),
-    [(15.0, 60.0, 3000.0), (22.0, 341.0, 2800.0), (49.0, 180.0, 8000.0), (9.0, 20.0, 700.0)],
+    ("seed", "wind_m_per_s", "wind_deg", "height_m"),
+    [
+        (72, 15.0, 60.0, 3000.0),  # long gaps, in which own parts must go straight on
+        (78, 22.0, 341.0, 2800.0),
+        (71, 49.0, 180.0, 8000.0),
+        (77, 9.0, 20.0, 700.0),  # a pixel off the ground
+    ],
 )
-def test_clouds_are_no_ground(wind_m_per_s, wind_deg, height_m):
+def test_clouds_are_no_ground(seed, wind_m_per_s, wind_deg, height_m):
     plan = replace(
-        PLAN, cloud_cover=0.4, wind_m_per_s=wind_m_per_s, wind_deg=wind_deg, cloud_height_m=height_m
+        PLAN,
+        seed=seed,
+        cloud_cover=0.4,
+        wind_m_per_s=wind_m_per_s,
+        wind_deg=wind_deg,
+        cloud_height_m=height_m,
     )
-    off, _, label = pooled(plan)
+    off, sd, label = pooled(plan)
     away = np.hypot(*off.T)
     assert rms(off) < 0.3
+    assert 0.82 < honest(off, sd) < 0.98
     assert 0.3 < (label == MEASURED).mean() < 0.8
     assert away[label == MEASURED].max() < 1.0
     assert (away[label != UNRELIABLE] > 1.0).mean() < 0.01
@@ -160,6 +173,68 @@ def test_clouds_no_brighter_than_the_ground():
     off, _, label = pooled(plan)
     assert rms(off) < 0.1
     assert np.hypot(*off[label == MEASURED].T).max() < 1.0
+
+
+def test_low_clouds_as_dark_as_the_ground_are_not_called_measured():
+    """3 px off the ground: which of the two layers is the ground can't be known."""
+    plan = replace(
+        PLAN,
+        seed=36,
+        brightness=0.75,
+        cloud_cover=0.3,
+        cloud_height_m=700.0,
+        wind_m_per_s=12.0,
+        wind_deg=70.0,
+    )
+    off, sd, label = pooled(plan)
+    away = np.hypot(*off.T)
+    assert (away > 1.0).mean() > 0.05
+    assert away[label == MEASURED].max(initial=0.0) < 1.0
+    assert (label == UNRELIABLE).mean() > 0.5
+    assert honest(off, sd) > 0.85
+
+
+def test_bright_ground_is_ground():
+    off, _, label = pooled(replace(PLAN, seed=32, brightness=0.15, saturated_share=0.3))
+    assert rms(off) < 0.02
+    assert (label == MEASURED).mean() > 0.95
+
+
+def test_another_camera():
+    """5 m pixels, three CCDs, a quarter of TH-1's parallax: knots, clouds and relief by its own geometry."""
+    plan = replace(
+        PLAN,
+        seed=35,
+        ccds=3,
+        ground_pixel_m=5.0,
+        line_rate_hz=1400.0,
+        row_separation_lines=700.0,
+        parallax_m_per_line=830.0,
+        cloud_cover=0.3,
+        cloud_height_m=2000.0,
+    )
+    off, sd, label = pooled(plan)
+    assert honest(off, sd) > 0.82
+    assert np.hypot(*off[label == MEASURED].T).max(initial=0.0) < 1.0
+
+
+def test_expected_pixels_are_the_cameras_own():
+    likely = expected(PLAN.geometry())
+    assert likely.knot_lines == 16  # 4.9 ms at 3272.4 Hz
+    assert likely.clouds_px == pytest.approx([0.0, -3500.0 / 233.0])
+    # Rows 0.646 s apart: wind of 19 m/s moves clouds by 6.1 px of 2 m.
+    assert likely.clouds_sd_px == pytest.approx([6.2, 12.4], abs=0.05)
+    half = expected(replace(PLAN.geometry(), line_rate_hz=6544.8, ground_pixel_m=1.0))
+    assert half.knot_lines == 32
+    assert half.clouds_px == pytest.approx(likely.clouds_px)
+    assert half.steepest_px_per_line == pytest.approx(0.5 * likely.steepest_px_per_line)
+
+
+def test_steps_that_come_and_go_are_no_lost_lines():
+    away, back, lost = Step(0, 900, 3), Step(0, 1500, -3), Step(1, 2000, 2)
+    shared = Step(0, 2010, 2)
+    assert lasting([away, back, lost]) == [lost]
+    assert lasting([away, lost, shared]) == [away, lost, shared]
 
 
 def test_most_of_the_ground_hidden():

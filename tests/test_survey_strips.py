@@ -78,6 +78,14 @@ def test_defaults_are_the_paper_s() -> None:
     assert (g.overlap_px, g.read_px, g.row_separation_lines, g.ground_pixel_m) == (96, 110, 2114.0, 2.0)
 
 
+def test_altitude_makes_the_rows_parallax(folder: Path) -> None:
+    assert read_geometry(written(folder)).altitude_m == 500e3
+    g = read_geometry(written(folder, altitude_m=600e3, row_separation_lines=50))
+    assert g.altitude_m == 600e3
+    # 1 / (50 (1 / 600 km + 1 / 6371 km))
+    assert g.height_m_per_line == pytest.approx(10967.15, abs=0.01)
+
+
 def test_a_dead_ccd_has_no_path_and_no_lines(folder: Path) -> None:
     g = read_geometry(written(folder, ccds=[PLAIN["ccds"][0], {"row": 1}, PLAIN["ccds"][2]], bit_depth=10))
     assert g.ccds[1] == Ccd(None, 1)
@@ -242,6 +250,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SimulatedStrips:
         dem_pixel_m=60.0,
     )
     return simulate_strips(tmp_path_factory.mktemp("scene"), plan, scene=False)
+
+
+def test_altitude_is_the_models(scene: SimulatedStrips, tmp_path: Path) -> None:
+    plan = StripPlan(row_separation_lines=150.0, lines=600)
+    model = plan.altitude_m + plan.ground_height_m
+    assert read_geometry(scene.geometry).altitude_m == pytest.approx(model, abs=20.0)
+    told = changed(scene, tmp_path / "told.yaml", altitude_m=40e3)
+    assert read_geometry(told).altitude_m == 40e3
 
 
 def changed(scene: SimulatedStrips, path: Path, **changes: Any) -> Path:

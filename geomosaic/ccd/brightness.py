@@ -34,7 +34,7 @@ class Suspect:
 
     def pixels(self, cells: Floats, shape: tuple[int, int]) -> Flags:
         """Pixels of `shape` under cells (2, h, w), of either strip, of that part, or beside such."""
-        hidden = self.hides(cells).any(axis=0).astype(np.uint8)
+        hidden = np.asarray(self.hides(cells).any(axis=0), dtype=np.uint8)
         beside = cv2.dilate(hidden, np.ones((3, 3), np.uint8)).astype(np.bool_)
         at = (np.minimum(np.arange(n) // CELL_PX, m - 1) for n, m in zip(shape, beside.shape, strict=True))
         return np.asarray(beside[np.ix_(*at)])

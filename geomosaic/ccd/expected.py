@@ -18,7 +18,8 @@ class Nature:
     cloud_height_m, cloud_height_sd_m: clouds lie from the ground to some 13 km (low, middle and high ones up
     to 2, 7 and 13 km at middle latitudes: WMO, International Cloud Atlas, 2017); most that hide the ground
     are low or middle ones. wind_sd_m_per_s: of each component, at their height; jet streams reach 50.
-    slope: root mean square of the ground's along the track over some 100 m; steep: in mountains.
+    slope: root mean square of the ground's along the track over some 100 m; steep: in mountains;
+    steepest: what ground doesn't exceed over some 100 m.
     ground_sd_m: of heights about those that the nominal row separation holds for.
     pointing_rad_per_s: change of the pointing within hundredths of a second, jitter and all, in which TH-1's
     (1.2 px at 1.1 Hz to 0.06 px at 22 Hz; a pixel is 3.7 microradians) has its place. drift_rad_per_s: of
@@ -32,6 +33,7 @@ class Nature:
     wind_sd_m_per_s: float = 19.0
     slope: float = 0.083
     steep: float = 0.45
+    steepest: float = 1.0
     ground_sd_m: float = 500.0
     pointing_rad_per_s: float = 5.4e-5
     drift_rad_per_s: float = 2.0e-5
@@ -39,9 +41,9 @@ class Nature:
     steady_s: float = 0.303
 
 
-# Of CCDs against each other, whatever the camera: they are glued by a microscope that sees parts of a pixel.
-_MOUNTING_SD_PX: Final = 1.5
-_LEVEL_SDS: Final = 2.5
+# Of the nominal geometry, whatever the camera: how CCDs are mounted, and how well that is known.
+_NOMINAL_SD_PX: Final = 2.5
+_LEVEL_SDS: Final = 2.35
 _LEAST_KNOT_LINES, _MOST_KNOT_LINES = 8, 64
 _LEAST_STEEP_PX: Final = 0.5
 _MOST_PX: Final = 1e3
@@ -53,8 +55,9 @@ class Expected:
 
     knot_lines: between knots, even. ground_sd_px: of the ground's level about the nominal geometry; far_px:
     what is further off is rather a cloud. clouds_px, clouds_sd_px: clouds against the ground.
-    moves_px_per_line, bends_px_per_line, steep_px_per_line: usual change of the motion, usual and most
-    change of what pairs have for themselves, by relief. steady_lines: how long motion is about one.
+    moves_px_per_line, bends_px_per_line, steep_px_per_line, steepest_px_per_line: usual change of the
+    motion; usual, large and utmost change of what pairs have for themselves, by relief. steady_lines: how
+    long motion is about one.
     """
 
     knot_lines: int
@@ -65,6 +68,7 @@ class Expected:
     moves_px_per_line: float
     bends_px_per_line: float
     steep_px_per_line: float
+    steepest_px_per_line: float
     steady_lines: float
 
     def steep_px(self, lines: float, alone: bool) -> float:
@@ -79,7 +83,7 @@ def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None
     rows_s, px_per_rad = g.row_separation_lines / g.line_rate_hz, g.altitude_m / g.ground_pixel_m
     line_m = min(1.0 / g.height_m_per_line if g.height_m_per_line > 0.0 else 0.0, _MOST_PX)
     drift_px, wind_px = n.drift_rad_per_s * rows_s * px_per_rad, n.wind_sd_m_per_s * rows_s / g.ground_pixel_m
-    ground_sd = np.hypot(np.hypot(_MOUNTING_SD_PX, drift_px), [0.0, n.ground_sd_m * line_m])
+    ground_sd = np.hypot(np.hypot(_NOMINAL_SD_PX, drift_px), [0.0, n.ground_sd_m * line_m])
     clouds_sd = np.hypot(np.hypot(1.0, wind_px), [0.0, n.cloud_height_sd_m * line_m])
     return Expected(
         knot_lines=max(knot_lines // 2 * 2, 4) if knot_lines else _even(n.knot_s * g.line_rate_hz),
@@ -90,6 +94,7 @@ def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None
         moves_px_per_line=n.pointing_rad_per_s * px_per_rad / g.line_rate_hz,
         bends_px_per_line=n.slope * g.ground_pixel_m * line_m,
         steep_px_per_line=n.steep * g.ground_pixel_m * line_m,
+        steepest_px_per_line=n.steepest * g.ground_pixel_m * line_m,
         steady_lines=n.steady_s * g.line_rate_hz,
     )
 

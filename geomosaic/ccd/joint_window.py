@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import distance_transform_edt, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
@@ -32,15 +32,14 @@ _ANCHOR = 40.0**-2 * np.eye(2)
 _FAR_PX = 3.5
 # A knot is of the suspect part above the one share of its pixels, of the rest below the other.
 _MOSTLY, _HARDLY = 0.6, 0.1
-# The suspect part is cloud if it lies off by more than both, or if that could not be seen to so much;
-# neighbouring knots' errors are no independent facts: one in so many counts.
+# The suspect part is cloud if it lies off by more than both; neighbouring knots' errors are no independent
+# facts, one in so many counts. It is left out, too, where that could not be seen to so many pixels, or where
+# less than a share of it fits the curves at all.
 _MOVED_PX, _MOVED_DEVIATIONS, _UNSEEN_PX = 0.06, 4.0, 0.1
-_KNOTS_PER_FACT = 10.0
+_KNOTS_PER_FACT, _ENOUGH_FIT = 10.0, 0.3
 _SURE_SD_PX = 0.25
 _LEAST_FIT = 0.25
 _LEAST_KNOTS = 8
-# Where less is measured, how curves go is learned from stretches too short to tell: bridges run astray.
-_ENOUGH_SHARE, _ADRIFT_PX_PER_LINE = 0.35, np.array([0.001, 0.002])
 # Of a knot's variance such a share lasts (what is left of the columns' pattern): more knots don't help.
 _LASTING_SHARE, _NEARBY_KNOTS = 0.05, 31
 
@@ -98,13 +97,18 @@ def solved_window(
     habits = first_habits(likely)
     now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
     cells: list[Cells] = []
-    cloudy, believed = False, list(pairs)
+    cloudy = False
+    believed = list(pairs)
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
-        ready = each(partial(pictures, scale=scale), believed)
-        if not cloudy and start.suspect and _moves(pairs, ready, now, coarse, start.suspect, centres, habits):
-            cloudy, believed = True, start.clear(pairs)
-            ready = each(partial(pictures, scale=scale), believed)
+        believed = list(pairs)
+        ready = each(partial(pictures, scale=scale), pairs)
+        if start.suspect:
+            off, seen = _beside(pairs, ready, now, coarse, start.suspect, centres, habits)
+            cloudy |= off
+            if cloudy or not seen:
+                believed = start.clear(pairs)
+                ready = each(partial(pictures, scale=scale), believed)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
             now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
@@ -114,17 +118,10 @@ def solved_window(
     nearby = uniform_filter1d(information, _NEARBY_KNOTS, axis=1)
     variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
     own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
-    little = np.clip((_ENOUGH_SHARE - own.mean()) / (0.5 * _ENOUGH_SHARE), 0.0, 1.0)
-    away = np.stack([_away(mine) for mine in own]) * likely.knot_lines
-    variance += (little * away[..., None] * _ADRIFT_PX_PER_LINE) ** 2
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
-    step = widest_step(np.stack([c.offset_px for c in cells]), own, likely)
+    known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
+    step = widest_step(np.stack([c.offset_px for c in cells]), own, known_px, likely)
     return found.doubted(step) if step else found, believed
-
-
-def _away(own: Flags) -> Floats:
-    """Knots to the nearest one that was measured."""
-    return np.asarray(distance_transform_edt(~own) if own.any() else np.full(own.shape, float(len(own))))
 
 
 def _centres(pairs: Sequence[RowPair], likely: Expected) -> Floats:
@@ -153,7 +150,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: Settings, likely: Expected
     return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)
 
 
-def _moves(
+def _beside(
     pairs: Sequence[RowPair],
     ready: Sequence[Pictures],
     now: Smoothed,
@@ -161,17 +158,18 @@ def _moves(
     suspect: Sequence[Flags],
     centres: Floats,
     habits: Habits,
-) -> bool:
-    """Whether the suspect part lies off the curves that the rest draws, or could without our seeing it."""
-    _, offset, measured = _measured(pairs, ready, now, coarse, centres)
+) -> tuple[bool, bool]:
+    """Whether the suspect part lies off the curves that the rest draws; and whether that can be told."""
+    cells, offset, measured = _measured(pairs, ready, now, coarse, centres)
     step = round(centres[1] - centres[0])
     rows = len(centres) * step
     share = np.stack([hidden[:rows].reshape(len(centres), -1).mean(axis=1) for hidden in suspect])
     found = np.trace(measured, axis1=2, axis2=3) > 0
     part, rest = share > _MOSTLY, share < _HARDLY
     measured = np.where((part | rest)[..., None, None], measured, 0.0)
-    if not (part & found).any():
-        return True
+    fits = np.stack([c.fit >= _LEAST_FIT for c in cells]) & found
+    if not part.any() or fits[part].mean() < _ENOUGH_FIT:
+        return False, False
     level = _level(offset, found & rest, now)
     weighed = measured
     for _ in range(3):
@@ -182,14 +180,8 @@ def _moves(
         weight, factor = _plausible(residual, measured)
         weighed = measured * (weight / factor[:, None])[..., None, None]
     sd = np.sqrt(np.diagonal(covariance) * _KNOTS_PER_FACT)
-    if DEBUG:
-        print("   shift", shift.round(3), "sd", sd.round(3))
-    return bool(
-        (np.abs(shift) > np.maximum(_MOVED_DEVIATIONS * sd, _MOVED_PX)).any() or (sd > _UNSEEN_PX).any()
-    )
-
-
-DEBUG = False
+    off = np.abs(shift) > np.maximum(_MOVED_DEVIATIONS * sd, _MOVED_PX)
+    return bool(off.any()), bool((sd < _UNSEEN_PX).all())
 
 
 def _refined(

@@ -24,8 +24,8 @@ _OWN_PX = 2.0
 _FREE_KNOTS = 60
 # How much a knot bends off straight on, of what the motion and relief usually change within a knot.
 _JERK, _RELIEF = 2.1, 1.4
-# A slope of an own part lasts for some ten strides: as free steps they were so much larger.
-_LASTING = 10.0**0.5
+# A slope of an own part lasts for some eight strides: as free steps they were so much larger.
+_LASTING = 8.0**0.5
 _MOTION_ORDER = 12
 _OWN_STRIDE = 4
 _MOST_RADIUS = 0.9995

@@ -10,25 +10,29 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
 
-_BESIDE_KNOTS = 5
+_BESIDE_KNOTS = 4
 # So far may the middles of both sides lie apart: more lines hide what happens between.
 _MOST_APART_KNOTS = 24
-_LEAST_PX = 0.5
+_LEAST_PX, _LOST_PX = 0.5, 0.7
 _MOST_SPREAD = 0.3
 # A curve alone: knots of a straight piece, how far from straight, how far the next one may be.
 _PIECE_KNOTS, _STRAIGHT_PX, _MOST_AHEAD_KNOTS = 3, 0.15, 12
 _LEAST_BREAK_PX, _BREAK_DEVIATIONS, _LEAST_SD_PX = 0.6, 6.0, 0.03
 
 
-def widest_step(offset_px: Floats, own: Flags, likely: Expected) -> float:
+def widest_step(offset_px: Floats, own: Flags, known_px: Floats, likely: Expected) -> float:
     """The largest step (px) of a pair, against another or alone, that no ground makes; 0 if there is none.
 
-    Args: offset_px (pairs, knots, 2) measured at knots where own (pairs, knots).
+    Args: offset_px (pairs, knots, 2) measured at knots where own (pairs, knots). known_px (pairs, knots): of
+    dline, beforehand; where lines were lost in any pair no other steps are looked for.
     """
+    lost = (np.abs(np.diff(known_px, axis=1, prepend=known_px[:, :1])) > _LOST_PX).any(axis=0)
+    own = own & (uniform_filter1d(lost.astype(np.float64), _MOST_APART_KNOTS + 1) < 1e-9)
     steps = [
         _against(offset_px[[p, q]], own[p] & own[q], likely) for p, q in combinations(range(len(own)), 2)
     ]
@@ -49,7 +53,7 @@ def _against(offset_px: Floats, both: Flags, likely: Expected) -> float:
     step = np.abs(middle[_BESIDE_KNOTS:] - middle[:-_BESIDE_KNOTS])
     apart = at[_BESIDE_KNOTS:] - at[:-_BESIDE_KNOTS]
     unrest = np.maximum(spread[_BESIDE_KNOTS:], spread[:-_BESIDE_KNOTS])
-    relief = np.outer(apart * likely.knot_lines * likely.steep_px_per_line, [0.0, 1.0])
+    relief = np.outer(apart * likely.knot_lines * likely.steepest_px_per_line, [0.0, 1.0])
     length = np.hypot(*step.T)
     found = (step > _LEAST_PX + relief).any(axis=1) & (apart <= _MOST_APART_KNOTS)
     found &= unrest < _MOST_SPREAD * length
