@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.geodesy.mapcrs import is_local
+from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 _DRIFT_CLEARLY = 3.0
@@ -15,7 +17,8 @@ _NORMAL = 1.4826
 
 def common_height_sd_m(survey: Survey, adjusted: Adjusted) -> float:
     """The deviation of the block's height as a whole, besides what its covariance says; 0 where control
-    points or a DEM hold it.
+    points or a DEM hold it, or where all is in a local frame; that of nothing observed where no height is
+    told.
 
     Altitudes in EXIF have no stated datum: their deviation is one that all frames share. And heights that
     drift say no better where the block lies than they differ from it.
@@ -23,8 +26,10 @@ def common_height_sd_m(survey: Survey, adjusted: Adjusted) -> float:
     held = any(not c.check and not c.plan_only and c.images for c in survey.control)
     heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=np.float64)
     told = np.isfinite(heights) & (np.array(adjusted.status) == "tied")
-    if held or survey.elevation is not None or not told.any():
+    if held or survey.elevation is not None or is_local(survey.map_crs):
         return 0.0
+    if not told.any():
+        return POSITION["none"].sd_vertical_m
     stated = np.array([f.position.sd_vertical_m for f in survey.frames])[told]
     unknown_datum = np.array([f.position.source == "exif" for f in survey.frames])[told]
     datum_m = float(np.median(stated)) if unknown_datum.mean() > 0.5 else 0.0
