@@ -54,7 +54,7 @@ def solved_block() -> Solved:
         control.append(ControlPoint(name, lon, lat, height, 0.02, 0.03, check, seen))
     control.append(ControlPoint("unseen", 11.5, 48.1, 520.0, 0.02, 0.03, True, ()))
     survey = Survey(frames, (camera,), WORK, "EPSG:32632", control=tuple(control))
-    block = replace(block, ties=TiePoints(pairs), control=ground_control(survey))
+    block = replace(block, ties=TiePoints(pairs), control=ground_control(survey, block.ground))
     adjusted = pose_block(block, Settings())
     placement = Placement(block.poses, tuple(range(8)), block.lines, (), 0.1, "rigorous")
     grid = OutputGrid("EPSG:32632", 686_000.0, 5_331_000.0, 0.1, 100, 100)

@@ -97,29 +97,36 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
 
 
 def drifting_heights(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
-    """A line through given minus adjusted heights of the frames `seen`, in order of flight.
+    """What given minus adjusted heights of the frames `seen` do in order of flight: a line through them, or a
+    jump (another battery, another zero), whichever explains more.
 
-    Told where from end to end it rises by more than three stated deviations of a height, and by more than
-    five of its own.
+    Told where it is more than three stated deviations of a height, and more than five of its own.
     """
     known = set(seen[~position_assumed(block.poses)[seen]].tolist())
     order = [i for i in block.sequence if i in known]
-    if len(order) < 4:
+    n = len(order)
+    if n < 4:
         return []
     off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
-    share = np.linspace(-0.5, 0.5, len(order))
-    rise_m = float(share @ off_m / (share @ share))
-    left = off_m - off_m.mean() - rise_m * share
-    rise_sd_m = float(np.sqrt(left @ left / (len(order) - 2) / (share @ share)))
+    jumps = [np.where(np.arange(n) < k, -0.5, 0.5) for k in range(2, n - 1)]
+    found = []
+    for share in (np.linspace(-0.5, 0.5, n), *jumps):
+        share = share - share.mean()
+        rise_m = float(share @ off_m / (share @ share))
+        left = off_m - off_m.mean() - rise_m * share
+        found.append((float(left @ left), rise_m, float(np.sqrt(left @ left / (n - 2) / (share @ share)))))
+    best = int(np.argmin([squares for squares, _, _ in found]))
+    _, rise_m, rise_sd_m = found[best]
     stated_m = float(np.median(block.poses.positions_sd_m[order, 2]))
     if abs(rise_m) < max(_DRIFTS * stated_m, _DRIFTS_CLEARLY * rise_sd_m):
         return []
-    first, last = (off_m.mean() + rise_m * x for x in (-0.5, 0.5))
-    text = (
-        f"heights drift: they are given {first:+.1f} m off at {block.names[order[0]]} and {last:+.1f} m at "
-        f"{block.names[order[-1]]} (stated deviation {stated_m:.1f} m); set by the pictures"
-    )
-    return [Warn("heights-drift", block.names[order[0]], text)]
+    first, last = (block.names[order[0]], block.names[order[-1]])
+    does = f"drift by {rise_m:+.1f} m from {first} to {last}"
+    if best:
+        first, last = block.names[order[best]], block.names[order[best + 1]]
+        does = f"jump by {rise_m:+.1f} m between {first} and {last}"
+    text = f"heights {does} against the pictures (stated deviation {stated_m:.1f} m); set by the pictures"
+    return [Warn("heights-drift", first, text)]
 
 
 def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:

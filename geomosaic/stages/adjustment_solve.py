@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.control import ground_control
+from geomosaic.adjustment.height_datum import common_height_sd_m, with_common_height
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.outcome import unplaced_parts
@@ -70,6 +71,9 @@ class AdjustmentSolve(Stage):
         ties: TiePoints = inputs["ties"]
         block = block_of(survey, inputs["ground"], placement, ties)
         adjusted = METHODS[params.method](block, Settings(**params.model_dump(exclude={"method"})))
+        level_sd_m = common_height_sd_m(survey, adjusted)
+        adjusted = with_common_height(adjusted, level_sd_m)
+        context.metric("adjustment.common_height_sd_m", level_sd_m)
         held = {i for c in block.control if not c.check for i, _, _ in c.observations}
         parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
         nowhere = {i for part in unplaced_parts(block) for i in part}

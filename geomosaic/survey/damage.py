@@ -86,7 +86,7 @@ def _look(data: bytes) -> Look | None:
     grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if grey is None or min(grey.shape) < _LEAST_LOOKED_AT_PX:
         return None
-    small = cv2.resize(grey, (32, 24), interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(grey, (32, 24), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     rows, cols = (n // _COARSE for n in grey.shape)
     coarse = cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_AREA)
     fine, rough = (float(cv2.Laplacian(g, cv2.CV_32F).var()) for g in (grey, coarse))

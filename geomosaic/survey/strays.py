@@ -278,7 +278,7 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> lis
     limit = max(BLURRED.value, SPREADS.value * _NORMAL * float(np.nanmedian(off)))
     blurry = lack > limit
     alone = [
-        i for i in np.flatnonzero(blurry) if 0 < i < n - 1 and not (blurry[i - 1] or blurry[i + 1])
+        i for i in np.flatnonzero(blurry).tolist() if 0 < i < n - 1 and not (blurry[i - 1] or blurry[i + 1])
     ]  # fmt: skip
     text = "has {:.0f} % of its neighbours' fine detail"
     return [_out("frame-blurred", headers[i], text.format(100.0 * np.exp(-lack[i]))) for i in alone]

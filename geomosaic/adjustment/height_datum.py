@@ -1,0 +1,53 @@
+"""How far all heights of a block may be off in common, which no number of frames averages out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.geodesy.mapcrs import is_local
+from geomosaic.survey.accuracy import POSITION
+from geomosaic.survey.model import Survey
+
+_DRIFT_CLEARLY = 3.0
+_NORMAL = 1.4826
+
+
+def common_height_sd_m(survey: Survey, adjusted: Adjusted) -> float:
+    """The deviation of the block's height as a whole, besides what its covariance says; 0 where control
+    points or a DEM hold it, or where all is in a local frame; that of nothing observed where no height is
+    told.
+
+    Altitudes in EXIF have no stated datum: their deviation is one that all frames share. And heights that
+    drift say no better where the block lies than they differ from it.
+    """
+    held = any(not c.check and not c.plan_only and c.images for c in survey.control)
+    heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=np.float64)
+    told = np.isfinite(heights) & (np.array(adjusted.status) == "tied")
+    if held or survey.elevation is not None or is_local(survey.map_crs):
+        return 0.0
+    if not told.any():
+        return POSITION["none"].sd_vertical_m
+    stated = np.array([f.position.sd_vertical_m for f in survey.frames])[told]
+    unknown_datum = np.array([f.position.source == "exif" for f in survey.frames])[told]
+    datum_m = float(np.median(stated)) if unknown_datum.mean() > 0.5 else 0.0
+    found = survey.work_frame.geodetic_from_enu(adjusted.poses.positions_m[told])[:, 2]
+    off = heights[told] - found
+    spread_m = _NORMAL * float(np.median(np.abs(off - np.median(off))))
+    drift_m = spread_m if spread_m > _DRIFT_CLEARLY * float(np.median(stated)) or datum_m else 0.0
+    return float(np.hypot(datum_m, drift_m))
+
+
+def with_common_height(adjusted: Adjusted, sd_m: float) -> Adjusted:
+    """The outcome with a deviation that the heights of all tied frames share."""
+    tied = np.array(adjusted.status) == "tied"
+    sd = adjusted.poses.positions_sd_m.copy()
+    sd[tied, 2] = np.hypot(sd[tied, 2], sd_m)
+    poses = replace(adjusted.poses, positions_sd_m=sd)
+    covariance = adjusted.pose_covariance
+    if covariance is not None:
+        covariance = covariance.copy()
+        covariance[tied, 2, 2] += sd_m**2
+    return replace(adjusted, poses=poses, pose_covariance=covariance)
