@@ -20,14 +20,14 @@ Ints = NDArray[np.intp]
 GOOD_PX = 1.0
 """Image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a picture
 that is matched at its size or half of it."""
-_PATTERN_PX = 0.5
-"""Root mean square of what residuals have in common by their place in the picture: a keypoint's own error."""
+_PATTERN_PX = 0.25
+"""Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own error."""
 _CELLS = 8
 _BETTER = 0.9
 """Of the last model's residuals a richer one has to leave less than this share."""
 _LEFT_OUT = 5  # one track of so many
 _LEAST_TRACKS = 100
-_LEAST_PX = 0.5  # of tracks left out: nothing is to be gained beyond
+_LEAST_PX = 0.3  # of tracks left out: nothing is to be gained beyond
 _GIVEN = "given"
 _NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
 _TEXTS = {
