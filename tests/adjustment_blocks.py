@@ -84,7 +84,9 @@ def fly(
     plan = rng.uniform(low, high, (points, 2))
     land = np.column_stack([plan, relief(*plan.T)])
     seen = [truth[i].image_from_ground(camera, land) for i in range(n)]
-    inside = [np.all((px > 5.0) & (px < [camera.width_px - 5.0, camera.height_px - 5.0]), axis=1) for px in seen]
+    inside = [
+        np.all((px > 5.0) & (px < [camera.width_px - 5.0, camera.height_px - 5.0]), axis=1) for px in seen
+    ]
     measured = [px + rng.normal(0, noise_px, px.shape) for px in seen]
     ties = []
     for i in range(n):

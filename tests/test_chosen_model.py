@@ -13,7 +13,6 @@ from geomosaic.adjustment.model import Settings
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 
-
 SHARP = np.array([0.1, 0.1, 0.15])
 
 
@@ -28,7 +27,7 @@ def test_frames_that_turn_while_they_are_read() -> None:
     flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
     given = METHODS["bundle"](flown.block, Settings(model="given"))
     assert given.model is None
-    assert given.figures["sigma_px"] > 1.5
+    assert given.figures["sigma_px"] > 1.2
     adjusted = METHODS["bundle"](flown.block, Settings())
     assert adjusted.model is not None
     assert adjusted.model.taken == ("turning",)
@@ -38,17 +37,18 @@ def test_frames_that_turn_while_they_are_read() -> None:
     turned = adjusted.poses.turns.at(np.full(8, 0.05), np.arange(8))[0]
     truth = flown.truth.turns.at(np.full(8, 0.05), np.arange(8))[0]
     assert np.sqrt(np.mean(truth**2)) > 0.008
-    assert np.sqrt(np.mean((turned - truth) ** 2)) < 0.002
+    assert np.sqrt(np.mean((turned - truth) ** 2)) < 0.003
 
 
 def test_turns_that_are_told_wrongly_are_not_followed() -> None:
     """As of a unit whose axes are not what they are taken for."""
-    flown = fly(5, 2, 4, points=350, readout_s=0.1)
+    flown = fly(5, 2, 4, points=350, readout_s=0.1, relief=hills)
     wild = np.random.default_rng(2).normal(0.0, 0.02, (8, 1, 3)) * np.array([[-1.0], [1.0]])
     poses = replace(flown.block.poses, turns=Turns(0.1, wild))
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings())
     assert adjusted.model is not None
-    assert adjusted.model.taken[0] in ("untold_turns", "turning")
+    assert adjusted.model.taken == ("untold_turns",)
+    assert adjusted.poses.turns is None
     assert adjusted.figures["sigma_px"] < 0.4
 
 

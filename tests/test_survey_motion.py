@@ -67,7 +67,20 @@ def test_rates_are_written_later_than_they_were() -> None:
         "A" * 1_000_000,
         "ä" * 32,
     ],
-    ids=["none", "text", "short", "few", "still", "long", "nan", "wild", "spinning", "cut", "huge", "foreign"],
+    ids=[
+        "none",
+        "text",
+        "short",
+        "few",
+        "still",
+        "long",
+        "nan",
+        "wild",
+        "spinning",
+        "cut",
+        "huge",
+        "foreign",
+    ],
 )
 def test_samples_that_cant_be(text: str) -> None:
     assert turns_of(tagged(text)) is None

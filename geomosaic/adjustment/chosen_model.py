@@ -21,10 +21,12 @@ GOOD_PX = 1.0
 """Image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a picture
 that is matched at its size or half of it."""
 _PATTERN_PX = 0.25
-"""Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own error."""
+"""Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own
+error."""
 _CELLS = 8
 _BETTER = 0.9
-"""Of the last model's residuals a richer one has to leave less than this share."""
+"""Of the last model's residuals a richer one has to leave less than this share; of two that leave as much but
+for so little the simpler one is taken."""
 _LEFT_OUT = 5  # one track of so many
 _LEAST_TRACKS = 100
 _LEAST_PX = 0.3  # of tracks left out: nothing is to be gained beyond
@@ -62,13 +64,14 @@ def chosen_model(
     taken: tuple[str, ...] = ()
     while tried["+".join(taken) or _GIVEN] > _LEAST_PX:
         more = dict(_candidates(block, settings, taken))
+        left = {}
         for name, (its_block, its_settings) in more.items():
-            tried["+".join((*taken, name))] = _left_out_px(
-                judges, its_block, solve(its_block, its_settings, rest)
-            )
-        best = min(more, key=lambda name: tried["+".join((*taken, name))], default="")
-        if not best or tried["+".join((*taken, best))] > _BETTER * tried["+".join(taken) or _GIVEN]:
+            left[name] = _left_out_px(judges, its_block, solve(its_block, its_settings, rest))
+            tried["+".join((*taken, name))] = left[name]
+        least = min(left.values(), default=np.inf)
+        if least > _BETTER * tried["+".join(taken) or _GIVEN]:
             break
+        best = next(name for name, px in left.items() if _BETTER * px <= least)
         taken = (*taken, best)
         block, settings = more[best]
     return block, settings, ModelChoice(taken, tuple(tried), tuple(tried.values()))
@@ -89,29 +92,23 @@ def model_warnings(choice: ModelChoice | None) -> list[Warn]:
 def _candidates(
     block: Block, settings: Settings, taken: tuple[str, ...]
 ) -> Iterator[tuple[str, tuple[Block, Settings]]]:
-    """What can be added to a model, each with its block and settings."""
-    moving = block.poses.velocities_m_per_s is not None or block.poses.turns is not None
-    read = any(c.readout_s for c in block.cameras) or settings.rolling_shutter
-    if not settings.free_lens and any(c.distortion_sd for c in block.cameras):
+    """What can be added to a model, each with its block and settings, the simplest first."""
+    turns = block.poses.turns
+    moving = block.poses.velocities_m_per_s is not None or turns is not None
+    read = any(c.readout_s for c in block.cameras)
+    makers = any(c.distortion_sd for c in block.cameras)
+    if read and turns is not None:
+        yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
+    if makers and not settings.free_lens:
         yield "lens", (block, replace(settings, free_lens=True))
-    if "fisheye" not in taken and not any(c.distortion_sd for c in block.cameras):
-        yield "fisheye", (_each_camera(block, _as_fisheye), settings)
     if moving and not settings.rolling_shutter:
-        turns = block.poses.turns
         begin_s = _NOMINAL_READOUT_S if turns is None else turns.span_s
-
-        def rolling(camera: Camera) -> Camera:
-            return camera if camera.readout_s else replace(camera, readout_s=begin_s)
-
-        yield "readout", (_each_camera(block, rolling), replace(settings, rolling_shutter=True))
+        rolling = tuple(c if c.readout_s else replace(c, readout_s=begin_s) for c in block.cameras)
+        yield "readout", (replace(block, cameras=rolling), replace(settings, rolling_shutter=True))
+    if not makers and "fisheye" not in taken:
+        yield "fisheye", (replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
     if read and not settings.turning:
         yield "turning", (block, replace(settings, turning=True))
-    if read and block.poses.turns is not None:
-        yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
-
-
-def _each_camera(block: Block, change: Callable[[Camera], Camera]) -> Block:
-    return replace(block, cameras=tuple(change(c) for c in block.cameras))
 
 
 def _as_fisheye(camera: Camera) -> Camera:
