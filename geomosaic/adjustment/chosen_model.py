@@ -12,6 +12,7 @@ from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block, ModelChoice, Settings
 from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays
 from geomosaic.camera.interior import Camera
+from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
@@ -60,19 +61,25 @@ def chosen_model(
         return block, settings, None
     out = np.random.default_rng(0).permutation(tracks.points) % _LEFT_OUT == 0
     rest, judges = chosen_tracks(tracks, ~out), chosen_tracks(tracks, out)
-    tried = {_GIVEN: _left_out_px(judges, block, solve(block, settings, rest))}
+
+    def left_px(its_block: Block, its_settings: Settings) -> float:
+        try:
+            return _left_out_px(judges, its_block, solve(its_block, its_settings, rest))
+        except NotSolvableError:
+            return np.inf
+
     taken: tuple[str, ...] = ()
-    while tried["+".join(taken) or _GIVEN] > _LEAST_PX:
+    now = left_px(block, settings)
+    tried = {_GIVEN: now}
+    while now > _LEAST_PX:
         more = dict(_candidates(block, settings, taken))
-        left = {}
-        for name, (its_block, its_settings) in more.items():
-            left[name] = _left_out_px(judges, its_block, solve(its_block, its_settings, rest))
-            tried["+".join((*taken, name))] = left[name]
+        left = {name: left_px(*model) for name, model in more.items()}
+        tried |= {"+".join((*taken, name)): px for name, px in left.items()}
         least = min(left.values(), default=np.inf)
-        if least > _BETTER * tried["+".join(taken) or _GIVEN]:
+        if not least < _BETTER * now:
             break
         best = next(name for name, px in left.items() if _BETTER * px <= least)
-        taken = (*taken, best)
+        taken, now = (*taken, best), left[best]
         block, settings = more[best]
     return block, settings, ModelChoice(taken, tuple(tried), tuple(tried.values()))
 
