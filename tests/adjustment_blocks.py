@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.adjustment.model import Block
-from geomosaic.camera.exterior import Poses
+from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.matching.model import TiePair, TiePoints
@@ -58,11 +58,13 @@ def fly(
     position_sd_m: np.ndarray = POSITION_SD_M,
     there_and_back: bool = False,
     readout_s: float = 0.0,
+    rate_sd_rad_per_s: float = 0.0,
+    lens: Camera | None = None,
 ) -> Flown:
     """At 15 m/s, each second line back if asked; all north otherwise. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
-    camera = Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
+    camera = lens or Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
     back = (np.arange(n) // per_line % 2 == 1) & there_and_back
     velocities = np.where(back[:, None], [0.0, -15.0, 0.0], [0.0, 15.0, 0.0])
     at = np.array([[40.0 * (i // per_line), 18.0 * (i % per_line), 100.0] for i in range(n)])
@@ -74,11 +76,17 @@ def fly(
         np.zeros((n, 3)),
         velocities,
     )
-    low, high = at[:, :2].min(axis=0) - [35.0, 25.0], at[:, :2].max(axis=0) + [35.0, 25.0]
+    if rate_sd_rad_per_s:
+        rates = np.random.default_rng(seed + 1).normal(0.0, rate_sd_rad_per_s, (n, 1, 3))
+        truth = replace(truth, turns=Turns(readout_s, rates * np.array([[-0.5], [0.5]]) * readout_s))
+    beside = np.array([35.0, 25.0]) * (1.25 * camera.width_px / camera.focal_length_px) ** 2
+    low, high = at[:, :2].min(axis=0) - beside, at[:, :2].max(axis=0) + beside
     plan = rng.uniform(low, high, (points, 2))
     land = np.column_stack([plan, relief(*plan.T)])
     seen = [truth[i].image_from_ground(camera, land) for i in range(n)]
-    inside = [np.all((px > 5.0) & (px < [795.0, 595.0]), axis=1) for px in seen]
+    inside = [
+        np.all((px > 5.0) & (px < [camera.width_px - 5.0, camera.height_px - 5.0]), axis=1) for px in seen
+    ]
     measured = [px + rng.normal(0, noise_px, px.shape) for px in seen]
     ties = []
     for i in range(n):

@@ -21,12 +21,14 @@ from geomosaic.adjustment.collinearity import (
     kinds_of,
     log_turn,
     project,
+    readout_of,
+    with_rates,
 )
 from geomosaic.adjustment.doubts import doubtful_positions, strayed_lenses
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.camera.exterior import Poses
+from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z
 from geomosaic.projection.ground import GroundSurface
@@ -97,6 +99,47 @@ def test_derivatives_against_differences(kinds: np.ndarray | None) -> None:
             step,
         )
         assert by_interior[:, :, k] == pytest.approx(lens, rel=1e-6, abs=1e-5)
+
+
+def test_derivatives_of_frames_that_turn_against_differences() -> None:
+    """By readout and by a rate of their own, beside told turns; and the poses that hold both."""
+    m, rng = 30, np.random.default_rng(4)
+    positions, rotations, interior, points = _observations(m, 5)
+    turns = Turns(0.2, np.cumsum(rng.normal(0.0, 0.003, (m, 9, 3)), axis=1))
+    velocities = rng.normal(0.0, 8.0, (m, 3))
+    poses = Poses(positions, rotations, np.ones((m, 3)), np.ones((m, 3)), velocities, turns)
+    rows, rates = rng.uniform(20.0, 580.0, m), rng.normal(0.0, 0.1, (m, 3))
+
+    def seen(readout_s: float, rates: np.ndarray) -> tuple[np.ndarray, ...]:
+        read = readout_of(
+            poses, rotations, rates, np.arange(m), rows, np.full(m, 600.0), np.full(m, readout_s)
+        )
+        numbers = np.column_stack([interior, np.full(m, readout_s)])
+        return project(
+            positions,
+            read.rotations,
+            numbers,
+            points,
+            read.passed_m_per_s,
+            None,
+            read.turned_rad_per_s,
+            read.after_s,
+        )
+
+    image, by_pose, by_interior, _ = seen(0.15, rates)
+    step = 1e-6
+    by_readout = (seen(0.15 + step, rates)[0] - seen(0.15 - step, rates)[0]) / (2.0 * step)
+    assert by_interior[:, :, 8] == pytest.approx(by_readout, rel=2e-3, abs=0.1)
+    for k in range(3):
+        d = np.eye(3)[k] * 1e-5
+        by_rate = (seen(0.15, rates + d)[0] - seen(0.15, rates - d)[0]) / 2e-5
+        assert by_pose[:, :, 6 + k] == pytest.approx(by_rate, rel=2e-2, abs=0.5)
+    whole = with_rates(poses, rates, 0.15)
+    read = readout_of(whole, rotations, None, np.arange(m), rows, np.full(m, 600.0), np.full(m, 0.15))
+    numbers = np.column_stack([interior, np.full(m, 0.15)])
+    assert image_from_ground(
+        positions, read.rotations, numbers, points, read.passed_m_per_s
+    ) == pytest.approx(image, abs=2e-3)
 
 
 def test_a_quarter_turn_about_up_takes_east_to_north() -> None:

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.camera.exterior import Pose
+from geomosaic.camera.exterior import Pose, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, opencv_terms
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, about_x, about_y, about_z, turned_by
 
 RIGHT, TOP, VIEW = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
 CAMERA = Camera("test", 4000, 3000, 3100.0, 2012.0, 1489.0, -0.09, 0.012, -0.002, 0.0011, -0.0007)
@@ -223,3 +223,65 @@ def test_nothing_is_seen_behind_or_far_beside_the_camera() -> None:
     barrel = Camera("barrel", 4000, 3000, 2000.0, 2000.0, 1500.0, k1=-0.3)
     assert np.isnan(barrel.image_from_camera([0.0, 0.0, 5.0])).all()
     assert np.isnan(barrel.image_from_camera([50.0, 0.0, -10.0])).all()
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 0.03, -0.5])
+def test_vectors_turned_by_rotation_vectors(axis: int, angle_rad: float) -> None:
+    vector = np.array([0.3, -2.0, 5.0])
+    wanted = (about_x, about_y, about_z)[axis](angle_rad) @ vector
+    assert np.stack(turned_by(angle_rad * np.eye(3)[axis], vector)) == pytest.approx(wanted, abs=1e-9)
+    single = turned_by((angle_rad * np.eye(3)[axis]).astype(np.float32), vector.astype(np.float32))
+    assert single[0].dtype == np.float32
+    assert np.stack(single) == pytest.approx(wanted, abs=1e-5)
+
+
+READ = Camera("read", 800, 600, 1000.0, 400.0, 300.0, readout_s=0.1)
+
+
+def test_a_camera_that_turns_while_it_reads_by_hand() -> None:
+    """A quarter of the readout before the middle row, at 0.4 rad/s: 0.01 rad the other way. Turning about y, the
+    picture's top, leaves its right side behind: a ray seen there pointed to the left of what it would."""
+    rate = np.array([0.0, 0.4, 0.0])
+    pose = Pose(np.zeros(3), Rotation(np.eye(3)), None, Turns(0.1, np.outer([-0.05, 0.05], rate)))
+    ray = pose.ray_from_image(READ, [400.0, 150.0])
+    assert ray == pytest.approx([np.sin(0.01), 0.15, -np.cos(0.01)], abs=1e-12)
+    assert pose.image_from_ground(READ, 50.0 * ray) == pytest.approx([400.0, 150.0], abs=1e-6)
+    about_view = Pose(
+        np.zeros(3), Rotation(np.eye(3)), None, Turns(0.1, np.outer([-0.05, 0.05], [0.0, 0.0, 0.4]))
+    )
+    turned = about_view.ray_from_image(READ, [500.0, 150.0])
+    assert turned == pytest.approx(
+        [0.1 * np.cos(0.01) + 0.15 * np.sin(0.01), 0.15 * np.cos(0.01) - 0.1 * np.sin(0.01), -1.0]
+    )
+
+
+@given(st.floats(0.0, 800.0), st.floats(0.0, 600.0), st.integers(0, 99))
+def test_turning_and_moving_there_and_back(col: float, row: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turns = Turns(0.12, np.cumsum(rng.normal(0.0, 0.004, (9, 3)), axis=0))
+    pose = Pose(
+        np.array([3.0, -7.0, 90.0]),
+        Rotation.from_yaw_pitch_roll(1.0, 0.1, -0.05),
+        np.array([9.0, -4.0, 1.0]),
+        turns,
+    )
+    point = pose.centre_at(READ, [col, row]) + 80.0 * pose.ray_from_image(READ, [col, row])
+    assert pose.image_from_ground(READ, point) == pytest.approx([col, row], abs=1e-3)
+
+
+def test_turns_of_a_picture_turned_by_180_degrees() -> None:
+    """The same rays for the same places of the sensor, whichever way up its picture lies."""
+    turns = Turns(0.1, np.array([[[-0.01, 0.02, -0.03], [0.01, -0.02, 0.03]]]))
+    pose = Pose(np.zeros(3), Rotation.from_yaw_pitch_roll(0.3, 0.1, 0.0), None, turns[0])
+    over = Pose(np.zeros(3), pose.rotation.turned(2), None, turns.turned([0], 2)[0])
+    assert over.ray_from_image(READ.turned(2), [800.0 - 123.0, 600.0 - 45.0]) == pytest.approx(
+        pose.ray_from_image(READ, [123.0, 45.0])
+    )
+
+
+def test_turns_over_another_span() -> None:
+    turns = Turns(0.2, np.array([[-0.02, 0.0, 0.0], [0.0, 0.0, 0.0], [0.06, 0.0, 0.0]]))
+    assert turns.at([-0.05, 0.05, 0.2])[0][:, 0] == pytest.approx([-0.01, 0.03, 0.12])
+    assert turns.at([-0.05, 0.05])[1][:, 0] == pytest.approx([0.2, 0.6])
+    assert turns.tabled(0.1, 5).rad[:, 0] == pytest.approx([-0.01, -0.005, 0.0, 0.015, 0.03])

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.camera.exterior import Poses
+from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
@@ -68,6 +68,22 @@ def test_a_known_attitude_is_kept_with_its_deviations() -> None:
     assert poses.positions_m[0] == pytest.approx([120.0, 50.0, 80.0], abs=0.01)
     assert poses.positions_sd_m[0] == pytest.approx([1.5, 1.5, 1.0])
     assert np.degrees(poses.rotations_sd_rad[0]) == pytest.approx([0.3, 0.3, 1.0])
+
+
+def test_told_velocities_and_turns_of_some_frames() -> None:
+    """Turns over one span, the longest; a frame that tells neither flies as its neighbours say and doesn't turn."""
+    frames = [replace(frame_at((40.0 * i, 0.0, 100.0)), time_s=10.0 * i) for i in range(3)]
+    turns = Turns(0.2, np.array([[-0.01, 0.0, 0.02], [0.0, 0.0, 0.0], [0.01, 0.0, -0.02]]))
+    frames[1] = replace(frames[1], velocity_m_per_s=(1.0, 7.0, -0.5), turns=turns)
+    frames[2] = replace(frames[2], turns=Turns(0.1, turns.rad))
+    poses = prior_poses(survey_of(*frames), np.full(3, 620.0), np.ones(3), (0, 0, 0))
+    assert poses.velocities_m_per_s == pytest.approx(
+        np.array([[4.0, 0, 0], [1.0, 7.0, -0.5], [4.0, 0, 0]]), abs=1e-3
+    )
+    assert poses.turns is not None
+    at_50_ms = [poses[i].turns.at(0.05)[0][0] for i in range(3)]
+    assert at_50_ms == pytest.approx([0.0, 0.005, 0.01])
+    assert prior_poses(survey_of(frames[0]), np.full(1, 620.0), np.ones(1), (0,)).turns is None
 
 
 def test_an_unknown_yaw_is_the_course_and_says_how_little_it_is_worth() -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from osgeo import gdal
+from small_surveys import geomosaic, mosaic, small_survey, summary, warned
+from survey_files import picture, write_jpeg
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.matching.candidates import to_compare
 from geomosaic.survey.read import read_survey
-from small_surveys import geomosaic, mosaic, small_survey, summary, warned
-from survey_files import picture, write_jpeg
 
 FEW = ("--set", "matching.sift.keypoints=1000")
 SIZE = {"lines": 2, "frames_per_line": 4, "width_px": 320, "height_px": 240, "seed": 5}

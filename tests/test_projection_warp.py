@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomosaic.camera.exterior import Pose
+from geomosaic.camera.exterior import Pose, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
@@ -152,6 +152,28 @@ def test_a_rolling_shutter_is_followed_row_by_row():
     np.testing.assert_allclose(np.stack([col, row], axis=-1), want, atol=0.02)
     back = ground_from_image(tilted, rolling, ground, want)
     np.testing.assert_allclose(back, window.points_m(), atol=2e-3)
+
+
+def test_a_frame_that_shakes_while_it_is_read():
+    """Against the exact path, which is tested by itself: 0.3 rad/s and vibration of 20 Hz."""
+    home = LocalFrame(9.0, 47.0, 0.0)
+    ground = flat_ground(home, 0.0, 300.0)
+    centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
+    window = ground_window(CRS, home, ground, *(centre + [-40.0, 30.0]), 0.3, 256, 200)
+    after_s = np.linspace(-0.06, 0.06, 31)[:, None]
+    rad = after_s * [0.3, -0.2, 0.5] + 0.002 * np.sin(2.0 * np.pi * 20.0 * after_s) * [1.0, 0.5, -1.0]
+    rotation = Rotation.from_yaw_pitch_roll(0.4, 0.1, -0.1)
+    pose = Pose(np.array([2.0, -9.0, 110.0]), rotation, np.array([12.0, -7.0, 3.0]), Turns(0.12, rad))
+    rolling = replace(PLAIN, readout_s=0.11)
+    col, row = frame_from_map(window, pose, rolling)
+    want = pose.image_from_ground(rolling, window.points_m())
+    still = replace(pose, turns=None).image_from_ground(rolling, window.points_m())
+    inside = (want > 0.0).all(axis=-1) & (want < [800.0, 600.0]).all(axis=-1)
+    assert inside.mean() > 0.5
+    assert np.abs(still - want)[inside].max() > 15.0
+    assert np.abs(np.stack([col, row], axis=-1) - want)[inside].max() < 0.03
+    back = ground_from_image(pose, rolling, ground, want[inside])
+    np.testing.assert_allclose(back, window.points_m()[inside], atol=2e-3)
 
 
 def exact_in(pose, camera, window):  # type: ignore[no-untyped-def]

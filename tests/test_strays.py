@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from survey_files import dji_xmp, exif_block, gps, picture, write_jpeg
 
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
-from survey_files import dji_xmp, exif_block, gps, picture, write_jpeg
 
 LON, LAT, STEP = 9.1234567, 48.7654321, 2.7e-4
 SIZE = (320, 240)

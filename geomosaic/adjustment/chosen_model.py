@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block, ModelChoice, Settings
 from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays
 from geomosaic.camera.interior import Camera
+from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
@@ -20,20 +21,24 @@ Ints = NDArray[np.intp]
 GOOD_PX = 1.0
 """Image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a picture
 that is matched at its size or half of it."""
-_PATTERN_PX = 0.5
-"""Root mean square of what residuals have in common by their place in the picture: a keypoint's own error."""
+_PATTERN_PX = 0.25
+"""Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own
+error."""
 _CELLS = 8
 _BETTER = 0.9
-"""Of the last model's residuals a richer one has to leave less than this share."""
+"""Of the last model's residuals a richer one has to leave less than this share; of two that leave as much but
+for so little the simpler one is taken."""
 _LEFT_OUT = 5  # one track of so many
 _LEAST_TRACKS = 100
-_LEAST_PX = 0.25
+_LEAST_PX = 0.3
 """Of tracks left out, what keypoints themselves are off by: nothing is to be gained below. Above it a shutter
-that nothing tells of may hide though all looks well: along straight lines it only stretches the block, and the
-principal point takes up how frames turn while they are read."""
+that nothing tells of may hide though all looks well: along straight lines it only stretches the block, and
+the principal point takes up how frames turn while they are read."""
 _CONTRADICTS = 1.2
-"""Positions that fit worse by more than this are against a model, however well it pleases the tie points: a block
-that is bent or stretched pleases them too."""
+"""Positions that fit worse by more than this are against a model, however well it pleases the tie points: a
+block that is bent or stretched pleases them too."""
+_SLOWEST_READOUT_S = 0.2
+"""The slowest sensors of small cameras take 0.16 s: a solve that wants more has bent something else with it."""
 _GIVEN = "given"
 _NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
 _TEXTS = {
@@ -60,59 +65,75 @@ def chosen_model(
     Args: first: the solution as given; solve: of tracks with a model.
     """
     good = first.factors.image_px <= GOOD_PX and pattern_px(block, tracks, first) <= _PATTERN_PX
-    if untold_shutter(block, settings):
+    if _untold_shutter(block, settings):
         good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
     if good or tracks.points < _LEAST_TRACKS:
         return block, settings, None
     out = np.random.default_rng(0).permutation(tracks.points) % _LEFT_OUT == 0
     rest, judges = chosen_tracks(tracks, ~out), chosen_tracks(tracks, out)
+
+    def tried(its_block: Block, its_settings: Settings) -> _Tried:
+        try:
+            solved = solve(its_block, its_settings, rest)
+        except NotSolvableError:
+            return _Tried(its_block, its_settings, np.inf, np.inf, np.inf)
+        left_px, readout_s = (
+            _left_out_px(judges, its_block, solved),
+            max(abs(c.readout_s) for c in solved.cameras),
+        )
+        return _Tried(its_block, its_settings, left_px, solved.factors.horizontal, readout_s)
+
     taken: tuple[str, ...] = ()
-    now = solve(block, settings, rest)
-    tried = {_GIVEN: _left_out_px(judges, block, now)}
-    contradicted: list[str] = []
-    while tried["+".join(taken) or _GIVEN] > _LEAST_PX:
-        before = tried["+".join(taken) or _GIVEN]
-        fitting: dict[str, tuple[Block, Settings, Bundle]] = {}
-        for name, (its_block, its_settings) in _candidates(block, settings, taken):
-            whole = "+".join((*taken, name))
-            its = solve(its_block, its_settings, rest)
-            tried[whole] = _left_out_px(judges, its_block, its)
-            if its.factors.horizontal <= _CONTRADICTS * now.factors.horizontal:
-                fitting[name] = its_block, its_settings, its
-            elif tried[whole] <= _BETTER * before:
-                contradicted.append(whole)
-        best = min(fitting, key=lambda name: tried["+".join((*taken, name))], default="")
-        if not best or tried["+".join((*taken, best))] > _BETTER * before:
+    now = tried(block, settings)
+    left_px, contradicted = {_GIVEN: now.left_px}, []
+    while now.left_px > _LEAST_PX:
+        more = {name: tried(*model) for name, model in _candidates(now.block, now.settings, taken)}
+        left_px |= {"+".join((*taken, name)): model.left_px for name, model in more.items()}
+        against = [name for name, model in more.items() if model.contradicts(now)]
+        contradicted += [
+            "+".join((*taken, n)) for n in against if more.pop(n).left_px < _BETTER * now.left_px
+        ]
+        least = min((model.left_px for model in more.values()), default=np.inf)
+        if not least < _BETTER * now.left_px:
             break
-        taken = (*taken, best)
-        block, settings, now = fitting[best]
-    choice = ModelChoice(taken, tuple(tried), tuple(tried.values()), tuple(contradicted))
-    return block, settings, choice
+        best = next(name for name, model in more.items() if _BETTER * model.left_px <= least)
+        taken, now = (*taken, best), more[best]
+    choice = ModelChoice(taken, tuple(left_px), tuple(left_px.values()), tuple(contradicted))
+    return now.block, now.settings, choice
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A model and what came of it: residual of tracks left out, scatter of the positions, longest readout."""
+
+    block: Block
+    settings: Settings
+    left_px: float
+    horizontal: float
+    readout_s: float
+
+    def contradicts(self, now: _Tried) -> bool:
+        """Whether it can't be, as far as positions and sensors go."""
+        return self.horizontal > _CONTRADICTS * now.horizontal or self.readout_s > _SLOWEST_READOUT_S
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     """A line if something other than the given was needed, and one if how frames turn is the pictures' word
     alone or can't be told."""
-    if choice is None:
-        return []
-    out = []
-    before, after = (
-        choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(choice.taken) or _GIVEN)
-    )
-    if choice.taken:
+    out: list[Warn] = []
+    if choice is not None and choice.taken:
+        before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(choice.taken)))
         text = (
             f"lens and shutter as given leave {before:.2g} px at tie points left out of the solve; taken "
             f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in choice.taken)}"
         )
         out.append(Warn("model-chosen", "", text))
-    if "turning" in choice.taken and block.poses.turns is None:
+    if choice is not None and "turning" in choice.taken and block.poses.turns is None:
         text = "frames turn while their rows are read, and no gyroscope tells how: their shapes are estimated"
         out.append(Warn("shutter-doubtful", "", text))
-    elif choice.contradicted:
-        text = (
-            f"tie points would fit better with {_TEXTS[choice.contradicted[0].split('+')[-1]]}, but the positions "
-            "speak against it; not taken"
-        )
+    elif choice is not None and choice.contradicted:
+        what = _TEXTS[choice.contradicted[0].split("+")[-1]]
+        text = f"tie points would fit better with {what}, but the positions speak against it; not taken"
         out.append(Warn("shutter-doubtful", "", text))
     return out
 
@@ -120,32 +141,28 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
 def _candidates(
     block: Block, settings: Settings, taken: tuple[str, ...]
 ) -> Iterator[tuple[str, tuple[Block, Settings]]]:
-    """What can be added to a model, each with its block and settings."""
-    moving = _moving(block)
-    read = any(c.readout_s for c in block.cameras) or settings.rolling_shutter
-    turns = block.poses.turns
+    """What can be added to a model, each with its block and settings, the simplest first."""
+    turns, moving = block.poses.turns, _moving(block)
     begin_s = _NOMINAL_READOUT_S if turns is None else turns.span_s
-
-    def rolling(camera: Camera) -> Camera:
-        return camera if camera.readout_s else replace(camera, readout_s=begin_s)
-
-    if not settings.free_lens and any(c.distortion_sd for c in block.cameras):
+    rolling = replace(
+        block, cameras=tuple(c if c.readout_s else replace(c, readout_s=begin_s) for c in block.cameras)
+    )
+    read = any(c.readout_s for c in block.cameras)
+    makers = any(c.distortion_sd for c in block.cameras)
+    if read and turns is not None:
+        yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
+    if makers and not settings.free_lens:
         yield "lens", (block, replace(settings, free_lens=True))
-    if "fisheye" not in taken and not any(c.distortion_sd for c in block.cameras):
-        yield "fisheye", (_each_camera(block, _as_fisheye), settings)
     if moving and not settings.rolling_shutter:
-        yield "readout", (_each_camera(block, rolling), replace(settings, rolling_shutter=True))
+        yield "readout", (rolling, replace(settings, rolling_shutter=True))
+    if not makers and "fisheye" not in taken:
+        yield "fisheye", (replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
     if not settings.turning:
         solved = settings.rolling_shutter or (moving and not read)
-        yield (
-            "turning",
-            (_each_camera(block, rolling), replace(settings, turning=True, rolling_shutter=solved)),
-        )
-    if read and block.poses.turns is not None:
-        yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
+        yield "turning", (rolling, replace(settings, turning=True, rolling_shutter=solved))
 
 
-def untold_shutter(block: Block, settings: Settings) -> bool:
+def _untold_shutter(block: Block, settings: Settings) -> bool:
     """Whether rows may be read one after the other, without a word of it, while the frames move."""
     told = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     return _moving(block) and not told
@@ -153,10 +170,6 @@ def untold_shutter(block: Block, settings: Settings) -> bool:
 
 def _moving(block: Block) -> bool:
     return block.poses.velocities_m_per_s is not None or block.poses.turns is not None
-
-
-def _each_camera(block: Block, change: Callable[[Camera], Camera]) -> Block:
-    return replace(block, cameras=tuple(change(c) for c in block.cameras))
 
 
 def _as_fisheye(camera: Camera) -> Camera:

@@ -176,6 +176,7 @@ def readout_of(
     if poses.turns is not None:
         turn, rate = poses.turns.at(after_s, frame)
         at_row = at_row @ exp_turn(turn)
+        rate = rate - 0.5 * np.cross(turn, rate)
         turned = np.einsum("mij,mj->mi", at_row, rate) * share[:, None]
     if rates_rad_per_s is not None:
         rate = rates_rad_per_s[frame]

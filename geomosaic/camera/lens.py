@@ -111,6 +111,9 @@ def _brown_straightened(terms: Array, xy: Floats, limit: float) -> Floats:
         bent = np.stack(_brown_bent(terms, x, y, x * x + y * y), axis=-1)
         step = (xy - bent) / np.maximum(slope, _FLATTEST)[..., None]
         ideal += step
+        r_sq = ideal[..., 0] ** 2 + ideal[..., 1] ** 2
+        if np.nanmax(r_sq, initial=0.0) > limit * limit:
+            ideal *= (limit / np.maximum(np.sqrt(r_sq), limit))[..., None]
         if np.nanmax(np.abs(step), initial=0.0) < _CLOSE:
             break
     return ideal

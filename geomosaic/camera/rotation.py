@@ -43,9 +43,9 @@ def about_z(angle_rad: ArrayLike) -> Floats:
 
 
 def turned_by(turn_rad: Any, vectors: Any) -> Any:
-    """Vectors turned by rotation vectors of less than a third of a turn, each three components of arrays.
+    """Vectors turned by rotation vectors of half a radian at most, each three components of arrays.
 
-    Rodrigues' formula by its series, to 1e-9; the components' precision is kept.
+    Rodrigues' formula by its series, to 1e-10; the components' precision is kept.
     """
     (a, b, c), (x, y, z) = turn_rad, vectors
     square = a * a + b * b + c * c

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 from typing import Final
 
 import numpy as np
@@ -27,6 +26,7 @@ _MOST_SAMPLES: Final = 4096  # of 1 kHz in a readout of 0.2 s: 185
 _LONGEST: Final = 4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4
 _LEAST_SAMPLES: Final = 8
 _SAMPLES_A_TURN: Final = 4  # vibration of some tens of Hz, sampled at 1 kHz: the turn is smooth over 4 ms
+_FARTHEST_RAD: Final = 0.25  # a frame that turns farther while it is read shows nothing
 _EDGE: Final = 5  # samples whose mean goes on beyond the first and the last
 
 
@@ -48,7 +48,8 @@ def turns_of(header: FrameHeader) -> Turns | None:
     times = 2 * (len(time_s) // (2 * _SAMPLES_A_TURN)) + 1
     at_s = span_s / 2.0 + UNIT_DELAY_S + np.linspace(-0.5, 0.5, times) * span_s
     rad = np.stack([np.interp(at_s, time_s, turned[:, axis]) for axis in range(3)], axis=1)
-    return Turns(span_s, rad - rad[times // 2])
+    rad -= rad[times // 2]
+    return Turns(span_s, rad) if np.abs(rad).max() <= _FARTHEST_RAD else None
 
 
 def velocity_of(header: FrameHeader) -> tuple[float, float, float] | None:
@@ -66,7 +67,7 @@ def _samples(xmp: Xmp) -> tuple[Floats, Floats] | None:
         return None
     try:
         data = base64.b64decode(text, validate=True)
-    except binascii.Error:
+    except ValueError:
         return None
     if len(data) % _SAMPLE.itemsize or not _LEAST_SAMPLES <= len(data) // _SAMPLE.itemsize <= _MOST_SAMPLES:
         return None

@@ -1,0 +1,76 @@
+"""The model of lens and shutter that tie points left out of the solve speak for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import fly, hills
+
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Settings
+from geomosaic.camera.exterior import Turns
+from geomosaic.camera.interior import Camera
+
+SHARP = np.array([0.1, 0.1, 0.15])
+
+
+def test_a_block_that_is_told_all_is_solved_as_given() -> None:
+    adjusted = METHODS["bundle"](fly(1).block, Settings())
+    assert adjusted.model is None
+    assert adjusted.poses.turns is None
+
+
+def test_frames_that_turn_while_they_are_read() -> None:
+    """0.1 s at 0.2 rad/s: 20 px from the first row to the last, each frame another way."""
+    flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
+    given = METHODS["bundle"](flown.block, Settings(model="given"))
+    assert given.model is None
+    assert given.figures["sigma_px"] > 1.2
+    adjusted = METHODS["bundle"](flown.block, Settings())
+    assert adjusted.model is not None
+    assert adjusted.model.taken == ("turning",)
+    assert {"given", "readout", "turning"} <= set(adjusted.model.names)
+    assert [w.code for w in adjusted.warnings if "turning at a rate" in w.text] == ["model-chosen"]
+    assert adjusted.figures["sigma_px"] < 0.4
+    turned = adjusted.poses.turns.at(np.full(8, 0.05), np.arange(8))[0]
+    truth = flown.truth.turns.at(np.full(8, 0.05), np.arange(8))[0]
+    assert np.sqrt(np.mean(truth**2)) > 0.008
+    assert np.sqrt(np.mean((turned - truth) ** 2)) < 0.003
+
+
+def test_turns_that_are_told_wrongly_are_not_followed() -> None:
+    """As of a unit whose axes are not what they are taken for."""
+    flown = fly(5, 2, 4, points=350, readout_s=0.1, relief=hills)
+    wild = np.random.default_rng(2).normal(0.0, 0.02, (8, 1, 3)) * np.array([[-1.0], [1.0]])
+    poses = replace(flown.block.poses, turns=Turns(0.1, wild))
+    adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings())
+    assert adjusted.model is not None
+    assert adjusted.model.taken == ("untold_turns",)
+    assert adjusted.poses.turns is None
+    assert adjusted.figures["sigma_px"] < 0.4
+
+
+def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
+    """Corners at 82 degrees: Brown's terms don't bend a pinhole's picture so far."""
+    eye = Camera("eye", 1600, 1200, 700.0, 802.0, 597.0, k1=0.01, kind="fisheye")
+    flown = fly(6, 2, 3, points=500, relief=hills, lens=eye)
+    told = replace(eye, kind="brown", k1=0.0)
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=(told,) * 6), Settings())
+    assert adjusted.model is not None
+    assert adjusted.model.taken == ("fisheye",)
+    assert adjusted.cameras[0].kind == "fisheye"
+    assert adjusted.figures["sigma_px"] < 0.4
+
+
+def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
+    """The turns are told, how long the rows are read is not: begun at the span of the samples."""
+    flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
+    poses = replace(flown.block.poses, turns=Turns(0.14, flown.truth.turns.rad * 1.4))
+    cameras = tuple(replace(c, readout_s=0.0) for c in flown.block.cameras)
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=cameras, poses=poses), Settings())
+    assert adjusted.model is not None
+    assert adjusted.model.taken == ("readout",)
+    assert adjusted.cameras[0].readout_s == pytest.approx(0.1, rel=0.05)
+    assert adjusted.figures["sigma_px"] < 0.4
