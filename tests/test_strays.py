@@ -108,6 +108,13 @@ def test_another_flight(folder: Path) -> None:
     assert "(4: OTHER_0.JPG, OTHER_1.JPG, OTHER_2.JPG and 1 more)" in text
 
 
+def test_a_receiver_that_kept_its_last_fix(folder: Path) -> None:
+    """Four frames at one place far off were flown with the others: the pictures say where."""
+    for i in range(4):
+        frame(folder / f"DJI_{i:04d}.JPG", i, lon=LON + 0.055)
+    assert left_out(folder) == {}
+
+
 def test_two_fields_of_one_flight_stay(folder: Path) -> None:
     for i in range(4):
         frame(folder / f"FIELD_{i}.JPG", 40 + i, lon=LON + 0.008 + i * STEP)

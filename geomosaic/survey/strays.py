@@ -259,7 +259,8 @@ def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
         there = en[part == k]
         gap_m = float(cKDTree(here).query(there)[0].min())
         extent_m = max(float(np.linalg.norm(np.ptp(e, axis=0))) for e in (here, there))
-        if k != main and gap_m > max(APART.value * extent_m, _NEAR_M):
+        flown = float(np.ptp(there, axis=0).max()) > typical  # else a receiver that kept its last fix
+        if k != main and flown and gap_m > max(APART.value * extent_m, _NEAR_M):
             out |= dict.fromkeys(at[part == k].tolist(), gap_m)
     return out
 
