@@ -17,8 +17,8 @@ from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.matching.candidates import to_compare
 from geomosaic.survey.read import read_survey
 
-FEW = ("--set", "matching.sift.keypoints=1000")
-SIZE = {"lines": 2, "frames_per_line": 4, "width_px": 320, "height_px": 240, "seed": 5}
+FEW = ("--set", "matching.sift.keypoints=700")
+SIZE = {"lines": 2, "frames_per_line": 3, "width_px": 320, "height_px": 240, "seed": 5}
 
 
 @pytest.fixture(scope="module")
@@ -30,13 +30,13 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def _places(path: Path) -> dict[str, np.ndarray]:
+PLACE, DEVIATION = ("easting_m", "northing_m", "height_ellipsoidal_m"), ("sd_e_m", "sd_n_m", "sd_u_m")
+
+
+def _places(path: Path, columns: tuple[str, ...] = PLACE) -> dict[str, np.ndarray]:
     with path.open(encoding="utf-8", newline="") as file:
         return {
-            row["frame"]: np.array(
-                [float(row[c] or "nan") for c in ("easting_m", "northing_m", "height_ellipsoidal_m")]
-            )
-            for row in csv.DictReader(file)
+            row["frame"]: np.array([float(row[c] or "nan") for c in columns]) for row in csv.DictReader(file)
         }
 
 
@@ -46,35 +46,40 @@ def _off_m(run: Path, truth: Path) -> np.ndarray:
 
 
 def test_frames_without_gps_are_placed_by_the_pictures(tmp_path: Path, flown: Path) -> None:
-    """Two of eight have none, one of them at a turn of the flight; a ninth shows something else."""
+    """Two of six have none, one of them at a turn of the flight; a seventh shows something else."""
     frames = shutil.copytree(flown / "both" / "frames", tmp_path / "frames")
-    for name in ("F0003.jpg", "F0005.jpg"):
+    for name in ("F0002.jpg", "F0004.jpg"):
         shutil.copy(flown / "none" / "frames" / name, frames / name)
     with_tags = (flown / "none" / "frames" / "F0001.jpg").read_bytes()
-    strange = write_jpeg(frames / "F0009.jpg", picture(320, 240, seed=8)).read_bytes()
+    noise = np.random.default_rng(1).normal(0.0, 12.0, (240, 320, 1))
+    other = np.clip(picture(320, 240, seed=8) + noise, 0, 255).astype(np.uint8)
+    strange = write_jpeg(frames / "F0007.jpg", other).read_bytes()
     end_of_tags = with_tags.index(b"\xff\xdb")
-    (frames / "F0009.jpg").write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
+    (frames / "F0007.jpg").write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
     assert mosaic(frames, tmp_path / "run", *FEW) == 0
     told = summary(tmp_path / "run")
-    assert told["frames"] == {"total": 9, "tied": 8, "placed": 0, "rejected": 1}
-    assert warned(tmp_path / "run", "not-placed") == ["F0009.jpg"]
+    assert told["frames"] == {"total": 7, "tied": 6, "placed": 0, "rejected": 1}
+    assert warned(tmp_path / "run", "not-placed") == ["F0007.jpg"]
     (line,) = [w["text"] for w in told["warnings"] if w["code"] == "position-missing"]
-    assert line == "no position: placed by the pictures (3 of 9 frames: F0009.jpg, F0003.jpg, F0005.jpg)"
+    assert line == "no position: placed by the pictures (3 of 7 frames: F0007.jpg, F0002.jpg, F0004.jpg)"
     assert np.abs(_off_m(tmp_path / "run", flown / "both")).max() < 1.0
 
 
 def test_control_points_stand_in_for_positions(tmp_path: Path, flown: Path) -> None:
     run = tmp_path / "run"
     assert mosaic(flown / "none" / "frames", run, "--gcp", flown / "both" / "gcp_list.txt", *FEW) == 0
-    assert summary(run)["frames"]["tied"] == 8
-    assert np.abs(_off_m(run, flown / "both")).max() < 0.3
+    assert summary(run)["frames"]["tied"] == 6
+    sd_m = _places(run / "positions.csv", DEVIATION)
+    off_m = np.abs(_off_m(run, flown / "both"))
+    assert off_m.max() < 1.0
+    assert (off_m < 3.0 * np.array([sd_m[name] for name in sorted(sd_m)])).all()
 
 
 def test_with_nothing_the_mosaic_lies_in_a_frame_of_its_own(tmp_path: Path, flown: Path) -> None:
     run = tmp_path / "run"
     assert mosaic(flown / "none" / "frames", run, *FEW) == 0
     told = summary(run)
-    assert told["frames"]["tied"] == 8 and told["mosaic"]["crs"] == LOCAL_CRS
+    assert told["frames"]["tied"] == 6 and told["mosaic"]["crs"] == LOCAL_CRS
     assert told["mosaic"]["gsd_m"] == pytest.approx(1.0, rel=0.1)
     assert len(warned(run, "local-frame")) == 1
     raster = gdal.Open(str(run / "mosaic.tif"))
@@ -87,7 +92,7 @@ def test_with_nothing_the_mosaic_lies_in_a_frame_of_its_own(tmp_path: Path, flow
     z, w = (np.array([p[n][:2] @ [1, 1j] for n in sorted(true)]) for p in (found, true))
     z, w = z - z.mean(), w - w.mean()
     turn = (w * z.conj()).sum() / (np.abs(z) ** 2).sum()
-    assert np.abs(w - turn * z).max() < 0.4
+    assert np.abs(w - turn * z).max() < 0.7
 
 
 def test_what_control_can_tell(tmp_path: Path, flown: Path) -> None:
@@ -121,5 +126,6 @@ def test_what_needs_the_earth_is_refused_without_positions(flown: Path) -> None:
 def test_comparing_all_with_all_is_bounded() -> None:
     assert to_compare(4, [1, 3]) == [(1, [0, 2, 3]), (3, [0, 2])]
     compared = to_compare(2000, range(2000))
-    assert sum(len(others) for _, others in compared) <= 10_000
-    assert compared[1000][1] == [1001, 1002]
+    assert sum(len(others) for _, others in compared) <= 20_000
+    assert compared[1000][1] == [*range(1001, 1006)]
+    assert sum(len(others) for _, others in to_compare(200, range(200))) == 19_900

@@ -78,10 +78,12 @@ def test_bands_of_one_capture_are_no_copies(folder: Path) -> None:
 
 def test_take_off_and_landing(folder: Path) -> None:
     """Only at the ends of the flight: one low frame amid it may be right."""
-    frame(folder / "DJI_0000.JPG", 0, RelativeAltitude="+4.00")
+    frame(folder / "DJI_0000.JPG", 0, RelativeAltitude="+0.10", AbsoluteAltitude="+332.40")
+    frame(folder / "DJI_0001.JPG", 1, RelativeAltitude="+14.00")
     frame(folder / "DJI_0011.JPG", 11, RelativeAltitude="+9.00")
     frame(folder / "DJI_0006.JPG", 6, RelativeAltitude="+9.00")
-    assert left_out(folder) == {"DJI_0000.JPG": "frame-take-off", "DJI_0011.JPG": "frame-take-off"}
+    low = ("DJI_0000.JPG", "DJI_0001.JPG", "DJI_0011.JPG")
+    assert left_out(folder) == dict.fromkeys(low, "frame-take-off")
 
 
 def test_oblique_and_horizon(folder: Path) -> None:
@@ -106,6 +108,13 @@ def test_another_flight(folder: Path) -> None:
     assert out == {f"OTHER_{i}.JPG": "frame-other-place" for i in range(4)}
     (text,) = [w.text for w in read_survey(folder).warnings if w.code == "frame-other-place"]
     assert "(4: OTHER_0.JPG, OTHER_1.JPG, OTHER_2.JPG and 1 more)" in text
+
+
+def test_a_receiver_that_kept_its_last_fix(folder: Path) -> None:
+    """Four frames at one place far off were flown with the others: the pictures say where."""
+    for i in range(4):
+        frame(folder / f"DJI_{i:04d}.JPG", i, lon=LON + 0.055)
+    assert left_out(folder) == {}
 
 
 def test_two_fields_of_one_flight_stay(folder: Path) -> None:

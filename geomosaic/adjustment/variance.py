@@ -239,19 +239,19 @@ def median_px(lengths_px: Floats) -> float:
 
 
 def common_error(bundle: Bundle, given: Poses) -> Floats:
-    """Variances (3,), east, north and up in m², of what all positions may be off by in common.
+    """Variances (3,), east, north and up in m², of what all positions may be off by in common; that of heights
+    is `height_datum`'s.
 
     Residuals show how positions scatter about the block; a shift of all of them they don't show. Where they
     scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is stated
-    may be such a shift, horizontally up to what a receiver's errors have in common over a flight.
+    may be such a shift, up to what a receiver's errors have in common over a flight.
     """
     known = ~position_assumed(given)
     if not known.any():
         return np.zeros(3)
     told = np.median(given.positions_sd_m[known], axis=0)
-    scatter = np.array([bundle.factors.horizontal] * 2 + [bundle.factors.vertical])
-    rest = told**2 * np.maximum(1.0 - scatter**2 / _MAY_BE_CHANCE, 0.0)
-    return np.minimum(rest, [_COMMON_SD_M**2, _COMMON_SD_M**2, np.inf])
+    rest = told**2 * max(1.0 - bundle.factors.horizontal**2 / _MAY_BE_CHANCE, 0.0)
+    return np.minimum(rest, [_COMMON_SD_M**2, _COMMON_SD_M**2, 0.0])
 
 
 def with_common_error(bundle: Bundle, variance_m2: Floats) -> Bundle:

@@ -13,8 +13,8 @@ from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
 Floats = NDArray[np.float64]
 Pair = tuple[int, int]
-MOST_COMPARED = 10_000
-"""Pairs: some 5 ms each, so that this takes no longer than matching a survey of such a size does."""
+MOST_COMPARED = 20_000
+"""Pairs, all of 200 frames: some 5 ms each, a fraction of what matching a survey of such a size takes."""
 _COARSEST = 400
 """Keypoints of a frame: as many as a picture of 300 x 200 px has, seen again in spite of scale and blur."""
 _LEAST = 8
@@ -43,7 +43,8 @@ def to_compare(n: int, frames: Collection[int], most: int = MOST_COMPARED) -> li
     """Each of some frames with all others; where those were more than `most` pairs, with as many of them
     next to it in order of capture as keep to it. No pair comes twice."""
     wanted = sorted(frames)
-    reach = n if len(wanted) * n <= most else max(2, most // (2 * len(wanted)))
+    m = len(wanted)
+    reach = n if m * (n - m) + m * (m - 1) // 2 <= most else max(2, most // (2 * m))
     done = set(wanted)
     return [
         (i, [j for j in range(max(0, i - reach), min(n, i + reach + 1)) if j > i or j not in done])

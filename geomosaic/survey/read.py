@@ -16,7 +16,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS, map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import CameraChoice, cameras_from_file, cameras_from_headers
-from geomosaic.survey.control import check_control, lonlat_of_control, read_control
+from geomosaic.survey.control import LEAST_POINTS, check_control, lonlat_of_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, masks
 from geomosaic.survey.header import FrameHeader
@@ -40,6 +40,10 @@ from geomosaic.survey.strays import (
 from geomosaic.survey.usable import Inspect, Usable, inspect_all, usable
 
 Floats = NDArray[np.float64]
+_LEANS: Final = (
+    "no frame has a position, and two control points alone don't tell how the block leans about the line "
+    "through them: a third one, off it, does"
+)
 Progress = Callable[[int, int, str], None]
 _LOCAL: Final = (
     "no frame has a position and there are no control points: the mosaic lies in a local frame, in units of "
@@ -124,7 +128,10 @@ def read_survey(
     observed = observe(headers, table, [out.name for out in left_out])
     located = [p for p in observed.positions if p.known]
     if not located and gcp is not None:
-        there = np.median(lonlat_of_control(gcp, control), axis=0)
+        used = lonlat_of_control(gcp, control)
+        there = np.median(used, axis=0)
+        if len(used) == LEAST_POINTS:
+            control_warnings.append(Warn("control-few", "", _LEANS))
         observed = observe(headers, table, anywhere=(float(there[0]), float(there[1])))
     local = not located and gcp is None
     _check_local(local, folder, crs, dem)

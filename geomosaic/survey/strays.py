@@ -40,7 +40,7 @@ LOW: Final = Limit(
     "a frame sees less than a tenth of what others see: taken while climbing or landing",
     "",
 )
-_FEW_LOW: Final = 0.1  # of all frames, at each end of the flight
+_FEW_LOW: Final = 0.1  # of all frames, at each end of the flight; of few frames three, or a quarter
 TILTED: Final = Limit(
     35.0,
     "degrees beyond the usual tilt",
@@ -197,7 +197,7 @@ def misplaced(
             "frame-other-place", headers[i], f"belongs to another flight, {away_m / 1000.0:.1f} km away"
         )
     rest = np.array([i for i in range(len(headers)) if i not in out], dtype=np.intp)
-    above = np.array([positions[i].height_above_ground_m for i in rest], dtype=np.float64)
+    above = _heights_above_ground_m([positions[i] for i in rest])
     for k in np.flatnonzero(_low_at_ends(above)):
         text = f"was taken {above[k]:.0f} m above the ground, the others at {np.nanmedian(above):.0f} m"
         out[int(rest[k])] = _out("frame-take-off", headers[rest[k]], text)
@@ -218,6 +218,17 @@ def _tilt_deg(attitude: Attitude) -> float:
     return float(np.degrees(np.arccos(np.clip(np.cos(pitch) * np.cos(roll), -1.0, 1.0))))
 
 
+def _heights_above_ground_m(positions: Sequence[Position]) -> Floats:
+    """As told, else by the absolute height over the ground that the others tell: on the ground, tags say 0,
+    which counts as not told."""
+    above = np.array([p.height_above_ground_m for p in positions], dtype=np.float64)
+    absolute = np.array([p.height_ellipsoidal_m for p in positions], dtype=np.float64)
+    both = np.isfinite(above) & np.isfinite(absolute)
+    if 2 * both.sum() < len(positions):
+        return above
+    return np.where(np.isfinite(above), above, absolute - float(np.median((absolute - above)[both])))
+
+
 def _low_at_ends(above_m: Floats) -> Flags:
     """Frames far below the usual height, in one run from the first frame on or up to the last."""
     out = np.zeros(len(above_m), dtype=bool)
@@ -226,7 +237,7 @@ def _low_at_ends(above_m: Floats) -> Flags:
         return out
     usual = float(np.median(known))
     low = above_m < LOW.value * usual
-    most = max(1, int(_FEW_LOW * len(above_m)))
+    most = max(int(_FEW_LOW * len(above_m)), min(_LEAST_FLIGHT, len(above_m) // 4))
     spread = _NORMAL * float(np.median(np.abs(known - usual)))
     if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
         return out
@@ -259,7 +270,8 @@ def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
         there = en[part == k]
         gap_m = float(cKDTree(here).query(there)[0].min())
         extent_m = max(float(np.linalg.norm(np.ptp(e, axis=0))) for e in (here, there))
-        if k != main and gap_m > max(APART.value * extent_m, _NEAR_M):
+        flown = float(np.ptp(there, axis=0).max()) > typical  # else a receiver that kept its last fix
+        if k != main and flown and gap_m > max(APART.value * extent_m, _NEAR_M):
             out |= dict.fromkeys(at[part == k].tolist(), gap_m)
     return out
 
