@@ -139,7 +139,8 @@ def line(r: Row) -> str:
         *(number(name, 2) for name in ("after_px", "jump_px")), number("covered", 0, 100.0),
         *(number(name, 2) for name in ("absolute_m", "stated_m")),
         f"{r['tied']} of {r['wanted']}" if "tied" in r else "",
-        " ".join([r.get("grade", ""), *(f"({name})" for name in r.get("against", []))]).strip(), f"{r['s']:.0f}",
+        " ".join([r.get("grade", ""), *(f"({name})" for name in r.get("against", []))]).strip(),
+        f"{r['s']:.0f}",
         r["outcome"] + (f": {'; '.join(r['missed'])}" if r["missed"] else ""),
     )  # fmt: skip
     return f"| {' | '.join(map(str, cells))} |"
