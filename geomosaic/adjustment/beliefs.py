@@ -64,7 +64,7 @@ def priors_of(
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
         assumed=assumed,
-        rate_sd_rad_per_s=_rate_sd(block) if settings.turning else 0.0,
+        rate_sd_rad_per_s=_rate_sd(block, settings) if settings.turning else 0.0,
     )
 
 
@@ -73,7 +73,9 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
     return interior_deviations(known, readout=settings.rolling_shutter)
 
 
-def _rate_sd(block: Block) -> float:
+def _rate_sd(block: Block, settings: Settings) -> float:
+    if settings.rate_sd_rad_per_s is not None:
+        return settings.rate_sd_rad_per_s
     return _RATE_SD if block.poses.turns is None else _TOLD_RATE_SD
 
 

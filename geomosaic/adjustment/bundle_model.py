@@ -58,11 +58,11 @@ class Priors:
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
     observed, so that it tells nothing of the others' deviations. rate_sd_rad_per_s: of each frame's constant
-    rate of turning while its rows are read, beside the poses' turns; 0 where it isn't asked for. trust (f, 6):
-    factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared unknowns,
-    cameras' numbers before the mounting's, keep what they were given as the block does not determine them;
-    left_out (f,): frames whose pictures have no say, since they made the system unsolvable; all three set by
-    the solver.
+    rate of turning while its rows are read, beside the poses' turns; 0 where it isn't asked for. trust
+    (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
+    unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
+    determine them; left_out (f,): frames whose pictures have no say, since they made the system unsolvable;
+    all three set by the solver.
     """
 
     poses: Poses

@@ -38,7 +38,7 @@ _CONTRADICTS = 1.2
 """Positions that fit worse by more than this are against a model, however well it pleases the tie points: a
 block that is bent or stretched pleases them too."""
 _SLOWEST_READOUT_S = 0.2
-"""The slowest sensors of small cameras take 0.16 s: a solve that wants more has bent something else with it."""
+"""The slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it."""
 _GIVEN = "given"
 _NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
 _TEXTS = {

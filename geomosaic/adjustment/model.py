@@ -74,8 +74,9 @@ class Settings:
     epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
     rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
     boresight, lever_arm, gps_lag, rolling_shutter, turning: whether a bundle solves for them, see `Mounting`,
-    `Camera` and `Priors`. free_lens: a maker's lens counts for nothing but where to begin. model: `auto` adds
-    to all that what the evidence speaks for, see `chosen_model`; `given` doesn't.
+    `Camera` and `Priors`; rate_sd_rad_per_s: of what turning solves for, if that is known. free_lens: a
+    maker's lens counts for nothing but where to begin. model: `auto` adds to all that what the evidence
+    speaks for, see `chosen_model`; `given` doesn't.
     """
 
     epsilon_px: float = 10.0
@@ -87,6 +88,7 @@ class Settings:
     gps_lag: bool = False
     rolling_shutter: bool = False
     turning: bool = False
+    rate_sd_rad_per_s: float | None = None
     free_lens: bool = False
     model: str = "auto"
 

@@ -23,6 +23,7 @@ from geomosaic.adjustment.chosen_ground import (
 )
 from geomosaic.adjustment.chosen_model import chosen_model, model_warnings
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
+from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
@@ -103,6 +104,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         block, settings, choice = chosen_model(block, settings, found.ties, as_given, solve)
     if choice is not None and choice.taken:
         cameras = tuple({c.name: c for c in block.cameras}.values())
+        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
+    if found.solved.rates is not None and block.poses.turns is not None:
+        block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if few is not tracks:
         found = _with_all(block, settings, tracks, camera_of, cameras, found)

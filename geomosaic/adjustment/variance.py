@@ -239,8 +239,8 @@ def median_px(lengths_px: Floats) -> float:
 
 
 def common_error(bundle: Bundle, given: Poses) -> Floats:
-    """Variances (3,), east, north and up in m², of what all positions may be off by in common; that of heights
-    is `height_datum`'s.
+    """Variances (3,), east, north and up in m², of what all positions may be off by in common; heights are
+    `height_datum`'s.
 
     Residuals show how positions scatter about the block; a shift of all of them they don't show. Where they
     scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is stated

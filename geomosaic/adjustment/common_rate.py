@@ -1,0 +1,33 @@
+"""What frames' own rates of turning have in common beside told ones: the zero of the gyroscope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from geomosaic.adjustment.bundle_model import Bundle
+from geomosaic.adjustment.collinearity import with_rates
+from geomosaic.adjustment.model import Block, Settings
+
+_LEAST_FRAMES = 5
+_OWN_SD_RAD_PER_S = 0.012
+"""Of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts."""
+
+
+def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[Block, Settings]:
+    """The block whose told turns hold the median of the frames' own rates in camera axes too, and settings by
+    which these keep near it.
+
+    Each frame's own rate, free within what a gyroscope's zero may be off, costs a small block its shape.
+    """
+    if solved.rates is None or block.poses.turns is None:
+        return block, settings
+    known = solved.rates.any(axis=1)
+    if known.sum() < _LEAST_FRAMES:
+        return block, settings
+    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.rates[known])
+    common = np.median(rates, axis=0)
+    in_work_frame = np.asarray(block.poses.rotations @ common)
+    poses = with_rates(block.poses, in_work_frame, block.poses.turns.span_s)
+    return replace(block, poses=poses), replace(settings, rate_sd_rad_per_s=_OWN_SD_RAD_PER_S)
