@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adjustment_blocks import fly
+from survey_files import survey_folder
 
 from geomosaic.adjustment.height_datum import common_height_sd_m, with_common_height
 from geomosaic.adjustment.methods import METHODS
@@ -15,8 +17,6 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import ControlPoint, Survey
 from geomosaic.survey.read import read_survey
-from tests.adjustment_blocks import fly
-from tests.survey_files import survey_folder
 
 
 @pytest.mark.parametrize("batteries", [False, True])

@@ -134,7 +134,7 @@ def spread_of(bundle: Bundle, camera_of: Ints, common_m2: Floats) -> Spread:
         of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
         moved = by_pose[:, :, :3].sum(axis=0)
-        return bundle.reduced.propagate(poses, shared) + moved @ np.diag(common_m2) @ moved.T
+        return np.asarray(bundle.reduced.propagate(poses, shared) + moved @ np.diag(common_m2) @ moved.T)
 
     return spread
 

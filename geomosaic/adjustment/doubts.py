@@ -21,6 +21,7 @@ _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 _SAME_PLACE_M = 1e-3  # positions given alike say nothing of the scale
 _SCALE_IN_DOUBT = 4.0
+_WITHIN_FLIGHT_M = 1.0  # to what a code receiver's positions of one flight agree, whatever is stated of them
 _SHIFT_IN_DOUBT = 5.0
 _DRIFTS = 3.0
 _DRIFTS_CLEARLY = 5.0
@@ -60,8 +61,8 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
 
     The best similarity from the adjusted to the given positions of the frames `seen` in the block. Its
     scale's standard deviation is that of a position over the root of the squared extent; a position's is
-    the stated one, or what the similarity leaves, whichever is larger. A shift of all frames beyond five
-    stated deviations is what control in another datum does.
+    what the similarity leaves, but not below the stated one, or what one flight's agree to. A shift of all
+    frames beyond five stated deviations is what control in another datum does.
     """
     seen = seen[~position_assumed(block.poses)[seen]]
     if not len(seen):
@@ -84,7 +85,8 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
-    position_sd_m = max(stated_m, float(np.median(np.abs(left))) / _MEDIAN_LENGTH)
+    scatter_m = float(np.median(np.abs(left))) / _MEDIAN_LENGTH
+    position_sd_m = max(min(stated_m, _WITHIN_FLIGHT_M), scatter_m)
     off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
     if abs(off) > _SCALE_IN_DOUBT * sd:
         text = (

@@ -126,12 +126,12 @@ def smooth_with_shift(
     joined = np.zeros((n, size, 2))
     joined[:, :2] = mine.sum(axis=0)
     joined[:, 2:] = np.moveaxis(mine, 0, 1).reshape(n, size - 2, 2)
-    joined = joined.reshape(-1, 2)
+    columns = joined.reshape(-1, 2)
     moved = offset_px - level_px[:, None]
-    solved = factor.solve(np.concatenate([right.reshape(-1, 1), joined], axis=1))
+    solved = factor.solve(np.concatenate([right.reshape(-1, 1), columns], axis=1))
     least = 1e-9 * np.eye(2)
-    covariance = np.linalg.inv(mine.sum(axis=(0, 1)) - joined.T @ solved[:, 1:] + least)
-    shift = covariance @ (np.einsum("knij,knj->i", mine, moved) - joined.T @ solved[:, 0])
+    covariance = np.linalg.inv(mine.sum(axis=(0, 1)) - columns.T @ solved[:, 1:] + least)
+    shift = covariance @ (np.einsum("knij,knj->i", mine, moved) - columns.T @ solved[:, 0])
     return _curves(solved[:, 0] - solved[:, 1:] @ shift, level_px, None), shift, covariance
 
 

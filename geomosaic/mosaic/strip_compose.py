@@ -23,7 +23,7 @@ from geomosaic.mosaic.strip_blends import BLENDS, REACH_ROWS, Blend
 from geomosaic.mosaic.strip_lines import StripLines
 from geomosaic.mosaic.strip_raster import BLOCK_ROWS, writing_scene
 from geomosaic.mosaic.strip_window import Part, part_of_strip
-from geomosaic.mosaic.window import KERNEL_RADIUS_PX, RESAMPLING
+from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.strips import StripGeometry
 
 _CACHE_MB = 64

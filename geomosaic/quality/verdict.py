@@ -84,6 +84,22 @@ CRITERIA: Mapping[str, Criterion] = {
         "look at the pairs with the largest residuals in the report",
         "by chance one in a thousand is; beyond a half the solve follows the wrong ones",
     ),
+    "principal point": Criterion(
+        2.0,
+        np.inf,
+        "% of the side",
+        "the principal point is drawn farther off than lenses have it: a rolling shutter, or another lens",
+        "give the lens and the readout time (--camera)",
+        "small cameras' principal points lie within 1 or 2 in a hundred of the longer side",
+    ),
+    "tilts": Criterion(
+        3.0,
+        np.inf,
+        "stated deviations",
+        "the frames' tilts are not those that were given: the block leans, or the attitudes are wrong",
+        "check the attitudes' convention, give control points or an elevation model (--dem)",
+        "tags state their deviation to a factor of two; beyond three something else takes part",
+    ),
     "control points": Criterion(
         3.0,
         6.0,
@@ -222,6 +238,10 @@ def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dic
     found = {}
     if "sigma_px" in adjusted.figures:
         found["image deviation"] = adjusted.figures["sigma_px"]
+    if "sigma_tilt" in adjusted.figures:
+        found["tilts"] = adjusted.figures["sigma_tilt"]
+    if adjusted.shared is not None:
+        found["principal point"] = _principal_point_off(adjusted)
     if patterns:
         found["pattern of residuals"] = max(p.systematic_px for p in patterns)
     if adjusted.image_residuals is not None and len(adjusted.image_residuals.weight):
@@ -231,6 +251,18 @@ def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dic
     if any(np.isfinite(off)):
         found["control points"] = float(np.nanmax(off))
     return found
+
+
+def _principal_point_off(adjusted: Adjusted) -> float:
+    """By how much principal points moved from what was given, in % of the longer side; the worst camera's."""
+    shared, side = adjusted.shared, {c.name: max(c.width_px, c.height_px) for c in adjusted.cameras}
+    if shared is None:
+        return 0.0
+    moved: dict[str, float] = {}
+    for of, name, given, found in zip(shared.of, shared.names, shared.given, shared.found, strict=True):
+        if name in ("principal_col_px", "principal_row_px") and of in side:
+            moved[of] = float(np.hypot(moved.get(of, 0.0), 100.0 * (found - given) / side[of]))
+    return max(moved.values(), default=0.0)
 
 
 def _seams(seams: SeamCheck) -> dict[str, float]:

@@ -132,9 +132,9 @@ class MosaicCompose(Stage):
                     rasters.append(folder / f"{len(rasters)}.tif")
                     shown = replace(survey, frames=frames, cameras=(pose.camera,))
                     put(shown, band_poses(poses, pose), lens, there, raster_path=rasters[-1])
-                names = (survey.band, *(b.name for b in survey.other_bands))
-                stack_bands(rasters, names, raster)
-                mosaic = replace(mosaic, bands=len(names), band_names=names)
+                bands_named = (survey.band, *(b.name for b in survey.other_bands))
+                stack_bands(rasters, bands_named, raster)
+                mosaic = replace(mosaic, bands=len(bands_named), band_names=bands_named)
         mosaic = replace(mosaic, raster=RASTER)
         self._tell(context, grid, mosaic)
         return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}
