@@ -75,8 +75,8 @@ class Settings:
     rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
     boresight, lever_arm, gps_lag, rolling_shutter, turning: whether a bundle solves for them, see `Mounting`,
     `Camera` and `Priors`; rate_sd_rad_per_s: of what turning solves for, if that is known. free_lens: a
-    maker's lens counts for nothing but where to begin. model: `auto` adds to all that what the evidence speaks for,
-    see `chosen_model`; `given` doesn't.
+    maker's lens counts for nothing but where to begin. model: `auto` adds to all that what the evidence
+    speaks for, see `chosen_model`; `given` doesn't.
     """
 
     epsilon_px: float = 10.0
