@@ -137,6 +137,8 @@ def test_orthority_yaml(tmp_path: Path) -> None:
         ("[]", "c.json", "holds no cameras"),
         ("just text", "c.yaml", "holds no cameras"),
         ({"a": {"projection_type": "dual", "width": 1}}, "c.json", "projection 'dual' isn't handled"),
+        ({"a": {"projection_type": ["brown"], "width": 1}}, "c.json", "isn't handled"),
+        ("a: {focal_len: 1, im_size: [3, 2], type: [brown]}\n", "c.yaml", "isn't handled"),
         ({"a": {**BROWN, "focal_y": 0.7}}, "c.json", "differ by more than 1 %"),
         ({"a": {**BROWN, "k1": "NaN"}}, "c.json", "camera 'a' has 'NaN' for k1; give it as a number"),
         ({"a": {k: v for k, v in BROWN.items() if k != "width"}}, "c.json", "camera 'a' has no width"),
@@ -476,3 +478,14 @@ def test_djis_number_for_the_model() -> None:
     assert (source, camera.focal_length_px) == ("dji-calibrated", pytest.approx(916.666626))
     assert camera.focal_length_sd_px == pytest.approx(0.01 * camera.focal_length_px)
     assert (camera.principal_col_px, camera.principal_row_px) == (686.5, 453.5)
+
+
+def test_a_camera_file_unlike_the_tags_is_followed_with_a_word(tmp_path: Path) -> None:
+    """A sensor's size left out of the file makes parts of the side of what was in mm."""
+    header = read_header(drone_frame(tmp_path / "a.jpg"))
+    told = camera_from_header(header)[0].focal_length_px
+    for factor, words in ((1.1, []), (12.0, ["focal-length-differs"])):
+        camera = Camera("mine", header.width_px, header.height_px, factor * told, 60.0, 40.0)
+        choice = cameras_from_file([header], [camera], tmp_path / "c.yaml", [None])
+        assert [w.code for w in choice.warnings] == words
+        assert choice.cameras[0].focal_length_px == factor * told

@@ -84,7 +84,7 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
 
 def _opensfm(name: str, entry: Entry, path: Path) -> Camera:
     """Lengths are parts of the longer side; the principal point is counted from the picture's middle."""
-    if entry["projection_type"] not in _OPENSFM_MODELS:
+    if str(entry["projection_type"]) not in _OPENSFM_MODELS:
         raise InputError(
             f"camera '{name}': projection '{entry['projection_type']}' isn't handled",
             file=path,
@@ -94,7 +94,7 @@ def _opensfm(name: str, entry: Entry, path: Path) -> Camera:
     width, height = get("width"), get("height")
     size = max(width, height)
     focal = size * _one_focal(name, get("focal") if "focal" in entry else get("focal_x"), entry, get, path)
-    kind, terms = _OPENSFM_MODELS[entry["projection_type"]], [get(k, 0.0) for k in TERMS]
+    kind, terms = _OPENSFM_MODELS[str(entry["projection_type"])], [get(k, 0.0) for k in TERMS]
     if kind == "fisheye":
         terms[3:] = get("k4", 0.0), 0.0
     k1, k2, k3, p1, p2 = terms
@@ -128,7 +128,7 @@ def _one_focal(name: str, focal: float, entry: Entry, get: Callable[..., float],
 
 def _orthority(name: str, entry: Entry, path: Path) -> Camera:
     """focal_len in the unit of sensor_size, or in parts of the longer side; cx, cy as OpenSfM's."""
-    if entry.get("type", "pinhole") not in _ORTHORITY_MODELS:
+    if str(entry.get("type", "pinhole")) not in _ORTHORITY_MODELS:
         raise InputError(
             f"camera '{name}': type '{entry['type']}' isn't handled",
             file=path,

@@ -40,6 +40,8 @@ SENSOR_WIDTHS_MM: Final = {
 _MAX_ASPECT_DIFFERENCE: Final = 0.003
 _BESIDE_35MM: Final = 0.15
 """Share by which a maker's focal length may differ from the 35 mm equivalent and still be this picture's."""
+_UNLIKE_TAGS: Final = 1.5
+"""Factor between a camera file and the tags beyond which one is wrong: tags are good to a twentieth."""
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",
@@ -236,9 +238,23 @@ def cameras_from_file(
                 )
                 warnings.append(Warn("camera-scaled", "", text))
             camera = scaled
+        if camera.name not in found:
+            warnings += _unlike_tags(header, camera)
         found.setdefault(camera.name, camera)
         names.append(camera.name)
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
+
+
+def _unlike_tags(header: FrameHeader, camera: Camera) -> list[Warn]:
+    """A word where a camera file's focal length is far from what the frame's own tags say: another unit?"""
+    told, source, _ = _told(header)
+    if told is None or 1.0 / _UNLIKE_TAGS < camera.focal_length_px / told.focal_length_px < _UNLIKE_TAGS:
+        return []
+    text = (
+        f"{camera.name}: the focal length of {camera.focal_length_px:.0f} px is far from the "
+        f"{told.focal_length_px:.0f} px of the frames' tags ({source}); the file is followed: check its units"
+    )
+    return [Warn("focal-length-differs", "", text)]
 
 
 def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted: str | None) -> Camera:
