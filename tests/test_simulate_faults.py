@@ -117,17 +117,17 @@ def test_the_gyroscopes_tag_tells_how_the_platform_turned(tmp_path: Path) -> Non
     records = np.frombuffer(data, dtype=[("us", "<u8"), ("rad_per_s", "<f4", 3), ("more", "<u4")])
     assert len(data) == 24 * 86, "a record each millisecond, as long as the frame is read"
     assert set(np.diff(records["us"].astype(np.int64))) == {1000}
-    t = np.arange(86) / 1000.0 - 0.0857 / 2.0
+    t = np.arange(86) / 1000.0 - 0.0857 / 2.0 - 0.0425
     rate, hz, phase = (np.array(truth[k]) for k in ("rate_rad_per_s", "frequency_hz", "phase_rad"))
     assert (np.abs(np.degrees(rate) / 4.0 - 1.0) <= 0.3).all()
     assert (np.abs(hz / 7.0 - 1.0) <= 0.3).all()
-    for axis in range(3):
-        said = records["rad_per_s"][:, axis]
+    forward, right, down = records["rad_per_s"].T
+    for axis, said in enumerate((right, forward, -down)):
         np.testing.assert_allclose(
             said, rate[axis] * np.sin(2.0 * np.pi * hz[axis] * t + phase[axis]), atol=1e-7
         )
     turned = readout_of(plan, fly(plan), 1).turned_rad(t[[0, -1]])
-    summed = np.trapezoid(records["rad_per_s"], t, axis=0)
+    summed = np.trapezoid(np.stack([right, forward, -down], axis=1), t, axis=0)
     np.testing.assert_allclose(turned[1] - turned[0], summed, atol=2e-6)
 
 

@@ -16,9 +16,11 @@ from geomosaic.simulate.flight import Flight
 from geomosaic.simulate.plan import SurveyPlan
 
 Floats = NDArray[np.float64]
-GYROSCOPE_FROM_CAMERA = np.eye(3)
+GYROSCOPE_FROM_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Angular rates in the tag's axes from those about camera axes (`camera.rotation.Rotation`: x to the image's
-right, y to its top, z against the view; right-handed)."""
+right, y to its top, z against the view; right-handed): forward, right and down, as a Sequoia writes them."""
+GYROSCOPE_DELAY_S = 0.0425
+"""By how much the rates that are written lag, a Sequoia's."""
 GYROSCOPE_HZ = 1000
 _RECORD = struct.Struct("<Qfff4x")
 _SPREAD = 0.3
@@ -109,7 +111,8 @@ def gyroscope_tag(plan: SurveyPlan, readout: Readout, first_row_us: int, i: int)
     three float32 rad/s in the gyroscope's axes, 4 bytes more."""
     count = int(readout.time_s * GYROSCOPE_HZ) + 1
     since_s = np.arange(count) / GYROSCOPE_HZ
-    rates = readout.rates_rad_per_s(since_s - 0.5 * readout.time_s) @ GYROSCOPE_FROM_CAMERA.T
+    since_s -= 0.5 * readout.time_s + GYROSCOPE_DELAY_S
+    rates = readout.rates_rad_per_s(since_s) @ GYROSCOPE_FROM_CAMERA.T
     noise = plan.rng("gyroscope", i).standard_normal(rates.shape)
     rates = rates + np.radians(plan.gyroscope_sd_deg_per_s) * noise
     step_us = 1_000_000 // GYROSCOPE_HZ
