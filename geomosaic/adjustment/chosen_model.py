@@ -37,6 +37,7 @@ the principal point takes up how frames turn while they are read."""
 _CONTRADICTS = 1.2
 """Positions that fit worse by more than this are against a model, however well it pleases the tie points: a
 block that is bent or stretched pleases them too."""
+_LEAST_SCATTER = 0.2  # of what is stated of positions; less is the luck of a few dozen
 _SLOWEST_READOUT_S = 0.2
 """The slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it."""
 _GIVEN = "given"
@@ -76,12 +77,8 @@ def chosen_model(
         try:
             solved = solve(its_block, its_settings, rest)
         except NotSolvableError:
-            return _Tried(its_block, its_settings, np.inf, np.inf, np.inf)
-        left_px, readout_s = (
-            _left_out_px(judges, its_block, solved),
-            max(abs(c.readout_s) for c in solved.cameras),
-        )
-        return _Tried(its_block, its_settings, left_px, solved.factors.horizontal, readout_s)
+            return _Tried(its_block, its_settings, None, np.inf)
+        return _Tried(its_block, its_settings, solved, _left_out_px(judges, its_block, solved))
 
     taken: tuple[str, ...] = ()
     now = tried(block, settings)
@@ -89,10 +86,9 @@ def chosen_model(
     while now.left_px > _LEAST_PX:
         more = {name: tried(*model) for name, model in _candidates(now.block, now.settings, taken)}
         left_px |= {"+".join((*taken, name)): model.left_px for name, model in more.items()}
-        against = [name for name, model in more.items() if model.contradicts(now)]
-        contradicted += [
-            "+".join((*taken, n)) for n in against if more.pop(n).left_px < _BETTER * now.left_px
-        ]
+        for name in [name for name, model in more.items() if contradicts(model.solved, now.solved)]:
+            if more.pop(name).left_px < _BETTER * now.left_px:
+                contradicted.append("+".join((*taken, name)))
         least = min((model.left_px for model in more.values()), default=np.inf)
         if not least < _BETTER * now.left_px:
             break
@@ -104,17 +100,20 @@ def chosen_model(
 
 @dataclass(frozen=True)
 class _Tried:
-    """A model and what came of it: residual of tracks left out, scatter of the positions, longest readout."""
+    """A model, its solution (None where there is none), and the residual of tracks left out."""
 
     block: Block
     settings: Settings
+    solved: Bundle | None
     left_px: float
-    horizontal: float
-    readout_s: float
 
-    def contradicts(self, now: _Tried) -> bool:
-        """Whether it can't be, as far as positions and sensors go."""
-        return self.horizontal > _CONTRADICTS * now.horizontal or self.readout_s > _SLOWEST_READOUT_S
+
+def contradicts(its: Bundle | None, now: Bundle | None) -> bool:
+    """Whether a model's solution can't be, as far as positions and sensors go, beside the one so far."""
+    if its is None or now is None:
+        return False
+    scattered = its.factors.horizontal > _CONTRADICTS * max(now.factors.horizontal, _LEAST_SCATTER)
+    return scattered or any(abs(c.readout_s) > _SLOWEST_READOUT_S for c in its.cameras)
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:

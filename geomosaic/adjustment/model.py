@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +136,10 @@ class ModelChoice:
     names: tuple[str, ...]
     left_out_px: tuple[float, ...]
     contradicted: tuple[str, ...] = ()
+
+    def contradicted_at_last(self) -> ModelChoice:
+        """Nothing is taken: the model that was can't be, once all is solved with it."""
+        return replace(self, taken=(), contradicted=(*self.contradicted, "+".join(self.taken)))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from geomosaic.adjustment.chosen_ground import (
     off_ground_m,
     surface_of,
 )
-from geomosaic.adjustment.chosen_model import chosen_model, model_warnings
+from geomosaic.adjustment.chosen_model import chosen_model, contradicts, model_warnings
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
@@ -101,10 +101,14 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     if settings.model == "auto" and found.ties.points:
         solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
         as_given = _of_ties(found.solved, found.ties)
-        block, settings, choice = chosen_model(block, settings, found.ties, as_given, solve)
+        its_block, its_settings, choice = chosen_model(block, settings, found.ties, as_given, solve)
     if choice is not None and choice.taken:
-        cameras = tuple({c.name: c for c in block.cameras}.values())
-        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
+        lenses = tuple({c.name: c for c in its_block.cameras}.values())
+        chosen = _found(its_block, its_settings, few, camera_of, lenses, found.solved.poses)
+        if contradicts(chosen.solved, found.solved):
+            choice = choice.contradicted_at_last()
+        else:
+            block, settings, cameras, found = its_block, its_settings, lenses, chosen
     if found.solved.rates is not None and block.poses.turns is not None:
         block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
