@@ -111,7 +111,8 @@ def test_a_replay_with_another_method_names_the_adjustment_and_the_frames(
     found = json.loads(capsys.readouterr().out)
     assert found["first_stage"] == "adjustment.solve"
     assert found["stages"][0]["params"] == {"method": ["bundle", "chain"]}
-    assert found["manifest"] == {} and found["warnings"] == []
+    assert found["manifest"] == {}
+    assert {w["stage"] for w in found["warnings"]} <= {"quality.verdict"}, "what the chain is worth"
     (offsets,) = found["offsets"]
     assert {f["frame"] for f in offsets["frames"]} == {f"F000{i}.jpg" for i in range(1, 5)}
     assert 0.5 < offsets["largest_m"] < 50

@@ -10,6 +10,8 @@ import numpy as np
 import rasterio
 from rasterio.enums import ColorInterp
 
+from geomosaic.doors.raster import OWN, open_raster
+
 
 def stack_bands(rasters: Sequence[Path], names: Sequence[str], path: Path) -> None:
     """Rasters of one band and one grid as one raster with named bands; valid is what all of them show.
@@ -17,7 +19,7 @@ def stack_bands(rasters: Sequence[Path], names: Sequence[str], path: Path) -> No
     Raises: `OSError` if it can't be written.
     """
     with ExitStack() as files:
-        bands = [files.enter_context(rasterio.open(raster)) for raster in rasters]
+        bands = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
         files.enter_context(rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True))
         profile = bands[0].profile | {"count": len(bands), "interleave": "pixel", "BIGTIFF": "IF_SAFER"}
         out = files.enter_context(rasterio.open(path, "w", **profile, SPARSE_OK=True))
