@@ -272,3 +272,20 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
     assert np.flatnonzero(strayed).tolist() == [10, 11]
     (warning,) = strayed_lenses((sure, loose), strayed)
     assert (warning.code, warning.text[:7]) == ("lens-strayed", "loose: ")
+
+
+def test_ground_at_another_level_than_told_leaves_the_scale_alone() -> None:
+    """Heights and level of the ground are told to 15 m: positions alone know how large the block is. The solve
+    by all tie points began with the level as told, went a long way (17 steps here), and could grow a block by a
+    fifth instead of moving it."""
+    flown = fly(2, points=2500)
+    told = flown.block.poses
+    block = replace(
+        flown.block,
+        ground=replace(flown.block.ground, up_m=flown.block.ground.up_m - 12.0),
+        poses=replace(told, positions_sd_m=np.tile([5.0, 5.0, 15.0], (len(told), 1))),
+    )
+    adjusted = METHODS["bundle"](block, Settings(model="given"))
+    spread = [p.positions_m[:, :2].std(axis=0).sum() for p in (adjusted.poses, flown.truth)]
+    assert spread[0] / spread[1] == pytest.approx(1.0, abs=0.02)
+    assert adjusted.figures["iterations"] < 14

@@ -135,6 +135,7 @@ def _solve(
         np.stack([interior_of(c) for c in (again.cameras if again else priors.cameras)]),
         again.points_m if again else priors.points_m,
         again.mounting if again else np.zeros(len(MOUNTING)),
+        level=again.level_m if again else 0.0,
         rates=_first_rates(priors, again),
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
@@ -322,6 +323,7 @@ def _finish(
         trust=trust_of(priors),
         left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,
         rates=state.rates,
+        level_m=state.level,
         iterations=iterations,
         reduced=reduced,
     )

@@ -93,7 +93,8 @@ class Bundle:
     drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
-    rates (f, 3): see `Priors`; the poses' turns hold them. reduced: the last normal equations.
+    rates (f, 3): see `Priors`; the poses' turns hold them. level_m: of the ground above the terrain's own.
+    reduced: the last normal equations.
     """
 
     poses: Poses
@@ -113,6 +114,7 @@ class Bundle:
     trust: Floats
     left_out: Bools
     rates: Floats | None
+    level_m: float
     iterations: int
     reduced: Reduced
 

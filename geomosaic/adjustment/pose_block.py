@@ -267,7 +267,7 @@ def _held_by_control(
         priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + shift))
     if free is not None:
         points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
-        free = replace(free, points_m=points)
+        free = replace(free, points_m=points, level_m=free.level_m + float(shift[2]))
     return priors, solve_bundle(seen, camera_of, priors, start, again=free)
 
 
