@@ -130,6 +130,8 @@ def pickled() -> bytes:
         zipped({"array": 0}),
         zipped({"array": 0}, {"0": npy("(1000000000, 1000000000)")}),
         zipped({"array": 0}, {"0": npy("(3,)")}),
+        zipped({"array": 0}, {"0": npy("(3,")}),
+        zipped({"array": 0}, {"0": npy("3 3")}),
         zipped({"array": 0}, {"0": npy("(2,)", "|O")}),
         zipped({"array": 0}, {"0": pickled()}),
         zipped({"array": "../0"}),

@@ -14,6 +14,7 @@ import io
 import itertools
 import json
 import math
+import tokenize
 import types
 import typing
 import zipfile
@@ -31,6 +32,7 @@ T = TypeVar("T")
 _NOT_WHOLE = (
     *(ValueError, KeyError, TypeError, IndexError, AttributeError),
     *(zipfile.BadZipFile, EOFError, RecursionError, MemoryError),
+    *(SyntaxError, tokenize.TokenError),  # of an array's header, which numpy reads as a Python literal
 )
 
 _TREE = "tree.json"
