@@ -17,6 +17,7 @@ from small_surveys import geomosaic, mosaic, small_survey, summary
 from test_pipeline_runner import ALL, Toys, toys  # noqa: F401
 from test_pipeline_toy import Numbers
 
+from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import FileError
 from geomosaic.pipeline import hashes
 from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes, fingerprint_of_file
@@ -239,6 +240,17 @@ def test_an_artefact_of_any_size_is_not_held_in_memory_to_be_judged(toys: Toys) 
     most_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert toys.done() == ["read", "tell"] and most_bytes < 100 << 20
+
+
+def test_a_pipe_in_a_file_s_place_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="no regular file"):
+        FileHashes().of_written(tmp_path / "pipe")
+
+
+def test_a_file_of_the_system_that_can_not_be_read_is_refused_in_a_line(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="can't be read"):
+        open_raster(Path("/proc/self/mem"), DEM)
 
 
 @pytest.mark.parametrize("name", ["entry.json", "calls", "numbers.artefact"])

@@ -179,12 +179,20 @@ def _parsed(path: Path, what: str, mend: str) -> Element:
 
 
 def _check_plain(path: Path, magics: tuple[bytes, ...]) -> None:
-    with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+    head = _head(path)
     if not head.startswith(magics) or b"<VRTDataset" in head or b"<GDAL_" in head:
         raise FileError("is not the overview or mask its name says", file=path, mend=_SIDECAR_MEND)
 
 
 def _is_vrt(path: Path) -> bool:
-    with path.open("rb") as file:
-        return b"<VRTDataset" in file.read(_HEAD_BYTES)
+    return b"<VRTDataset" in _head(path)
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise FileError(
+            f"can't be read ({error.strerror})", file=path, mend="is it the right file?"
+        ) from error

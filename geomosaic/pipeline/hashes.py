@@ -127,6 +127,8 @@ class FileHashes:
             return fingerprint_of_json([[p.relative_to(path).as_posix(), self.of_written(p)] for p in found])
         if path.is_symlink():
             raise FileError("is a link", file=path)
+        if not path.is_file():
+            raise FileError("is no regular file", file=path)
         return self.of_file(path)
 
     def forget_unasked(self) -> None:
