@@ -18,6 +18,7 @@ from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
 from geomosaic.adjustment.rig import RigPoses, band_poses, register_bands
 from geomosaic.mosaic.bands import stack_bands
+from geomosaic.mosaic.model import OutputGrid
 from geomosaic.pipeline.finished import load_artefact
 from geomosaic.survey.model import Band
 from geomosaic.survey.read import read_survey
@@ -122,7 +123,8 @@ def test_bands_are_stacked_where_all_are_valid(tmp_path: Path) -> None:
             mask = np.full((40, 600), 255, np.uint8)
             mask[k] = 0
             out.write_mask(mask)
-    stack_bands(rasters, ("Green", "Red", "NIR"), tmp_path / "all.tif")
+    grid = OutputGrid("EPSG:32632", 5e5, 5e6, 1.0, 600, 40)
+    stack_bands(rasters, ("Green", "Red", "NIR"), grid, "uint16", tmp_path / "all.tif")
     with rasterio.open(tmp_path / "all.tif") as found:
         assert found.descriptions == ("Green", "Red", "NIR") and found.crs.to_epsg() == 32632
         pixels, valid = found.read(), found.dataset_mask()

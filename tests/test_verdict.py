@@ -12,13 +12,13 @@ from mosaic_scenes import CRS, GSD_M, HOME, make_survey
 from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual, ImageResiduals
+from geomosaic.adjustment.residual_pattern import CELLS, residual_patterns
 from geomosaic.camera.interior import Camera
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.mosaic.views import frame_views
 from geomosaic.projection.ground import flat_ground
-from geomosaic.quality.residual_pattern import CELLS, residual_patterns
 from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
 from geomosaic.quality.verdict import CRITERIA, verdict_of
 from geomosaic.survey.model import Warn

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Bundle
-from geomosaic.adjustment.model import Block, ModelChoice, Settings
+from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
+from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
@@ -24,7 +25,6 @@ that is matched at its size or half of it."""
 _PATTERN_PX = 0.25
 """Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own
 error."""
-_CELLS = 8
 _BETTER = 0.9
 """Of the last model's residuals a richer one has to leave less than this share; of two that leave as much but
 for so little the simpler one is taken."""
@@ -65,7 +65,7 @@ def chosen_model(
 
     Args: first: the solution as given; solve: of tracks with a model.
     """
-    good = first.factors.image_px <= GOOD_PX and pattern_px(block, tracks, first) <= _PATTERN_PX
+    good = first.factors.image_px <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _untold_shutter(block, settings):
         good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
     if good or tracks.points < _LEAST_TRACKS:
@@ -192,17 +192,7 @@ def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> float:
     return float(np.median(np.nan_to_num(length, nan=1e6)))
 
 
-def pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:
-    """What residuals have in common by their place in the picture, beyond chance: root mean square over
-    cells."""
-    sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
-    at = np.clip(tracks.image_px / sizes[tracks.frame] * _CELLS, 0, _CELLS - 1).astype(np.intp)
-    cell = at[:, 1] * _CELLS + at[:, 0]
-    weight = np.where(np.isfinite(solved.residual_px).all(axis=1), solved.weight, 0.0)
-    residual = np.nan_to_num(solved.residual_px)
-    total = np.bincount(cell, weight, _CELLS**2)
-    known = total > 1.0
-    sums = np.stack([np.bincount(cell, weight * residual[:, k], _CELLS**2) for k in range(2)], axis=1)
-    mean = sums[known] / total[known, None]
-    chance = 2.0 * solved.factors.image_px**2 / total[known]
-    return float(np.sqrt(max(np.mean((mean**2).sum(axis=1) - chance), 0.0))) if known.any() else 0.0
+def _pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:
+    """What residuals have in common by their place in the picture, of the worst camera."""
+    image = ImageResiduals(tracks.frame, tracks.image_px, solved.residual_px, solved.weight)
+    return max((p.systematic_px for p in residual_patterns(image, block.cameras)), default=0.0)

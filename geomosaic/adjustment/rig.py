@@ -20,8 +20,8 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.projection.resample import resample
-from geomosaic.projection.warp import GroundWindow, frame_from_map, ground_window
+from geomosaic.projection.resample import seen_on
+from geomosaic.projection.warp import GroundWindow, ground_window
 from geomosaic.survey.model import Band, Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 
@@ -175,13 +175,7 @@ def _edges(
     if frame is None:
         raise ValueError("a capture without this band")
     pixels, mask = read_pixels(frame)
-    cols, rows = frame_from_map(window, pose, camera)
-    valid = (cols > 1.0) & (cols < camera.width_px - 1.0) & (rows > 1.0) & (rows < camera.height_px - 1.0)
-    if mask is not None:
-        at = np.where(valid, rows, 0.0).astype(np.intp), np.where(valid, cols, 0.0).astype(np.intp)
-        valid &= mask[at] != 0
-    grey = np.log1p(pixels[..., :1].astype(np.float32))
-    on_ground = resample(grey, cols, rows, "cubic")[..., 0]
+    on_ground, valid = seen_on(window, pose, camera, np.log1p(pixels[..., 0].astype(np.float32)), mask)
     smooth = cv2.GaussianBlur(on_ground, (0, 0), _EDGE_SIGMA_PX)
     edges = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
     valid = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from geomosaic.adjustment.residual_pattern import CELLS, ResidualPattern
 from geomosaic.export.report_page import markup
 from geomosaic.export.svg import COLOURS, document, number, short, tag, text
-from geomosaic.quality.residual_pattern import CELLS, ResidualPattern
 from geomosaic.quality.verdict import Verdict
 from geomosaic.survey.model import Survey
 

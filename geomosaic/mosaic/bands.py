@@ -2,33 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from rasterio.enums import ColorInterp
+from rasterio.windows import Window as RasterWindow
 
+from geomosaic.adjustment.rig import RigPoses, band_poses
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.mosaic.model import Mosaic, OutputGrid
+from geomosaic.mosaic.plan import windows
+from geomosaic.mosaic.raster import TILE_PX, writing_mosaic
+from geomosaic.mosaic.window import Composed
+from geomosaic.survey.model import Survey
+
+Composing = Callable[[Survey, Poses, Sequence[Camera], Sequence[bool], Path, Path | None], Mosaic]
+"""`compose` with grid and ground: survey, poses, cameras, used, where the raster and the sources go."""
 
 
-def stack_bands(rasters: Sequence[Path], names: Sequence[str], path: Path) -> None:
-    """Rasters of one band and one grid as one raster with named bands; valid is what all of them show.
+def compose_bands(
+    composing: Composing,
+    survey: Survey,
+    poses: Poses,
+    cameras: Sequence[Camera],
+    used: Sequence[bool],
+    rig: RigPoses,
+    folder: Path,
+    raster_path: Path,
+    sources_path: Path | None,
+) -> Mosaic:
+    """The frames' own band, then every other one by its own files, lens and turn, as one raster.
+
+    Args: folder: room for a raster a band, the caller's to delete.
+    """
+    rasters = [folder / f"{k}.tif" for k in range(1 + len(rig.bands))]
+    mosaic = composing(survey, poses, cameras, used, rasters[0], sources_path)
+    for other, pose, path in zip(survey.other_bands, rig.bands, rasters[1:], strict=True):
+        frames = tuple(f or g for f, g in zip(other.frames, survey.frames, strict=True))
+        there = [use and f is not None for use, f in zip(used, other.frames, strict=True)]
+        shown = replace(survey, frames=frames, cameras=(pose.camera,))
+        composing(shown, band_poses(poses, pose), [pose.camera] * len(frames), there, path, None)
+    names = (survey.band, *(b.name for b in survey.other_bands))
+    stack_bands(rasters, names, mosaic.grid, mosaic.dtype, raster_path)
+    return replace(mosaic, raster=raster_path.name, bands=len(names), band_names=names)
+
+
+def stack_bands(
+    rasters: Sequence[Path], names: Sequence[str], grid: OutputGrid, dtype: str, path: Path
+) -> None:
+    """Rasters of one band and one grid as one with named bands; valid is what all of them show.
 
     Raises: `OSError` if it can't be written.
     """
     with ExitStack() as files:
         bands = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
-        files.enter_context(rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True))
-        profile = bands[0].profile | {"count": len(bands), "interleave": "pixel", "BIGTIFF": "IF_SAFER"}
-        out = files.enter_context(rasterio.open(path, "w", **profile, SPARSE_OK=True))
-        out.colorinterp = [ColorInterp.gray, *[ColorInterp.undefined] * (len(bands) - 1)]
-        for k, name in enumerate(names, 1):
-            out.set_band_description(k, name)
-        for _, window in out.block_windows(1):
-            valid = np.all([band.dataset_mask(window=window) for band in bands], axis=0)
+        out = files.enter_context(writing_mosaic(path, grid, len(bands), dtype, None, (), names))
+        for window in windows(grid, TILE_PX):
+            at = RasterWindow(window.col, window.row, window.width, window.height)
+            valid = np.all([band.dataset_mask(window=at) for band in bands], axis=0)
             if valid.any():
-                pixels = np.stack([band.read(1, window=window) for band in bands])
-                out.write(np.where(valid, pixels, 0).astype(pixels.dtype), window=window)
-                out.write_mask(valid.astype(np.uint8) * 255, window=window)
+                pixels = np.stack([band.read(1, window=at) for band in bands], axis=-1)
+                pixels[~valid] = 0
+                out.write(Composed(window, pixels, valid, valid.astype(np.int32), ()))

@@ -51,16 +51,22 @@ class MosaicRaster:
 
 @contextmanager
 def writing_mosaic(
-    path: Path, grid: OutputGrid, bands: int, dtype: str, sources: Path | None, frames: Sequence[str]
+    path: Path,
+    grid: OutputGrid,
+    bands: int,
+    dtype: str,
+    sources: Path | None,
+    frames: Sequence[str],
+    band_names: Sequence[str] = (),
 ) -> Iterator[MosaicRaster]:
     """Files to write windows into; complete when the block ends.
 
-    sources: where the frame index raster goes: 0 where there is no frame, else the frame's index + 1; its
-    tags name the frames.
+    band_names: of each band, as a rig's have; then none is a colour. sources: where the frame index raster
+    goes: 0 where there is no frame, else the frame's index + 1; its tags name the frames.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
     try:
-        with _open_files(path, grid, bands, dtype, sources, frames) as raster:
+        with _open_files(path, grid, bands, dtype, sources, frames, band_names) as raster:
             yield raster
     except RasterioError as error:
         full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
@@ -69,7 +75,13 @@ def writing_mosaic(
 
 @contextmanager
 def _open_files(
-    path: Path, grid: OutputGrid, bands: int, dtype: str, sources: Path | None, frames: Sequence[str]
+    path: Path,
+    grid: OutputGrid,
+    bands: int,
+    dtype: str,
+    sources: Path | None,
+    frames: Sequence[str],
+    band_names: Sequence[str],
 ) -> Iterator[MosaicRaster]:
     shape = {
         "width": grid.width_px,
@@ -81,7 +93,10 @@ def _open_files(
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
         mosaic = rasterio.open(path, "w", count=bands, dtype=dtype, interleave="pixel", **shape, **_SHARED)
         with mosaic:
-            if bands in colours:
+            if band_names:
+                mosaic.colorinterp = [ColorInterp.gray, *[ColorInterp.undefined] * (bands - 1)]
+                mosaic.descriptions = tuple(band_names)
+            elif bands in colours:
                 mosaic.colorinterp = colours[bands]
             if sources is None:
                 yield MosaicRaster(mosaic, None)

@@ -8,6 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.projection.warp import GroundWindow, frame_from_map
+
 Floats32 = NDArray[np.float32]
 RESAMPLING: Final = {
     "bilinear": cv2.INTER_LINEAR,
@@ -48,3 +52,17 @@ def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: s
         for k in range(0, bands, _MOST_CHANNELS)
     ]
     return found[0] if len(found) == 1 else np.concatenate(found, axis=-1)
+
+
+def seen_on(
+    window: GroundWindow, pose: Pose, camera: Camera, grey: Floats32, mask: NDArray[Any] | None
+) -> tuple[Floats32, NDArray[np.bool_]]:
+    """One band (rows, cols) of a frame on a map window, 0 where it isn't valid; and where it is."""
+    cols, rows = frame_from_map(window, pose, camera)
+    height, width = grey.shape
+    valid = (cols > 0.0) & (cols < width) & (rows > 0.0) & (rows < height)
+    if mask is not None:
+        at = np.where(valid, rows, 0.0).astype(np.intp), np.where(valid, cols, 0.0).astype(np.intp)
+        valid &= mask[at] != 0
+    picture = resample(grey[..., None], cols, rows, "cubic")[..., 0]
+    return np.where(valid, picture, np.float32(0.0)).astype(np.float32), valid

@@ -15,14 +15,14 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Pose, Poses
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.projection.resample import resample
-from geomosaic.projection.warp import GroundWindow, frame_from_map, ground_window
+from geomosaic.projection.resample import seen_on
+from geomosaic.projection.warp import ground_window
 from geomosaic.quality.ssim import luma
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
@@ -103,7 +103,7 @@ def check_seams(
         left, right, east, north = place
         corner = east - half_m, north + half_m
         window = ground_window(grid.crs, work_frame, ground, *corner, grid.gsd_m, side, side)
-        a, b = (_seen(window, poses[i], cameras[i], *grey(i)) for i in (left, right))
+        a, b = (seen_on(window, poses[i], cameras[i], *grey(i)) for i in (left, right))
         corners = patch_corners((WINDOW_PX, WINDOW_PX), PATCH_PX, PATCH_PX // 2)
         found = measure_displacements(b[0], a[0], b[1], a[1], corners, patch_px=PATCH_PX, search_px=SEARCH_PX)
         count = len(found.displacement_px)
@@ -127,17 +127,3 @@ def check_seams(
         np.array([count for count, _ in results], dtype=np.int64),
         np.array([d for _, d in results], dtype=np.float64).reshape(-1, 2),
     )
-
-
-def _seen(
-    window: GroundWindow, pose: Pose, camera: Camera, grey: NDArray[np.float32], mask: NDArray[Any] | None
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A frame's luma on the window, and where it is valid."""
-    cols, rows = frame_from_map(window, pose, camera)
-    height, width = grey.shape
-    valid = (cols > 0.0) & (cols < width) & (rows > 0.0) & (rows < height)
-    if mask is not None:
-        at = np.where(valid, rows, 0.0).astype(np.intp), np.where(valid, cols, 0.0).astype(np.intp)
-        valid &= mask[at] != 0
-    picture = resample(grey[..., None], cols, rows, "cubic")[..., 0]
-    return np.where(valid, picture, np.float32(0.0)).astype(np.float32), valid

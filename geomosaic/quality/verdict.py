@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.quality.residual_pattern import ResidualPattern
+from geomosaic.adjustment.residual_pattern import ResidualPattern
 from geomosaic.quality.seam_check import SeamCheck
 
 GRADES = ("good", "doubtful", "bad")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, Literal
@@ -13,8 +12,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.rig import RigPoses, band_poses
-from geomosaic.mosaic.bands import stack_bands
+from geomosaic.adjustment.rig import RigPoses
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.mosaic.bands import compose_bands
 from geomosaic.mosaic.compose import AUTO_FEATHER_PX, compose
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
 from geomosaic.mosaic.model import Mosaic, OutputGrid
@@ -100,41 +101,46 @@ class MosaicCompose(Stage):
             away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
             context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
         grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
-        put = partial(
-            compose,
-            ground=ground,
-            grid=grid,
-            seam=params.seam,
-            feather_m=None if params.feather_m == "auto" else params.feather_m,
-            resampling=params.resampling,
-            memory_bytes=params.memory_mb << 20,
-            threads=params.threads,
-            progress=lambda done, total: context.progress(done, total, "windows"),
-            check_cancelled=context.check_cancelled,
-        )
-        bands = {b.name: b for b in inputs["rig"].bands} if "rig" in inputs else {}
+
+        def composing(
+            of: Survey,
+            poses: Poses,
+            cameras: Sequence[Camera],
+            use: Sequence[bool],
+            to: Path,
+            by: Path | None,
+        ) -> Mosaic:
+            return compose(
+                of,
+                poses,
+                cameras,
+                use,
+                ground,
+                grid,
+                to,
+                seam=params.seam,
+                feather_m=None if params.feather_m == "auto" else params.feather_m,
+                resampling=params.resampling,
+                memory_bytes=params.memory_mb << 20,
+                sources_path=by,
+                threads=params.threads,
+                progress=lambda done, total: context.progress(done, total, "windows"),
+                check_cancelled=context.check_cancelled,
+            )
+
+        rig = inputs.get("rig", RigPoses())
+        if survey.other_bands and not rig.bands:
+            text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
+            context.warn("bands-left-out", "", text)
+        poses, cameras = adjusted.poses, adjusted.cameras
         with ExitStack() as files:
             sources = files.enter_context(context.writing(SOURCES)) if params.sources else None
             raster = files.enter_context(context.writing(RASTER))
-            poses, cameras = adjusted.poses, adjusted.cameras
-            if not bands:
-                mosaic = put(survey, poses, cameras, used, raster_path=raster, sources_path=sources)
-            else:
+            if rig.bands:
                 folder = Path(files.enter_context(TemporaryDirectory(dir=context.work_folder)))
-                own = folder / "0.tif"
-                mosaic = put(survey, poses, cameras, used, raster_path=own, sources_path=sources)
-                rasters = [own]
-                for other in survey.other_bands:
-                    pose = bands[other.name]
-                    there = [use and f is not None for use, f in zip(used, other.frames, strict=True)]
-                    frames = tuple(f or own for f, own in zip(other.frames, survey.frames, strict=True))
-                    lens = [pose.camera] * len(frames)
-                    rasters.append(folder / f"{len(rasters)}.tif")
-                    shown = replace(survey, frames=frames, cameras=(pose.camera,))
-                    put(shown, band_poses(poses, pose), lens, there, raster_path=rasters[-1])
-                bands_named = (survey.band, *(b.name for b in survey.other_bands))
-                stack_bands(rasters, bands_named, raster)
-                mosaic = replace(mosaic, bands=len(bands_named), band_names=bands_named)
+                mosaic = compose_bands(composing, survey, poses, cameras, used, rig, folder, raster, sources)
+            else:
+                mosaic = composing(survey, poses, cameras, used, raster, sources)
         mosaic = replace(mosaic, raster=RASTER)
         self._tell(context, grid, mosaic)
         return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}

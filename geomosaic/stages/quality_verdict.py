@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.residual_pattern import residual_patterns
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, verdict_of
 from geomosaic.survey.model import Survey
