@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -48,3 +49,26 @@ def test_overviews_are_whole_and_the_cog_takes_them(tmp_path: Path) -> None:
             np.testing.assert_array_equal(at.ReadAsArray(), wanted)
             np.testing.assert_array_equal(at.GetMaskBand().ReadAsArray() > 0, seen)
             wanted, seen = halved(wanted, seen)
+
+
+def test_a_full_disk_at_the_very_end_is_an_error_and_no_traceback(tmp_path: Path) -> None:
+    """A dataset that can't be closed must not raise where nothing can catch it: pytest makes that an error."""
+    height, width = 3 * BLOCK_ROWS, 1501
+    pixels = np.random.default_rng(4).integers(100, 60000, (height, width)).astype(np.uint16)
+    whole = 2 * pixels.size
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for room in np.linspace(2000, 2.0 * whole, 40).astype(int).tolist():
+        failed = False
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+        try:
+            with writing_scene(tmp_path / f"{room}.tif", width, height, "uint16", 16, None) as raster:
+                for top in range(0, height, BLOCK_ROWS):
+                    rows = slice(top, top + BLOCK_ROWS)
+                    raster.write(top, pixels[rows], np.ones((BLOCK_ROWS, width), dtype=bool))
+        except OSError:
+            failed = True
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert failed or room > whole  # the mask and overviews take more
+        (tmp_path / f"{room}.tif").unlink(missing_ok=True)
+    assert not failed

@@ -60,8 +60,9 @@ class Running:
         return True
 
     def children(self) -> list[int]:
-        """Its worker processes."""
-        return [pid for pid, parent, _ in processes() if parent == self.process.pid]
+        """Its worker processes; not Python's own keeper of semaphores, which works at nothing."""
+        mine = [pid for pid, parent, _ in processes() if parent == self.process.pid]
+        return [pid for pid in mine if b"resource_tracker" not in _command(pid)]
 
     def end(self, struck: float) -> Ended:
         """Waits for the end; a run that has none is ended."""
@@ -93,6 +94,13 @@ def processes() -> Iterator[tuple[int, int, int]]:
                 continue
             if words[0] != "Z":
                 yield int(folder.name), int(words[1]), int(words[3])
+
+
+def _command(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 class Disk:

@@ -46,6 +46,17 @@ def gdal_failures(path: Path) -> Iterator[None]:
         raise OSError(errno.ENOSPC if full else errno.EIO, failures[0])
 
 
+def close(dataset: Any) -> None:
+    """The dataset's end, which may raise: left to Python's own `del`, what it raises is printed and lost.
+
+    GDAL before 3.8 has no `Dataset.Close`.
+    """
+    if hasattr(dataset, "Close"):
+        dataset.Close()
+    else:
+        dataset.__swig_destroy__(dataset)
+
+
 class GdalProgress:
     """A callback for GDAL that reports percent and may stop it by raising.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal, gdal_array
 
-from geomosaic.mosaic.gdal_failures import gdal_failures, gdal_options
+from geomosaic.mosaic.gdal_failures import close, gdal_failures, gdal_options
 from geomosaic.mosaic.raster import TILE_PX
 
 BLOCK_ROWS: Final = TILE_PX
@@ -96,5 +96,4 @@ def writing_scene(
         try:
             yield SceneRaster(dataset, overviews)
         finally:
-            dataset.FlushCache()
-            del dataset
+            close(dataset)
