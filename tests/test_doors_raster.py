@@ -168,6 +168,14 @@ def test_sidecars_of_a_dem_lead_nowhere(tmp_path: Path, server: Server, name: st
     assert not server.came
 
 
+@pytest.mark.parametrize("target", ["dem.prj", "nothing.prj"], ids=["to itself", "to nothing"])
+def test_a_link_that_leads_nowhere_beside_a_dem(tmp_path: Path, target: str) -> None:
+    path = tiff(tmp_path / "dem.tif")
+    (tmp_path / "dem.prj").symlink_to(tmp_path / target)
+    with pytest.raises(FileError, match=r"dem\.prj: is no regular file beside dem\.tif"):
+        open_raster(path, DEM)
+
+
 def test_what_belongs_to_a_dem_is_read(tmp_path: Path) -> None:
     """.prj, world file, .aux.xml and overviews beside it; a VRT and a warped VRT of it."""
     path = tmp_path / "bare.tif"

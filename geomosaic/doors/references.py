@@ -49,14 +49,12 @@ def check_sidecars(path: Path) -> None:
     .aux.xml may not name a file.
     """
     name, stem = path.name.lower(), path.stem.lower()
-    with os.scandir(path.parent) as entries:
-        beside = [e for e in entries if e.name.lower().startswith(f"{stem}.") and e.name != path.name]
-    for entry in beside:
-        file, lower = path.parent / entry.name, entry.name.lower()
-        if not entry.is_file() and not entry.is_dir():
-            raise FileError(f"is no regular file beside {path.name}", file=file, mend=_SIDECAR_MEND)
-        if not entry.is_file():
+    for file in path.parent.iterdir():
+        lower = file.name.lower()
+        if not lower.startswith(f"{stem}.") or file.name == path.name or file.is_dir():
             continue
+        if not file.is_file():
+            raise FileError(f"is no regular file beside {path.name}", file=file, mend=_SIDECAR_MEND)
         if lower.endswith(".aux.xml"):
             _check_aux(file)
         elif lower.endswith((".ovr", ".msk")) and lower.startswith(f"{name}."):
