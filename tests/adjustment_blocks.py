@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation, about_z
+from geomosaic.camera.rotation import Rotation, about_z, exp_turn
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
 
@@ -59,9 +58,11 @@ def fly(
     there_and_back: bool = False,
     readout_s: float = 0.0,
     rate_sd_rad_per_s: float = 0.0,
+    shaking_hz: float = 0.0,
     lens: Camera | None = None,
 ) -> Flown:
-    """At 15 m/s, each second line back if asked; all north otherwise. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
+    """At 15 m/s, each second line back if asked; all north otherwise. While they are read, frames turn at a
+    rate of their own, or shake. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
     camera = lens or Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
@@ -78,7 +79,10 @@ def fly(
     )
     if rate_sd_rad_per_s:
         rates = np.random.default_rng(seed + 1).normal(0.0, rate_sd_rad_per_s, (n, 1, 3))
-        truth = replace(truth, turns=Turns(readout_s, rates * np.array([[-0.5], [0.5]]) * readout_s))
+        after_s = np.linspace(-0.5, 0.5, 41)[:, None] * readout_s
+        phase, round_s = np.random.default_rng(seed + 2).uniform(0, 6.3, (n, 1, 3)), 6.283 * shaking_hz
+        shaking = (np.cos(phase) - np.cos(round_s * after_s + phase)) / max(round_s, 1e-9)
+        truth = replace(truth, turns=Turns(readout_s, rates * (shaking if shaking_hz else after_s)))
     beside = np.array([35.0, 25.0]) * (1.25 * camera.width_px / camera.focal_length_px) ** 2
     low, high = at[:, :2].min(axis=0) - beside, at[:, :2].max(axis=0) + beside
     plan = rng.uniform(low, high, (points, 2))

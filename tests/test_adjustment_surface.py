@@ -7,13 +7,12 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.pose_block import pose_block
 from geomosaic.adjustment.surface import tie_surface
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
 

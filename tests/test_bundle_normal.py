@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, project
+from geomosaic.adjustment.collinearity import image_from_ground, project
 from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
+from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError
 
 MOUNTING = 3

@@ -14,8 +14,7 @@ from osgeo_utils.samples import validate_gpkg
 from pyproj import Transformer
 from solved_block import ALONE, WORK, solved_block
 
-from geomosaic.adjustment.collinearity import exp_turn
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.export import residual_layers
 from geomosaic.export.ellipses import ErrorEllipses, error_ellipses, exaggeration
 from geomosaic.export.layers import write_layers

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly
 
-from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.mounting import MOUNTING, mounting_derivatives, pose_miss
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, exp_turn
 
 EAST = np.array([[0.0, 12.0, 3.0]])
 

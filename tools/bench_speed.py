@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.adjustment.collinearity import exp_turn, interior_of, project
+from geomosaic.adjustment.collinearity import interior_of, project
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
 

@@ -11,6 +11,7 @@ from geomosaic.adjustment.bundle_model import Priors
 from geomosaic.adjustment.chosen_ground import DEM_SD_M, flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.mounting import Mounting
+from geomosaic.adjustment.swing import RATE_SD_RAD_PER_S, TERMS
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.interior import Camera
 from geomosaic.placement.graph import connected_parts
@@ -25,9 +26,8 @@ _LENS_SD = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0
 _FOCAL_SD = 0.005
 _PRINCIPAL_SD = 0.003
 _READOUT_SD_S = 0.05
-_RATE_SD, _TOLD_RATE_SD = 0.15, 0.05
-"""Of a constant rate of turning in rad/s: small aircraft in wind turn by some 10 degrees a second; a small
-gyroscope's zero is off by a degree or two."""
+NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
+_ZERO_SD_RAD_PER_S = 0.05  # a small gyroscope's zero is off by a degree or two a second
 _MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
 _DEM_LEVEL_SD_M = 2.0
 _ANY_RELIEF = 0.3
@@ -64,7 +64,8 @@ def priors_of(
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
         assumed=assumed,
-        rate_sd_rad_per_s=_rate_sd(block, settings) if settings.turning else 0.0,
+        swing_sd_rad=_swing_sd(block, settings, cameras) if settings.turning else None,
+        swing_common=_zero_unknown(block, settings),
     )
 
 
@@ -73,10 +74,19 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
     return interior_deviations(known, readout=settings.rolling_shutter)
 
 
-def _rate_sd(block: Block, settings: Settings) -> float:
-    if settings.rate_sd_rad_per_s is not None:
-        return settings.rate_sd_rad_per_s
-    return _RATE_SD if block.poses.turns is None else _TOLD_RATE_SD
+def _swing_sd(block: Block, settings: Settings, cameras: tuple[Camera, ...]) -> Floats | None:
+    """Beside a gyroscope whose zero isn't known yet, a constant rate is all that is asked for."""
+    if not settings.rolling_shutter and not any(c.readout_s for c in cameras):
+        return None
+    readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in cameras])
+    rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
+    if _zero_unknown(block, settings):
+        rate_sd, terms = _ZERO_SD_RAD_PER_S, 1
+    return np.repeat(0.5 * rate_sd * readouts_s[:, None], terms, axis=1)
+
+
+def _zero_unknown(block: Block, settings: Settings) -> bool:
+    return block.poses.turns is not None and settings.rate_sd_rad_per_s is None
 
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:

@@ -24,10 +24,11 @@ from geomosaic.adjustment.bundle_equations import (
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
-from geomosaic.adjustment.collinearity import exp_turn, image_from_ground, interior_of, with_rates
+from geomosaic.adjustment.collinearity import image_from_ground, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight
+from geomosaic.adjustment.swing import with_swing
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.variance import (
     change_of,
@@ -37,6 +38,7 @@ from geomosaic.adjustment.variance import (
     variance_components,
 )
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
@@ -56,7 +58,9 @@ class _Stop:
 
 
 _ROUGH, _FINE = _Stop(1e-3, 0.3), _Stop(1e-4, 0.01)
-_STEPS_BETWEEN = 2
+_STANDS, _ROUGHLY = 0.03, 0.15
+"""Variance components that change by less than this share stand, and do so well enough to compare models."""
+_STEPS_BETWEEN, _MOST_STEPS = 2, 30
 _DAMPING, _MOST_DAMPING = 1e-9, 1e6
 """Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it
 holds up scale, turn and place of the whole block, which only the positions know. So there is none unless a
@@ -76,7 +80,7 @@ def solve_bundle(
     start: Poses,
     *,
     again: Bundle | None = None,
-    most: int = 30,
+    rough: bool = False,
 ) -> Bundle:
     """Gauss-Newton on the reduced normal equations, Cauchy weights, variance components.
 
@@ -91,13 +95,13 @@ def solve_bundle(
     Frames at which the system breaks down are left out and tried again once all others are solved.
 
     Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
-        lenses, points and variance components to go on from.
+        lenses, points and variance components to go on from. rough: to compare models by, in half the time.
     Raises: NotSolvableError if more than half of the frames would have to be left out.
     """
     left_out = np.zeros(len(start), dtype=bool)
     while True:
         try:
-            solved = _solve(tracks, camera_of, _without(priors, left_out, start), start, again, most)
+            solved = _solve(tracks, camera_of, _without(priors, left_out, start), start, again, rough)
             break
         except NotSolvableError as error:
             weak = [i for i in error.frames if not left_out[i]]
@@ -106,7 +110,7 @@ def solve_bundle(
             left_out[weak] = True
     if left_out.any():
         with suppress(NotSolvableError):
-            return _solve(tracks, camera_of, priors, solved.poses, solved, most)
+            return _solve(tracks, camera_of, priors, solved.poses, solved, rough)
     return solved
 
 
@@ -126,7 +130,7 @@ def _without(priors: Priors, left_out: Bools, start: Poses) -> Priors:
 
 
 def _solve(
-    tracks: Tracks, camera_of: Ints, priors: Priors, start: Poses, again: Bundle | None, most: int
+    tracks: Tracks, camera_of: Ints, priors: Priors, start: Poses, again: Bundle | None, rough: bool
 ) -> Bundle:
     """The solution with all unknowns that the block determines."""
     state = State(
@@ -136,7 +140,7 @@ def _solve(
         again.points_m if again else priors.points_m,
         again.mounting if again else np.zeros(len(MOUNTING)),
         level=again.level_m if again else 0.0,
-        rates=_first_rates(priors, again),
+        swing=_first_swing(priors, again),
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
     held = again.held if again else np.zeros(shared_miss(priors, state).size, dtype=bool)
@@ -145,7 +149,7 @@ def _solve(
     while True:
         priors, state = replace(priors, held=held), _with_held(priors, state, held)
         state, priors, factors, used = _settle(
-            tracks, camera_of, priors, state, factors, most, settled=again is not None
+            tracks, camera_of, priors, state, factors, rough, settled=again is not None
         )
         iterations += used
         strayed = strayed | strayed_principal_points(priors, state)
@@ -156,10 +160,11 @@ def _solve(
         held, may_free = more, False
 
 
-def _first_rates(priors: Priors, again: Bundle | None) -> Floats | None:
-    if not priors.rate_sd_rad_per_s:
+def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:
+    if priors.swing_sd_rad is None:
         return None
-    return np.zeros((len(priors.poses), 3)) if again is None or again.rates is None else again.rates
+    none = np.zeros((len(priors.poses), priors.swing_sd_rad.shape[1], 3))
+    return none if again is None or again.swing is None else again.swing
 
 
 def _with_held(priors: Priors, state: State, held: Bools) -> State:
@@ -176,7 +181,9 @@ def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State
     """Image coordinates count by their present median miss, all else as stated."""
     length = lengths_px(tracks, camera_of, priors, state)
     control = priors.control[tracks.point]
+    terms = 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1]
     return Factors(
+        swing=(1.0,) * terms,
         image_px=max(Factors.image_px, median_px(length[~control])),
         control_px=max(Factors.control_px, median_px(length[control])),
     )
@@ -188,7 +195,7 @@ def _settle(
     priors: Priors,
     state: State,
     factors: Factors,
-    most: int,
+    rough: bool,
     *,
     settled: bool,
 ) -> tuple[State, Priors, Factors, int]:
@@ -198,17 +205,19 @@ def _settle(
     for _ in range(12):
         priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used = _converge(
-            tracks, camera_of, priors, state, factors, _STEPS_BETWEEN if iterations else most, _ROUGH
+            tracks, camera_of, priors, state, factors, _STEPS_BETWEEN if iterations else _MOST_STEPS, _ROUGH
         )
         iterations += used
         before = factors
         factors = variance_components(tracks, camera_of, priors, state, before, image_only=not settled)
         image_changed, priors_changed = change_of(before, factors)
-        if settled and max(image_changed, priors_changed) < 0.03:
+        if settled and max(image_changed, priors_changed) < (_ROUGHLY if rough else _STANDS):
             break
         settled = image_changed < 0.1
-    state, used = _converge(tracks, camera_of, priors, state, factors, most, _FINE)
-    return state, priors, factors, iterations + used
+    if not rough:
+        state, used = _converge(tracks, camera_of, priors, state, factors, _MOST_STEPS, _FINE)
+        iterations += used
+    return state, priors, factors, iterations
 
 
 def _converge(
@@ -266,7 +275,7 @@ def _moved(state: State, share: float, *step: Any) -> State:
         state.points + point,
         state.mounting + mounting if mounting.size else state.mounting,
         state.level + level,
-        None if state.rates is None else state.rates + pose[:, 6:],
+        None if state.swing is None else state.swing + pose[:, 6:].reshape(state.swing.shape),
     )
 
 
@@ -300,8 +309,8 @@ def _finish(
         positions_sd_m=sd[:, :3],
         rotations_sd_rad=sd[:, 3:],
     )
-    if state.rates is not None:
-        poses = with_rates(poses, state.rates, float(np.abs(state.interior[:, READOUT]).max()) or 1.0)
+    if state.swing is not None:
+        poses = with_swing(poses, state.swing, state.interior[camera_of, READOUT])
     return Bundle(
         poses=poses,
         cameras=tuple(with_interior(c, row) for c, row in zip(priors.cameras, state.interior, strict=True)),
@@ -322,7 +331,7 @@ def _finish(
         factors=factors,
         trust=trust_of(priors),
         left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,
-        rates=state.rates,
+        swing=state.swing,
         level_m=state.level,
         iterations=iterations,
         reduced=reduced,

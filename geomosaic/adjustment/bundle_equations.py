@@ -39,8 +39,8 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
     total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
-    if state.rates is not None:
-        total += float(((state.rates / priors.rate_sd_rad_per_s) ** 2).sum())
+    if state.swing is not None:
+        total += float(((state.swing / swing_sd(camera_of, priors, factors)) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
             priors.terrain,
@@ -67,16 +67,16 @@ def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, fa
         return residual, weight, by_pose, by_interior, by_point
 
     counts = (len(state.positions), *state.interior.shape, len(state.points))
-    d = 6 if state.rates is None else 9
+    d = 6 if state.swing is None else 6 + state.swing[0].size
     n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised, d)
-    n = _with_priors(n, priors, state, factors)
+    n = _with_priors(n, camera_of, priors, state, factors)
     if priors.terrain is None:
         return replace(n, level=1.0)
     share = frame_share(tracks, state)
     return add_terrain(n, priors.terrain, ~priors.control, state.points, state.positions, share, state.level)
 
 
-def _with_priors(n: Normals, priors: Priors, state: State, factors: Factors) -> Normals:
+def _with_priors(n: Normals, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Normals:
     """Adds what was believed of poses, points, lenses and mounting."""
     by_pose, by_mounting = mounting_derivatives(priors.poses, state.rotations, state.mounting)
     weighted = (trust_of(priors) / pose_sd(priors, factors) ** 2)[:, :, None]
@@ -84,9 +84,11 @@ def _with_priors(n: Normals, priors: Priors, state: State, factors: Factors) -> 
     back = np.swapaxes(by_pose, 1, 2)
     n.pose[:, :6, :6] += back @ (weighted * by_pose)
     n.pose_side[:, :6] += (back @ (weighted * miss))[:, :, 0]
-    if state.rates is not None:
-        n.pose[:, [6, 7, 8], [6, 7, 8]] += 1.0 / priors.rate_sd_rad_per_s**2
-        n.pose_side[:, 6:] -= state.rates / priors.rate_sd_rad_per_s**2
+    if state.swing is not None:
+        sd = swing_sd(camera_of, priors, factors).reshape(len(n.pose), -1)
+        i = np.arange(6, n.pose.shape[1])
+        n.pose[:, i, i] += 1.0 / sd**2
+        n.pose_side[:, 6:] -= state.swing.reshape(sd.shape) / sd**2
     n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / priors.points_sd_m**2
     n.point_side[:] += (priors.points_m - state.points) / priors.points_sd_m**2
     weight, off = 1.0 / shared_sd(priors) ** 2, shared_miss(priors, state)
@@ -109,6 +111,12 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
     """Deviations of the pose priors with their present factors, (f, 6); inf where nothing is known."""
     sd = np.column_stack([priors.poses.positions_sd_m, priors.poses.rotations_sd_rad]) * factors.by_column
     return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
+
+
+def swing_sd(camera_of: Ints, priors: Priors, factors: Factors) -> Floats:
+    """Deviations of the swings' factors in rad with their present components, (f, t, 3)."""
+    told = np.zeros((1, 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
+    return np.repeat((told * factors.swing)[camera_of, :, None], 3, axis=2)
 
 
 def present_miss(priors: Priors, state: State) -> Floats:
@@ -149,14 +157,13 @@ def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> t
     seen = state.positions[frame], state.rotations[frame], interior, state.points[tracks.point]
     kind = None if kinds is None else kinds[camera]
     told = poses.velocities_m_per_s is not None or poses.turns is not None
-    if not _rolls(priors) or not (told or state.rates is not None):
+    if not _rolls(priors) or not (told or state.swing is not None):
         return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
     read = readout_of(
-        poses, state.rotations, state.rates, frame, tracks.image_px[:, 1], heights, interior[:, READOUT]
+        poses, state.rotations, state.swing, frame, tracks.image_px[:, 1], heights, interior[:, READOUT]
     )
-    after_s = None if state.rates is None else read.after_s
-    return seen[0], read.rotations, *seen[2:], read.passed_m_per_s, kind, read.turned_rad_per_s, after_s
+    return seen[0], read.rotations, *seen[2:], read.passed_m_per_s, kind, read.turned_rad_per_s, read.terms
 
 
 def _rolls(priors: Priors) -> bool:

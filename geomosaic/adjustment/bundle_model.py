@@ -28,7 +28,7 @@ GROUPS: dict[str, tuple[int, ...]] = {"horizontal": (0, 1), "vertical": (2,), "t
 @dataclass(frozen=True)
 class Factors:
     """Variance components: deviations of tie points' and control's image coordinates, in px, and what the
-    stated deviations of each group of pose priors are to be multiplied with."""
+    stated deviations of each group of pose priors and of each function of a swing are multiplied with."""
 
     image_px: float = 0.5
     control_px: float = MEASURED_SD_PX
@@ -36,6 +36,7 @@ class Factors:
     vertical: float = 1.0
     tilt: float = 1.0
     yaw: float = 1.0
+    swing: tuple[float, ...] = ()
 
     def of(self, group: str) -> float:
         """One of GROUPS."""
@@ -57,8 +58,9 @@ class Priors:
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
-    observed, so that it tells nothing of the others' deviations. rate_sd_rad_per_s: of each frame's constant
-    rate of turning while its rows are read, beside the poses' turns; 0 where it isn't asked for. trust
+    observed, so that it tells nothing of the others' deviations. swing_sd_rad (c, t): of each camera's
+    frames, of how they swing while their rows are read, beside the poses' turns, see `swing`;
+    None where it isn't asked for; swing_common: whether a part of it may be common to all. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
     determine them; left_out (f,): frames whose pictures have no say, since they made the system unsolvable;
@@ -75,7 +77,8 @@ class Priors:
     mounting: Mounting = NO_MOUNTING
     part: NDArray[np.intp] | None = None
     assumed: Bools | None = None
-    rate_sd_rad_per_s: float = 0.0
+    swing_sd_rad: Floats | None = None
+    swing_common: bool = False
     trust: Floats | None = None
     held: Bools | None = None
     left_out: Bools | None = None
@@ -93,7 +96,7 @@ class Bundle:
     drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
-    rates (f, 3): see `Priors`; the poses' turns hold them. level_m: of the ground above the terrain's own.
+    swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the terrain's own.
     reduced: the last normal equations.
     """
 
@@ -113,7 +116,7 @@ class Bundle:
     factors: Factors
     trust: Floats
     left_out: Bools
-    rates: Floats | None
+    swing: Floats | None
     level_m: float
     iterations: int
     reduced: Reduced
@@ -127,7 +130,7 @@ class State:
     points: Floats
     mounting: Floats
     level: float = 0.0
-    rates: Floats | None = None
+    swing: Floats | None = None
 
 
 def with_interior(camera: Camera, interior: Sequence[float] | Floats) -> Camera:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.beliefs import NOMINAL_READOUT_S
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
@@ -32,8 +33,8 @@ _LEFT_OUT = 5  # one track of so many
 _LEAST_TRACKS = 100
 _LEAST_PX = 0.3
 """Of tracks left out, what keypoints themselves are off by: nothing is to be gained below. Above it a shutter
-that nothing tells of may hide though all looks well: along straight lines it only stretches the block, and
-the principal point takes up how frames turn while they are read."""
+may hide though all looks well, or turns that no gyroscope tells of or not well enough: along straight lines
+a shutter only stretches the block, and the principal point takes up how frames turn while they are read."""
 _CONTRADICTS = 1.2
 """Positions that fit worse by more than this are against a model, however well it pleases the tie points: a
 block that is bent or stretched pleases them too."""
@@ -41,12 +42,11 @@ _LEAST_SCATTER = 0.2  # of what is stated of positions; less is the luck of a fe
 _SLOWEST_READOUT_S = 0.2
 """The slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it."""
 _GIVEN = "given"
-_NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
 _TEXTS = {
     "lens": "the lens free of what its maker says",
     "fisheye": "a fisheye lens",
     "readout": "rows read one after the other, their time solved for",
-    "turning": "each frame turning at a rate of its own while its rows are read one after the other",
+    "turning": "each frame swinging in its own way while its rows are read one after the other",
     "untold_turns": "without the turns that the tags tell",
 }
 
@@ -60,13 +60,14 @@ def chosen_model(
     """Block and settings of the model to solve with, and how it was chosen; None where the given one is good
     from the start.
 
-    What is missing is added one by one, each time what helps most, as long as it helps by a tenth. Every
-    model is judged on the same tracks, which took no part in its solve.
+    What is missing is added one by one, each time what helps most, as long as it helps by a tenth; what makes
+    it worse by as much is not tried again. Every model is judged on the same tracks, which took no part in
+    its solve.
 
     Args: first: the solution as given; solve: of tracks with a model.
     """
     good = first.factors.image_px <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
-    if _untold_shutter(block, settings):
+    if _moving(block) and not settings.turning:
         good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
     if good or tracks.points < _LEAST_TRACKS:
         return block, settings, None
@@ -81,10 +82,13 @@ def chosen_model(
         return _Tried(its_block, its_settings, solved, _left_out_px(judges, its_block, solved))
 
     taken: tuple[str, ...] = ()
+    worse: set[str] = set()
     now = tried(block, settings)
     left_px, contradicted = {_GIVEN: now.left_px}, []
     while now.left_px > _LEAST_PX:
-        more = {name: tried(*model) for name, model in _candidates(now.block, now.settings, taken)}
+        candidates = {n: model for n, model in _candidates(now.block, now.settings, taken) if n not in worse}
+        more = {name: tried(*model) for name, model in candidates.items()}
+        worse |= {name for name, model in more.items() if now.left_px < _BETTER * model.left_px}
         left_px |= {"+".join((*taken, name)): model.left_px for name, model in more.items()}
         for name in [name for name, model in more.items() if contradicts(model.solved, now.solved)]:
             if more.pop(name).left_px < _BETTER * now.left_px:
@@ -142,7 +146,7 @@ def _candidates(
 ) -> Iterator[tuple[str, tuple[Block, Settings]]]:
     """What can be added to a model, each with its block and settings, the simplest first."""
     turns, moving = block.poses.turns, _moving(block)
-    begin_s = _NOMINAL_READOUT_S if turns is None else turns.span_s
+    begin_s = NOMINAL_READOUT_S if turns is None else turns.span_s
     rolling = replace(
         block, cameras=tuple(c if c.readout_s else replace(c, readout_s=begin_s) for c in block.cameras)
     )
@@ -159,12 +163,6 @@ def _candidates(
     if not settings.turning:
         solved = settings.rolling_shutter or (moving and not read)
         yield "turning", (rolling, replace(settings, turning=True, rolling_shutter=solved))
-
-
-def _untold_shutter(block: Block, settings: Settings) -> bool:
-    """Whether rows may be read one after the other, without a word of it, while the frames move."""
-    told = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
-    return _moving(block) and not told
 
 
 def _moving(block: Block) -> bool:

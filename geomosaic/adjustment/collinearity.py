@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.camera.exterior import Poses, Turns
+from geomosaic.adjustment.swing import terms_at
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS, Lens
+from geomosaic.camera.rotation import exp_turn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -38,7 +39,7 @@ def image_from_ground(
     passing_m_per_s: Floats | None = None,
     kinds: Ints | None = None,
     turning_rad_per_s: Floats | None = None,
-    after_s: Floats | None = None,
+    terms: Floats | None = None,
 ) -> Floats:
     """Image coordinates (m, 2) as `project` gives them, without derivatives."""
     _, u, v, _ = _directions(positions_m, rotations, interior, points_m, passing_m_per_s)
@@ -57,7 +58,7 @@ def project(
     passing_m_per_s: Floats | None = None,
     kinds: Ints | None = None,
     turning_rad_per_s: Floats | None = None,
-    after_s: Floats | None = None,
+    terms: Floats | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Image coordinates and their derivatives, one row an observation.
 
@@ -66,10 +67,10 @@ def project(
 
     Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR,
         points_m (m, 3). passing_m_per_s, turning_rad_per_s (m, 3): see `Readout`, whose rotations are to be
-        given with them. kinds (m,): of lenses, see `kinds_of`. after_s (m,): when each row is read, from the
-        middle one on, where frames' rates of turning are unknown.
-    Returns: image_px (m, 2); by_pose (m, 2, 6 or 9): position, turn in rad, rate about the work
-        frame's axes; by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
+        given with them. kinds (m,): of lenses, see `kinds_of`. terms (m, t): functions of the row by which
+        frames swing, see `swing`, where their factors are unknown.
+    Returns: image_px (m, 2); by_pose (m, 2, 6 + 3 t): position, turn in rad, and each function's factors
+        about the work frame's axes; by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
     """
     d, u, v, z = _directions(positions_m, rotations, interior, points_m, passing_m_per_s)
     f = interior[:, 0]
@@ -77,9 +78,9 @@ def project(
     by_interior = np.zeros((len(u), 2, len(INTERIOR)))
     for lens, which in _lenses(kinds):
         x, y = u[which], v[which]
-        r_sq, terms = x * x + y * y, interior[which, 3:8].T
-        bent[:, which] = lens.bent(terms, x, y, r_sq)
-        slopes[:, which] = lens.slopes(terms, x, y, r_sq)
+        r_sq, bends = x * x + y * y, interior[which, 3:8].T
+        bent[:, which] = lens.bent(bends, x, y, r_sq)
+        slopes[:, which] = lens.slopes(bends, x, y, r_sq)
         for column, (across, down) in enumerate(lens.by_terms(x, y, r_sq), 3):
             by_interior[which, 0, column] = f[which] * across
             by_interior[which, 1, column] = f[which] * down
@@ -92,15 +93,16 @@ def project(
         by_camera[:, axis, 2] = -(by_u[axis] * u + by_v[axis] * v)
     by_camera *= (f / z)[:, None, None]
     by_point = by_camera @ np.swapaxes(rotations, 1, 2)
-    by_pose = np.empty((len(u), 2, 6 if after_s is None else 9))
+    by_pose = np.empty((len(u), 2, 6 + 3 * (0 if terms is None else terms.shape[1])))
     np.negative(by_point, out=by_pose[:, :, :3])
     for axis in range(3):
         one, two = (axis + 1) % 3, (axis + 2) % 3
         by_pose[:, :, 3 + axis] = (
             by_point[:, :, one] * d[:, two, None] - by_point[:, :, two] * d[:, one, None]
         )
-    if after_s is not None:
-        by_pose[:, :, 6:] = by_pose[:, :, 3:6] * after_s[:, None, None]
+    if terms is not None:
+        swung = terms[:, None, :, None] * by_pose[:, :, None, 3:6]
+        by_pose[:, :, 6:] = swung.reshape(len(u), 2, -1)
     by_interior[:, :, 0] = bent.T
     by_interior[:, 0, 1] = by_interior[:, 1, 2] = 1.0
     if passing_m_per_s is not None:
@@ -142,13 +144,14 @@ def _lenses(kinds: Ints | None) -> list[tuple[Lens, Ints | slice]]:
 class Readout:
     """What rolling shutters make of the poses of m observations, by their rows as measured.
 
-    rotations (m, 3, 3): as they were when each row was read. after_s (m,): when, from the middle row on.
+    rotations (m, 3, 3): as they were when each row was read. terms (m, t): functions of the row by which
+    frames swing.
     passed_m_per_s, turned_rad_per_s (m, 3): by what the projection centre moves and the camera turns, in the
     work frame, for each second of readout until then.
     """
 
     rotations: Floats
-    after_s: Floats
+    terms: Floats | None
     passed_m_per_s: Floats
     turned_rad_per_s: Floats | None
 
@@ -156,7 +159,7 @@ class Readout:
 def readout_of(
     poses: Poses,
     rotations: Floats,
-    rates_rad_per_s: Floats | None,
+    swing_rad: Floats | None,
     frame: Ints,
     row_px: Floats,
     heights_px: Floats,
@@ -165,8 +168,8 @@ def readout_of(
     """Of observations (m,) in frames with present rotations (f, 3, 3), by their rows, heights of their
     pictures and readout times, (m,) each.
 
-    rates_rad_per_s (f, 3): about the work frame's axes, on top of the poses' own turns:
-    `R(row) = exp(rate t) R exp(turn(t))`.
+    swing_rad (f, t, 3): factors of the functions of the row about the work frame's axes, on top of the poses'
+    own turns: `R(row) = exp(swing(row)) R exp(turn(row))`.
     """
     share = row_px / heights_px - 0.5
     after_s, at_row = share * readouts_s, rotations[frame]
@@ -178,39 +181,10 @@ def readout_of(
         at_row = at_row @ exp_turn(turn)
         rate = rate - 0.5 * np.cross(turn, rate)
         turned = np.einsum("mij,mj->mi", at_row, rate) * share[:, None]
-    if rates_rad_per_s is not None:
-        rate = rates_rad_per_s[frame]
-        more = exp_turn(rate * after_s[:, None])
+    terms = None
+    if swing_rad is not None:
+        terms = terms_at(share, swing_rad.shape[1])
+        more = exp_turn(np.einsum("mt,mtj->mj", terms, swing_rad[frame]))
         at_row = more @ at_row
-        turned = rate * share[:, None] + (0.0 if turned is None else np.einsum("mij,mj->mi", more, turned))
-    return Readout(at_row, after_s, passed, turned)
-
-
-def with_rates(poses: Poses, rates_rad_per_s: Floats, span_s: float) -> Poses:
-    """Poses whose turns hold such rates too, see `readout_of`; span_s: over which they are tabled if they
-    have none so far."""
-    turns = poses.turns or Turns(span_s, np.zeros((len(poses), 2, 3)))
-    n, k = turns.rad.shape[:2]
-    after_s = np.linspace(-0.5, 0.5, k) * turns.span_s
-    rates = np.einsum("nji,nj->ni", poses.rotations, rates_rad_per_s)
-    more = exp_turn((rates[:, None] * after_s[:, None]).reshape(-1, 3))
-    rad = log_turn(more @ exp_turn(turns.rad.reshape(-1, 3))).reshape(n, k, 3)
-    return replace(poses, turns=Turns(turns.span_s, rad))
-
-
-def exp_turn(turn_rad: Floats) -> Floats:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), Rodrigues' formula."""
-    angle = np.linalg.norm(turn_rad, axis=1)
-    safe = np.maximum(angle, 1e-12)
-    axis = turn_rad / safe[:, None]
-    k = np.zeros((len(turn_rad), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    k -= np.swapaxes(k, 1, 2)
-    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sin * k + (1.0 - cos) * (k @ k))
-
-
-def log_turn(rotations: Floats) -> Floats:
-    """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), lengths of 0 to pi. By way of quaternions,
-    since the matrix's own skew part vanishes at half a turn."""
-    return np.asarray(Turn.from_matrix(rotations).as_rotvec())
+        turned = None if turned is None else np.einsum("mij,mj->mi", more, turned)
+    return Readout(at_row, terms, passed, turned)

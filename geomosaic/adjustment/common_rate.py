@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.bundle_model import Bundle
-from geomosaic.adjustment.collinearity import with_rates
 from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.swing import with_swing
 
 _LEAST_FRAMES = 5
 _OWN_SD_RAD_PER_S = 0.012
@@ -21,13 +21,14 @@ def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[
 
     Each frame's own rate, free within what a gyroscope's zero may be off, costs a small block its shape.
     """
-    if solved.rates is None or block.poses.turns is None:
+    if solved.swing is None or block.poses.turns is None:
         return block, settings
-    known = solved.rates.any(axis=1)
+    readouts_s = np.array([c.readout_s for c in block.cameras])
+    known = solved.swing.any(axis=(1, 2)) & (readouts_s > 0.0)
     if known.sum() < _LEAST_FRAMES:
         return block, settings
-    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.rates[known])
-    common = np.median(rates, axis=0)
-    in_work_frame = np.asarray(block.poses.rotations @ common)
-    poses = with_rates(block.poses, in_work_frame, block.poses.turns.span_s)
+    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.swing[known, 0])
+    common = np.median(rates / readouts_s[known, None], axis=0)
+    shared = (block.poses.rotations @ common) * readouts_s[:, None]
+    poses = with_swing(block.poses, shared[:, None], readouts_s)
     return replace(block, poses=poses), replace(settings, rate_sd_rad_per_s=_OWN_SD_RAD_PER_S)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.chain import fit_similarity
-from geomosaic.adjustment.collinearity import INTERIOR, log_turn
+from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
 

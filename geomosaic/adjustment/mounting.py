@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.collinearity import exp_turn, log_turn
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import exp_turn, log_turn
 
 Floats = NDArray[np.float64]
 

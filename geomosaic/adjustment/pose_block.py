@@ -109,7 +109,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             choice = choice.contradicted_at_last()
         else:
             block, settings, cameras, found = its_block, its_settings, lenses, chosen
-    if found.solved.rates is not None and block.poses.turns is not None:
+    if found.solved.swing is not None and block.poses.turns is not None:
         block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if few is not tracks:
@@ -156,7 +156,7 @@ def _free(
     """The solution with points of their own and no control, as models are compared."""
     cameras = tuple({c.name: c for c in block.cameras}.values())
     points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
-    return solve_bundle(kept, camera_of, priors_of(block, settings, cameras, points), start)
+    return solve_bundle(kept, camera_of, priors_of(block, settings, cameras, points), start, rough=True)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from geomosaic.adjustment.collinearity import exp_turn
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m

@@ -15,6 +15,7 @@ from geomosaic.adjustment.bundle_equations import (
     pose_sd,
     present_miss,
     shared_sd,
+    swing_sd,
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
@@ -34,11 +35,13 @@ _COMMON_SD_M = 2.5
 """Per axis: clocks, orbits and the ionosphere move a code receiver's positions by 1 to 4 m for hours (GPS SPS
 Performance Standard 2020, table 3.8-3: 8 m at 95 % in the worst place)."""
 _DETERMINED = 0.7
-_ERRORS_ALIKE = 5.0
+_ERRORS_ALIKE, _TELLING = 5.0, 192
 _PRIOR_FACTORS = (0.1, 10.0)
 """EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or a car's; deviations that
 are stated in the wrong unit or for 1 of 3 axes are off by less than ten. Beyond, the tags are not what they
 say."""
+_SWING_FACTORS = (0.02, 10.0)
+"""Nobody tells what frames swing by: a copter's good mount leaves a twentieth of a small wing in gusts."""
 _LEAST_REDUNDANCY = 3.0
 _COMMON = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
 """Unknowns that the frames of a part have in common, see `own_miss`."""
@@ -69,6 +72,7 @@ def variance_components(
     share = variances[:, :6] * weight / sd**2
     control = priors.control[tracks.point]
     length_px = lengths_px(tracks, camera_of, priors, state)
+    swing_sd_rad = swing_sd(camera_of, priors, factors)
     tied = ~control & has_say(tracks, priors)
     if tied.any():
         length = np.nan_to_num(length_px[tied] / factors.image_px, nan=1e6)
@@ -76,8 +80,8 @@ def variance_components(
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
-        if state.rates is not None:
-            settled += float(variances[:, 6:].sum()) / priors.rate_sd_rad_per_s**2
+        if state.swing is not None:
+            settled += float((variances[:, 6:] / swing_sd_rad.reshape(len(variances), -1) ** 2).sum())
         unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
         image_px = factors.image_px * float(np.sqrt((robust * length**2).sum() / redundancy))
@@ -86,6 +90,7 @@ def variance_components(
     if image_only:
         return factors
     miss, observed = own_miss(priors, state, factors), _observed(priors)
+    by_group: dict[str, float] = {}
     for group, (first, *more) in GROUPS.items():
         columns = [first, *more]
         told: Bools = np.isfinite(sd[:, columns]) & observed[:, columns]
@@ -96,14 +101,37 @@ def variance_components(
             continue
         total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[told].sum())
         factor = np.clip(_believed(factors.of(group) * np.sqrt(total / r), r), *_PRIOR_FACTORS)
-        factors = replace(factors, **{group: float(factor)})
-    return factors
+        by_group[group] = float(factor)
+    swing = _swing_factors(priors, state, swing_sd_rad, variances[:, 6:], factors)
+    return replace(factors, **by_group, swing=swing)
+
+
+def _swing_factors(
+    priors: Priors, state: State, sd_rad: Floats, variances: Floats, factors: Factors
+) -> tuple[float, ...]:
+    """Of each function of the row, from all frames' three axes, less what all frames do alike: that is the
+    readout's or the lens's, not theirs. A gyroscope's zero is alike too; until it is known nothing shrinks.
+    """
+    if state.swing is None:
+        return factors.swing
+    own = np.einsum("fji,ftj->fti", state.rotations, state.swing)
+    own -= np.median(own, axis=0)
+    least = 1.0 if priors.swing_common else _SWING_FACTORS[0]
+    redundancy = 1.0 - variances.reshape(own.shape) / sd_rad**2
+    found = []
+    for k, factor in enumerate(factors.swing):
+        r = float(redundancy[:, k].sum()) - 3.0
+        if r > _LEAST_REDUNDANCY:
+            factor *= float(np.sqrt(((own[:, k] / sd_rad[:, k]) ** 2).sum() / r))
+        found.append(float(np.clip(factor, least, _SWING_FACTORS[1])))
+    return tuple(found)
 
 
 def change_of(before: Factors, after: Factors) -> tuple[float, float]:
     """Largest relative changes: of the image's factors, and of the priors'."""
     image = (before.image_px, after.image_px), (before.control_px, after.control_px)
     priors = [(before.of(g), after.of(g)) for g in GROUPS]
+    priors += zip(before.swing, after.swing, strict=True)
     return _largest_change(image), _largest_change(priors)
 
 
@@ -210,11 +238,13 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
     """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
 
     Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
-    is not what it seems. A number counts as determined if with image errors _ERRORS_ALIKE times as large its
-    deviation would still be below _DETERMINED of what it was before pictures and POS spoke.
+    is not what it seems: beyond _TELLING a frame, more of them tell nothing new. A number counts as
+    determined if with image errors _ERRORS_ALIKE times as large its deviation would still be below
+    _DETERMINED of what it was before pictures and POS spoke.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
-    wider = replace(factors, image_px=_ERRORS_ALIKE * factors.image_px)
+    many = max(1.0, float(np.sqrt(len(tracks.frame) / (_TELLING * len(priors.poses)))))
+    wider = replace(factors, image_px=_ERRORS_ALIKE * many * factors.image_px)
     normals = normals_of(tracks, camera_of, replace(priors, held=None), state, wider)
     shared = np.delete(reduce_normals(normals).shared_covariance(), priors.interior_sd.size, axis=0)
     shared = np.delete(shared, priors.interior_sd.size, axis=1)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation as Turn
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +41,24 @@ def about_y(angle_rad: ArrayLike) -> Floats:
 def about_z(angle_rad: ArrayLike) -> Floats:
     """Right-handed rotation about z, shape (..., 3, 3)."""
     return _axis(angle_rad, 0, 1)
+
+
+def exp_turn(turn_rad: Floats) -> Floats:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), Rodrigues' formula."""
+    angle = np.linalg.norm(turn_rad, axis=1)
+    safe = np.maximum(angle, 1e-12)
+    axis = turn_rad / safe[:, None]
+    k = np.zeros((len(turn_rad), 3, 3))
+    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    k -= np.swapaxes(k, 1, 2)
+    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sin * k + (1.0 - cos) * (k @ k))
+
+
+def log_turn(rotations: Floats) -> Floats:
+    """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), lengths of 0 to pi. By way of quaternions,
+    since the matrix's own skew part vanishes at half a turn."""
+    return np.asarray(Turn.from_matrix(rotations).as_rotvec())
 
 
 def turned_by(turn_rad: Any, vectors: Any) -> Any:
