@@ -175,3 +175,24 @@ def test_a_path_that_counts_from_the_current_folder_is_refused(
     write_jpeg(tmp_path / "a.jpg", np.zeros((48, 96, 3), np.uint8), exif_block(Orientation=1))
     with pytest.raises(FileError, match=r"^a\.jpg: is no full path"):
         read_pixels(frame(Path("a.jpg")))
+
+
+@pytest.mark.parametrize("spoil", ["cut", "flipped", "without its end", "length"])
+def test_a_damaged_png_mask_is_named(tmp_path: Path, spoil: str) -> None:
+    """GDAL decodes what is left of each, with rows missing or wrong and not a word of it."""
+    jpeg = write_jpeg(tmp_path / "a.jpg", picture(40, 30))
+    mask = tmp_path / "a_mask.png"
+    hole = np.random.default_rng(2).integers(0, 2, (30, 40)).astype(np.uint8) * 255
+    cv2.imwrite(str(mask), hole)
+    whole = mask.read_bytes()
+    masks([read_header(jpeg)])
+    at = whole.index(b"IDAT") + 20
+    spoiled = {
+        "cut": whole[: at + 4],
+        "flipped": whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :],
+        "without its end": whole[:-12],
+        "length": whole[: at - 24] + b"\x00\x00\xff\xff" + whole[at - 20 :],
+    }
+    mask.write_bytes(spoiled[spoil])
+    with pytest.raises(FileError, match=r"a_mask\.png: (the mask is damaged|can't be)"):
+        masks([read_header(jpeg)])

@@ -7,14 +7,16 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
-from geomosaic.doors.files import check_name
+from geomosaic.doors.files import check_name, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
+from geomosaic.survey.damage import png_damage
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
 from geomosaic.survey.names import frame_name, natural_key
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
 _MASK_ENDINGS: Final = ("_mask", ".mask")
+_MOST_MASK_BYTES: Final = 256 << 20  # of two values, packed: a frame of 200 megapixels takes less than 1 MB
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
@@ -64,7 +66,7 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
 def masks(headers: list[FrameHeader]) -> dict[str, str]:
     """Frame name -> path of its mask, for the frames of one folder that have one.
 
-    Raises: `FileError` for a mask that can't be read or isn't of its frame's size.
+    Raises: `FileError` for a mask that can't be read, is damaged or isn't of its frame's size.
     """
     by_name = {p.name.casefold(): p for p in headers[0].path.parent.iterdir()}
     found = {}
@@ -84,6 +86,11 @@ def _check_size(mask: Path, header: FrameHeader) -> None:
         if raster.driver == "GTiff":
             with reading(mask, MASK.problem, MASK.mend):
                 check_blocks(raster, mask, MASK.mend)
+        damage = ""
+        if raster.driver == "PNG":
+            damage = png_damage(read_bytes(mask, _MOST_MASK_BYTES, "a mask", MASK.mend))
+    if damage:
+        raise FileError(f"the mask is damaged: {damage}", file=mask, mend="copy or make it again")
     if size != (header.width_px, header.height_px):
         raise FileError(
             f"the mask has {size[0]} x {size[1]} pixels, its frame {header.width_px} x {header.height_px}",
