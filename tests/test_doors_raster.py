@@ -176,6 +176,14 @@ def test_a_link_that_leads_nowhere_beside_a_dem(tmp_path: Path, target: str) -> 
         open_raster(path, DEM)
 
 
+def test_a_text_beside_a_dem_that_is_no_text_s_size(tmp_path: Path) -> None:
+    path = tiff(tmp_path / "dem.tif")
+    with (tmp_path / "dem.prj").open("wb") as sparse:
+        sparse.truncate(3 << 30)
+    with pytest.raises(FileError, match=r"dem\.prj: is over 1 MB; take it away"):
+        open_raster(path, DEM)
+
+
 def test_what_belongs_to_a_dem_is_read(tmp_path: Path) -> None:
     """.prj, world file, .aux.xml and overviews beside it; a VRT and a warped VRT of it."""
     path = tmp_path / "bare.tif"

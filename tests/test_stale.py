@@ -264,3 +264,23 @@ def test_an_entry_behind_a_link_is_not_taken(name: str, toys: Toys) -> None:  # 
     toys.run()
     assert toys.done() == ["read", "tell"]
     assert (toys.folder / "theirs").read_bytes() == before and not (folder / name).is_symlink()
+
+
+@pytest.mark.parametrize("number", ["1e999", "Infinity", "NaN"])
+def test_an_entry_with_a_number_that_no_run_writes_is_redone(number: str, toys: Toys) -> None:  # noqa: F811
+    toys.run()
+    folder = entry_of(toys, "toy.read")
+    entry = json.loads((folder / "entry.json").read_text())
+    entry["notes"]["metrics"]["placed"] = 7777
+    (folder / "entry.json").write_text(json.dumps(entry).replace("7777", number))
+    toys.done()
+    toys.run()
+    assert toys.done() == ["read", "tell"]
+
+
+def test_a_pipe_in_the_recording_s_place_is_not_waited_for(toys: Toys) -> None:  # noqa: F811
+    toys.run()
+    (toys.run_folder / "run.mcap").unlink()
+    os.mkfifo(toys.run_folder / "run.mcap")
+    toys.run()
+    assert (toys.run_folder / "run.mcap").is_file()

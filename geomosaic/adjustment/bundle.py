@@ -149,15 +149,21 @@ def _solve(
     while True:
         priors, state = replace(priors, held=held), _with_held(priors, state, held)
         state, priors, factors, used = _settle(
-            tracks, camera_of, priors, state, factors, rough, settled=again is not None
+            tracks, camera_of, priors, state, factors, rough=True, settled=again is not None
         )
         iterations += used
         strayed = strayed | strayed_principal_points(priors, state)
         more = strayed | undetermined(tracks, camera_of, priors, state, factors)
         more = more if may_free else held | more
         if np.array_equal(more, held):
-            return replace(_finish(tracks, camera_of, priors, state, factors, iterations), strayed=strayed)
+            break
         held, may_free = more, False
+    if not rough:
+        state, priors, factors, used = _settle(
+            tracks, camera_of, priors, state, factors, rough=False, settled=True
+        )
+        iterations += used
+    return replace(_finish(tracks, camera_of, priors, state, factors, iterations), strayed=strayed)
 
 
 def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:
@@ -195,8 +201,8 @@ def _settle(
     priors: Priors,
     state: State,
     factors: Factors,
-    rough: bool,
     *,
+    rough: bool,
     settled: bool,
 ) -> tuple[State, Priors, Factors, int]:
     """Iterates until unknowns, trust and variance components stand; the steps it took. settled: whether the

@@ -115,7 +115,7 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
 
 def swing_sd(camera_of: Ints, priors: Priors, factors: Factors) -> Floats:
     """Deviations of the swings' factors in rad with their present components, (f, t, 3)."""
-    told = np.zeros((1, 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
+    told = np.zeros((len(priors.cameras), 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
     return np.repeat((told * factors.swing)[camera_of, :, None], 3, axis=2)
 
 

@@ -12,7 +12,7 @@ from geomosaic.adjustment.beliefs import NOMINAL_READOUT_S
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
-from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays
+from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays, thin_tracks
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
@@ -30,7 +30,8 @@ _BETTER = 0.9
 """Of the last model's residuals a richer one has to leave less than this share; of two that leave as much but
 for so little the simpler one is taken."""
 _LEFT_OUT = 5  # one track of so many
-_LEAST_TRACKS = 100
+_TOO_FEW, _LEAST_TRACKS = 100, 300
+_PER_FRAME, _CELLS = 64, 8  # asked for by each frame: enough to tell models apart by a tenth
 _LEAST_PX = 0.3
 """Of tracks left out, what keypoints themselves are off by: nothing is to be gained below. Above it a shutter
 may hide though all looks well, or turns that no gyroscope tells of or not well enough: along straight lines
@@ -69,10 +70,13 @@ def chosen_model(
     good = first.factors.image_px <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
         good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
-    if good or tracks.points < _LEAST_TRACKS:
+    if good or tracks.points < _TOO_FEW:
         return block, settings, None
-    out = np.random.default_rng(0).permutation(tracks.points) % _LEFT_OUT == 0
-    rest, judges = chosen_tracks(tracks, ~out), chosen_tracks(tracks, out)
+    sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
+    few = thin_tracks(tracks, sizes, _PER_FRAME, _CELLS)
+    few = few if few.points >= _LEAST_TRACKS else tracks
+    out = np.random.default_rng(0).permutation(few.points) % _LEFT_OUT == 0
+    rest, judges = chosen_tracks(few, ~out), chosen_tracks(few, out)
 
     def tried(its_block: Block, its_settings: Settings) -> _Tried:
         try:

@@ -20,6 +20,8 @@ _MOST_SOURCES: Final = 10_000  # opening each takes about 1 ms
 _MOST_DEPTH: Final = 4
 _HEAD_BYTES: Final = 4096  # GDAL looks for <VRTDataset in the first 1 to 4 kB, wherever it stands
 _VRT_MEND: Final = "make one file of it with gdal_translate"
+_TEXTS: Final = frozenset({".prj", ".wld", ".clr", ".hdr", ".stx", ".txt", ".qpj"})
+_MOST_TEXT_BYTES: Final = 1 << 20  # GDAL reads them whole; a projection of many words has 5 kB
 _SIDECAR_MEND: Final = "take it away"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MOSAIC_TAGS = """
@@ -61,6 +63,8 @@ def check_sidecars(path: Path) -> None:
             _check_plain(file, _TIFF)
         elif lower.endswith((".aux", ".rrd")):
             _check_plain(file, (b"EHFA",))
+        elif file.suffix.lower() in _TEXTS and file.stat().st_size > _MOST_TEXT_BYTES:
+            raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=file, mend=_SIDECAR_MEND)
 
 
 def sources_of(path: Path) -> list[Path]:

@@ -128,6 +128,7 @@ class StageCache:
         try:
             folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
             entry = json.loads(files.read_own(folder / _ENTRY, _MOST_ENTRY_BYTES))
+            json.dumps(entry, allow_nan=False)  # as it was written, whatever stands there now
             written = {str(name): str(mark) for name, mark in entry["files"].items()}
             for name, mark in written.items():
                 if self._hashes.of_written(self._folder.within(name)) != mark:

@@ -38,7 +38,7 @@ class MessageFile:
         self._failure: OutputError | None = None
         self._closed = False
         with self._writing():
-            if path.is_file():  # so that another name of the same file keeps its content
+            if path.is_file() or path.is_fifo():  # another name of the same file keeps its content
                 path.unlink()
             self._file = path.open("wb")
             self._writer: Any = Writer(  # partly untyped
