@@ -75,14 +75,19 @@ class OffsetNet:
 def ties_on_ground(
     block: Block, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
 ) -> list[tuple[Floats, Floats]]:
-    """Where each pair's left and its right frame put its tie points, (k, 3) each; NaN where a ray misses."""
+    """Where each pair's left and its right frame put its tie points, (k, 3) each; NaN where a ray misses.
+    A keypoint of several pairs goes down to the ground once."""
     pairs = block.ties.pairs
     if not pairs:
         return []
     length = np.array([len(t) for t in pairs])
     frame = np.repeat([i for t in pairs for i in (t.left, t.right)], np.repeat(length, 2))
+    feature = np.concatenate([number for t in pairs for number in (t.left_feature, t.right_feature)])
     image_px = np.concatenate([px for t in pairs for px in (t.left_px, t.right_px)])
-    at = ground_from_images(frame, image_px, poses, cameras, ground)
+    _, once, which = np.unique(
+        frame * (int(feature.max()) + 1) + feature, return_index=True, return_inverse=True
+    )
+    at = ground_from_images(frame[once], image_px[once], poses, cameras, ground)[which]
     both = np.split(at, np.cumsum(np.repeat(length, 2))[:-1])
     return list(zip(both[::2], both[1::2], strict=True))
 
