@@ -18,7 +18,7 @@ from test_pipeline_runner import ALL, Toys, toys  # noqa: F401
 from test_pipeline_toy import Numbers
 
 from geomosaic.doors.raster import DEM, open_raster
-from geomosaic.errors import FileError
+from geomosaic.errors import FileError, OutputError
 from geomosaic.pipeline import hashes
 from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes, fingerprint_of_file
 from geomosaic.pipeline.hashes import FileHashes
@@ -284,3 +284,15 @@ def test_a_pipe_in_the_recording_s_place_is_not_waited_for(toys: Toys) -> None: 
     os.mkfifo(toys.run_folder / "run.mcap")
     toys.run()
     assert (toys.run_folder / "run.mcap").is_file()
+
+
+@pytest.mark.parametrize("name", ["entry.json", "calls", "numbers.artefact"])
+def test_a_folder_in_the_place_of_a_cached_file_is_named(name: str, toys: Toys) -> None:  # noqa: F811
+    toys.run()
+    place = entry_of(toys, "toy.read") / name
+    place.unlink()
+    place.mkdir()
+    (place / "theirs.txt").write_text("theirs")
+    with pytest.raises(OutputError, match=rf"{name}: a folder stands where the file is to go; move it away"):
+        toys.run()
+    assert (place / "theirs.txt").read_text() == "theirs"

@@ -149,6 +149,11 @@ def test_orthority_yaml(tmp_path: Path) -> None:
         ),
         ("width_px: 100\nheight_px: 80\n", "c.yaml", "has no focal_length_px"),
         ("width_px: 100\nheight_px: 80\nfocal_length_px: -5\n", "c.yaml", "must be above 0"),
+        (
+            "width_px: 100\nheight_px: 80\nfocal_length_px: 50\nfocal_length_sd_px: -1.0e+308\n",
+            "c.yaml",
+            "has -1e[+]308 for focal_length_sd_px; give a deviation from 0 to the focal length",
+        ),
         ("a: {width: 100}\n", "c.yaml", "camera 'a' has none of projection_type, focal_len, width_px"),
         ("a: {focal_len: 1, im_size: [100, 80], sensor_size: [1, 2]}", "c.yaml", "differ in shape"),
         ("a: {focal_len: 1, im_size: 100}", "c.yaml", "im_size isn't"),

@@ -170,8 +170,9 @@ class StageCache:
     ) -> Finished:
         """Stores the outcome of a stage that ran in a context; `calls` moves into the cache."""
         folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / _ENTRY).unlink(missing_ok=True)
+        with files.told(folder / _ENTRY):
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / _ENTRY).unlink(missing_ok=True)
         written = {self._name(path): self._hashes.of_written(path) for path in context.kept}
         outputs, contents = {}, {}
         for name, kind in stage.outputs.items():
@@ -183,7 +184,8 @@ class StageCache:
             outputs[name] = Held(kind, mark, path, lineage, values[name])
         with files.open_own(calls) as file:
             told = fingerprint_of_file(file)
-        calls = calls.replace(folder / _CALLS)
+        with files.told(folder / _CALLS):
+            calls = calls.replace(folder / _CALLS)
         entry = {
             "outputs": contents,
             "files": written,

@@ -57,6 +57,15 @@ def make_folder(folder: Path) -> Path:
 
 
 @contextmanager
+def told(path: Path) -> Iterator[None]:
+    """What the system refuses in the block becomes an `OutputError` that names the path."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+@contextmanager
 def writing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name if the block succeeds, and vanishes if not.
 

@@ -174,6 +174,10 @@ def _plain(name: str, entry: Entry, path: Path) -> Camera:
     else:
         focal = 1000.0 * get("focal_length_mm") / get("pixel_size_um")
     width, height = get("width_px"), get("height_px")
+    focal_sd = get("focal_length_sd_px", abs(focal) * FOCAL_LENGTH["camera-file"].sd_relative)
+    if not 0.0 <= focal_sd <= abs(focal):
+        problem = f"camera '{name}' has {shown(focal_sd)} for focal_length_sd_px"
+        raise InputError(problem, file=path, mend="give a deviation from 0 to the focal length")
     return Camera(
         name=name,
         width_px=round(width),
@@ -182,7 +186,7 @@ def _plain(name: str, entry: Entry, path: Path) -> Camera:
         principal_col_px=get("principal_col_px", width / 2.0),
         principal_row_px=get("principal_row_px", height / 2.0),
         **{k: get(k, 0.0) for k in TERMS},
-        focal_length_sd_px=get("focal_length_sd_px", focal * FOCAL_LENGTH["camera-file"].sd_relative),
+        focal_length_sd_px=focal_sd,
         kind=kind,
     )
 
