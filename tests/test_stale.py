@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 import tracemalloc
 from pathlib import Path
@@ -296,3 +297,21 @@ def test_a_folder_in_the_place_of_a_cached_file_is_named(name: str, toys: Toys) 
     with pytest.raises(OutputError, match=rf"{name}: a folder stands where the file is to go; move it away"):
         toys.run()
     assert (place / "theirs.txt").read_text() == "theirs"
+
+
+def test_a_stage_that_fails_on_a_forged_artefact_says_where_it_lies(toys: Toys) -> None:  # noqa: F811
+    """Its hashes are right, its content is text where numbers belong: the line names work/ and the mend."""
+    toys.run()
+    folder = entry_of(toys, "toy.read")
+    entry = json.loads((folder / "entry.json").read_text())
+    data = encode(Numbers(np.array(["a", "b"]), str(toys.folder / "numbers.txt")))
+    (folder / "numbers.artefact").write_bytes(data)
+    entry["outputs"]["numbers"] = fingerprint_of_bytes(data)
+    (folder / "entry.json").write_text(json.dumps(entry))
+    with pytest.raises(
+        FileError, match=r"work: toy\.power fails on what is kept there .*; remove it and run again"
+    ):
+        toys.run()
+    assert not (toys.run_folder / "run.json").exists()
+    shutil.rmtree(toys.run_folder / "work")
+    toys.run()

@@ -81,6 +81,13 @@ def run(
             hashes.save()
 
 
+def _may_be_forged_data(error: BaseException) -> bool:
+    """Whether a stage may have failed on cached data whose hashes are right and whose content isn't: a run
+    folder may come from anybody."""
+    by_data = (LookupError, ArithmeticError, TypeError, ValueError, AttributeError, AssertionError)
+    return isinstance(error, by_data) and not isinstance(error, GeomosaicError)
+
+
 class _Run:
     """One run in progress."""
 
@@ -228,10 +235,14 @@ class _Run:
             values = step.stage().run({name: h.value() for name, h in inputs.items()}, step.params, context)
             check_outputs(step.stage, values)
             self._hashes.check_unchanged()
-        except BaseException:
+        except BaseException as error:
             self._warn(context.notes.warnings)
             recorder.close()
             spool.unlink(missing_ok=True)
+            if self._summary["cached_stages"] and _may_be_forged_data(error):
+                work = self._folder.within(WORK)
+                problem = f"{step.stage.id} fails on what is kept there ({type(error).__name__}: {error})"
+                raise FileError(problem, file=work, mend="remove it and run again") from error
             raise
         recorder.close()
         return self._cache.keep(step.stage, key, values, context, lineage, spool), "work"
