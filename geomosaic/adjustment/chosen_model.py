@@ -135,8 +135,9 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
             f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in choice.taken)}"
         )
         out.append(Warn("model-chosen", "", text))
-    if choice is not None and "turning" in choice.taken and block.poses.turns is None:
-        text = "frames turn while their rows are read, and no gyroscope tells how: their shapes are estimated"
+    if choice is not None and "turning" in choice.taken:
+        told = "no gyroscope tells how" if block.poses.turns is None else "not as the gyroscope tells"
+        text = f"frames turn while their rows are read, and {told}: their shapes are estimated"
         out.append(Warn("shutter-doubtful", "", text))
     elif choice is not None and choice.contradicted:
         what = _TEXTS[choice.contradicted[0].split("+")[-1]]

@@ -52,7 +52,8 @@ class Block:
 
     `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
     number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
-    poses, cameras, tie points and control are those of the pictures as they lie in the files.
+    poses, cameras, tie points and control are those of the pictures as they lie in the files. times_s (n,):
+    of frames whose velocity no tag tells, when they were taken, or NaN.
     """
 
     names: tuple[str, ...]
@@ -65,6 +66,7 @@ class Block:
     ground_pixel_m: float
     turned: tuple[int, ...] = ()
     control: tuple[GroundControl, ...] = ()
+    times_s: Floats | None = None
 
 
 @dataclass(frozen=True)

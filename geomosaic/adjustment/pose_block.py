@@ -44,6 +44,7 @@ from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
+from geomosaic.placement.velocity import velocities_m_per_s
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
@@ -98,6 +99,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     found, choice = _found(block, settings, few, camera_of, cameras, start), None
+    block = _flown(block, found.solved.poses)
+    if any(c.readout_s for c in cameras) and block.times_s is not None:
+        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if settings.model == "auto" and found.ties.points:
         solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
         as_given = _of_ties(found.solved, found.ties)
@@ -112,6 +116,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     if found.solved.swing is not None and block.poses.turns is not None:
         block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
+    block = _flown(block, found.solved.poses)
     if few is not tracks:
         found = _with_all(block, settings, tracks, camera_of, cameras, found)
     kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
@@ -148,6 +153,17 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         model=choice,
         image_residuals=ImageResiduals(kept.frame, kept.image_px, bundle.residual_px, bundle.weight),
     )
+
+
+def _flown(block: Block, poses: Poses) -> Block:
+    """The block with the velocities of solved poses: those of told positions are wrong where one is far off,
+    missing, or at the end of a line."""
+    if block.times_s is None or block.poses.velocities_m_per_s is None:
+        return block
+    timed = np.isfinite(block.times_s)[:, None]
+    flown = velocities_m_per_s(poses.positions_m, block.times_s)
+    velocities = np.where(timed, flown, block.poses.velocities_m_per_s)
+    return replace(block, poses=replace(block.poses, velocities_m_per_s=velocities))
 
 
 def _free(

@@ -111,7 +111,7 @@ def prior_poses(
     )
     local = ATTITUDES[attitude](yaw, pitch, roll).matrix
     times_s = np.array([or_nan(f.time_s) for f in frames])
-    velocities = velocities_m_per_s(positions, times_s, lines)
+    velocities = velocities_m_per_s(positions, times_s)
     for i in (i for i, f in enumerate(frames) if f.velocity_m_per_s is not None):
         velocities[i] = work_from_local[i] @ frames[i].velocity_m_per_s
     sd_tilt = np.array([f.attitude.sd_tilt_deg for f in frames])
