@@ -287,3 +287,12 @@ def test_ground_at_another_level_than_told_leaves_the_scale_alone() -> None:
     spread = [p.positions_m[:, :2].std(axis=0).sum() for p in (adjusted.poses, flown.truth)]
     assert spread[0] / spread[1] == pytest.approx(1.0, abs=0.02)
     assert adjusted.figures["iterations"] < 14
+
+
+def test_two_cameras_in_one_block() -> None:
+    """Every second frame from another camera of the same make: each has numbers of its own."""
+    flown = fly(8, 2, 4, points=350)
+    own, other = flown.block.cameras[0], replace(flown.block.cameras[0], name="other")
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=(own, other) * 4), Settings())
+    assert adjusted.figures["sigma_px"] < 0.4
+    assert {of for of in adjusted.shared.of if of != "platform"} == {"plain", "other"}
