@@ -35,7 +35,7 @@ _COMMON_SD_M = 2.5
 """Per axis: clocks, orbits and the ionosphere move a code receiver's positions by 1 to 4 m for hours (GPS SPS
 Performance Standard 2020, table 3.8-3: 8 m at 95 % in the worst place)."""
 _DETERMINED = 0.7
-_ERRORS_ALIKE, _TELLING = 5.0, 192
+_ERRORS_ALIKE, _TELLING = 5.0, 600
 _PRIOR_FACTORS = (0.1, 10.0)
 """EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or a car's; deviations that
 are stated in the wrong unit or for 1 of 3 axes are off by less than ten. Beyond, the tags are not what they
