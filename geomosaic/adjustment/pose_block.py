@@ -55,6 +55,7 @@ _DATUM_IN_DOUBT = 3.0
 _FEW_PER_FRAME, _FEW_CELLS = 192, 8
 """Enough to find poses, lens and variance components to a fraction of a pixel, at a tenth of the work."""
 _WORTHWHILE = 4
+_OTHER_VELOCITY = 0.1  # of the speed: over a readout of 0.1 s at 10 m/s, 0.1 m from the first row to the last
 
 
 def pose_block(block: Block, settings: Settings) -> Adjusted:
@@ -99,8 +100,8 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     found, choice = _found(block, settings, few, camera_of, cameras, start), None
-    block = _flown(block, found.solved.poses)
-    if any(c.readout_s for c in cameras) and block.times_s is not None:
+    block, other = _flown(block, found.solved.poses)
+    if other and any(c.readout_s for c in cameras):
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if settings.model == "auto" and found.ties.points:
         solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
@@ -116,7 +117,6 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     if found.solved.swing is not None and block.poses.turns is not None:
         block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
-    block = _flown(block, found.solved.poses)
     if few is not tracks:
         found = _with_all(block, settings, tracks, camera_of, cameras, found)
     kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
@@ -155,15 +155,17 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     )
 
 
-def _flown(block: Block, poses: Poses) -> Block:
-    """The block with the velocities of solved poses: those of told positions are wrong where one is far off,
-    missing, or at the end of a line."""
-    if block.times_s is None or block.poses.velocities_m_per_s is None:
-        return block
-    timed = np.isfinite(block.times_s)[:, None]
+def _flown(block: Block, poses: Poses) -> tuple[Block, bool]:
+    """The block with the velocities of solved poses, and whether one differs from what it was by a tenth:
+    those of told positions are wrong where one is far off, missing, or at the end of a line."""
+    told = block.poses.velocities_m_per_s
+    if told is None or block.times_s is None or not np.isfinite(block.times_s).any():
+        return block, False
     flown = velocities_m_per_s(poses.positions_m, block.times_s)
-    velocities = np.where(timed, flown, block.poses.velocities_m_per_s)
-    return replace(block, poses=replace(block.poses, velocities_m_per_s=velocities))
+    velocities = np.where(np.isfinite(block.times_s)[:, None], flown, told)
+    off, speed = (np.linalg.norm(v, axis=1) for v in (velocities - told, velocities))
+    other = bool((off > _OTHER_VELOCITY * speed).any())
+    return replace(block, poses=replace(block.poses, velocities_m_per_s=velocities)), other
 
 
 def _free(

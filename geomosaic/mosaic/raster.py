@@ -65,24 +65,6 @@ def writing_mosaic(
     goes: 0 where there is no frame, else the frame's index + 1; its tags name the frames.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
-    try:
-        with _open_files(path, grid, bands, dtype, sources, frames, band_names) as raster:
-            yield raster
-    except RasterioError as error:
-        full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
-        raise OSError(errno.ENOSPC if full else errno.EIO, str(error.__cause__ or error)) from error
-
-
-@contextmanager
-def _open_files(
-    path: Path,
-    grid: OutputGrid,
-    bands: int,
-    dtype: str,
-    sources: Path | None,
-    frames: Sequence[str],
-    band_names: Sequence[str],
-) -> Iterator[MosaicRaster]:
     shape = {
         "width": grid.width_px,
         "height": grid.height_px,
@@ -90,7 +72,7 @@ def _open_files(
         "transform": rasterio.Affine.from_gdal(*grid.geotransform),
     }
     colours = {1: [ColorInterp.gray], 3: [ColorInterp.red, ColorInterp.green, ColorInterp.blue]}
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+    with _full_disk_told(path), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
         mosaic = rasterio.open(path, "w", count=bands, dtype=dtype, interleave="pixel", **shape, **_SHARED)
         with mosaic:
             if band_names:
@@ -108,6 +90,15 @@ def _open_files(
                 index.update_tags(**{f"FRAME_{i + 1}": name for i, name in enumerate(frames)})
                 index.set_band_description(1, "index of the frame that made the pixel, from 1")
                 yield MosaicRaster(mosaic, index)
+
+
+@contextmanager
+def _full_disk_told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except RasterioError as error:
+        full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
+        raise OSError(errno.ENOSPC if full else errno.EIO, str(error.__cause__ or error)) from error
 
 
 def _raster_window(window: Window) -> RasterWindow:

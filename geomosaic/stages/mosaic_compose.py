@@ -37,7 +37,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,

@@ -31,7 +31,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"placement": Placement}
 
