@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.collinearity import image_from_ground, project
+from geomosaic.adjustment.collinearity import image_from_ground, project, readout_of
 from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError
 
@@ -131,9 +132,13 @@ def test_image_coordinates_without_derivatives_are_the_same() -> None:
     positions, points = rng.normal([3.0, -8.0, 90.0], 4.0, (50, 3)), rng.normal(0.0, 20.0, (50, 3))
     points[7, 2] = 200.0
     interior = np.tile([812.0, 403.0, 291.0, -0.11, 0.05, -0.02, 0.003, -0.002, 0.03], (50, 1))
-    turned, passing_m_per_s = exp_turn(rng.normal(0, 0.2, (50, 3))), rng.normal(0.0, 5.0, (50, 3))
-    for passed in (None, passing_m_per_s):
-        seen = positions, turned, interior, points, passed
+    turned, velocities = exp_turn(rng.normal(0, 0.2, (50, 3))), rng.normal(0.0, 5.0, (50, 3))
+    poses = Poses(positions, turned, np.ones((50, 3)), np.ones((50, 3)), velocities)
+    read = readout_of(
+        poses, turned, None, np.arange(50), rng.uniform(0.0, 600.0, 50), np.full(50, 600.0), interior[:, 8]
+    )
+    for rolling in (None, read):
+        seen = positions, turned, interior, points, rolling
         image = image_from_ground(*seen)
         np.testing.assert_allclose(image, project(*seen)[0], rtol=1e-13)
         assert np.flatnonzero(np.isnan(image).any(axis=1)).tolist() == [7]

@@ -60,7 +60,7 @@ def test_opensfm_perspective_upright_and_reconstruction(tmp_path: Path) -> None:
     for content in ({"a": upright}, [{"cameras": {"a": upright}, "shots": {}}], {"cameras": {"a": upright}}):
         (camera,) = read_cameras(written(tmp_path, content))
         assert camera == Camera(
-            "a", 1000, 1500, 1200.0, 500.0, 750.0, k1=-0.1, k2=0.02, focal_length_sd_px=6.0
+            "a", 1000, 1500, 1200.0, 500.0, 750.0, k1=-0.1, k2=0.02, focal_length_sd_px=6.0, readout_sd_s=0.04
         )
 
 

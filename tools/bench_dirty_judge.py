@@ -33,6 +33,9 @@ STEP_M = 3.0
 LEAST_PATCHES = 12
 LEAST_SHARE = 0.3
 """Of the patches, that must be found: else the mosaic is first laid onto the ortho by its own features."""
+OTHER_SCALE = 0.01
+"""A patch of 64 px whose scale is off by more doesn't match from edge to edge: the mosaic is laid onto the
+ortho first, since scale is judged by the positions and shape without it."""
 FARTHEST_PX = 1600
 KEYPOINTS = 3000
 MATCH_RATIO = 0.75
@@ -45,10 +48,11 @@ def of_map(folder: Path, mosaic: Path) -> dict[str, Any]:
     reference = open_ground(folder)
     row: dict[str, Any] = {"covered": covered(mosaic, folder / "truth" / "ortho.tif"), "laid": False}
     found = _figures(mosaic, reference)
-    if found is None or found.measured < LEAST_PATCHES or found.share_measured < LEAST_SHARE:
+    little = found is None or found.measured < LEAST_PATCHES or found.share_measured < LEAST_SHARE
+    if little or abs(found.similarity.scale - 1.0) > OTHER_SCALE:
         laid = laid_onto(mosaic, folder / "truth" / "ortho.tif", folder / "judge-laid.tif")
         again = _figures(laid, reference) if laid is not None else None
-        if again is not None and (found is None or again.share_measured > found.share_measured):
+        if again is not None and (not little or found is None or again.share_measured > found.share_measured):
             found, row["laid"] = again, True
             row["covered"] = covered(laid, folder / "truth" / "ortho.tif")
     if found is None or found.measured < LEAST_PATCHES:

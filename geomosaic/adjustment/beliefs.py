@@ -64,7 +64,7 @@ def priors_of(
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
         assumed=assumed,
-        swing_sd_rad=_swing_sd(block, settings, cameras) if settings.turning else None,
+        swing_sd=_swing_sd(block, settings) if settings.turning else None,
         swing_common=_zero_unknown(block, settings),
     )
 
@@ -74,15 +74,15 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
     return interior_deviations(known, readout=settings.rolling_shutter)
 
 
-def _swing_sd(block: Block, settings: Settings, cameras: tuple[Camera, ...]) -> Floats | None:
+def _swing_sd(block: Block, settings: Settings) -> Floats | None:
     """Beside a gyroscope whose zero isn't known yet, a constant rate is all that is asked for."""
-    if not settings.rolling_shutter and not any(c.readout_s for c in cameras):
+    if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
-    readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in cameras])
+    readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
     rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
     if _zero_unknown(block, settings):
         rate_sd, terms = _ZERO_SD_RAD_PER_S, 1
-    return np.repeat(0.5 * rate_sd * readouts_s[:, None], terms, axis=1)
+    return np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
 
 
 def _zero_unknown(block: Block, settings: Settings) -> bool:
@@ -90,7 +90,8 @@ def _zero_unknown(block: Block, settings: Settings) -> bool:
 
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
-    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that isn't asked.
+    """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that is known, or that
+    nobody told of and nobody asked for.
 
     The principal point is known no better than the focal length: small drones' are off by one in a hundred.
     Of a distortion of known deviation each term alone moves the frame's corner by no more than that.
@@ -101,7 +102,8 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     if camera.distortion_sd:
         corner = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px
         lens = np.minimum(lens, camera.distortion_sd / camera.lens.shares(corner)).tolist()
-    return np.array([focal, principal, principal, *lens, _READOUT_SD_S if readout else 0.0])
+    about_s = camera.readout_sd_s if camera.readout_s else 0.0
+    return np.array([focal, principal, principal, *lens, about_s or (_READOUT_SD_S if readout else 0.0)])
 
 
 def _mounting(settings: Settings) -> Mounting:

@@ -24,7 +24,7 @@ from geomosaic.adjustment.bundle_equations import (
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
-from geomosaic.adjustment.collinearity import image_from_ground, interior_of
+from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import cauchy_weight
@@ -163,13 +163,29 @@ def _solve(
             tracks, camera_of, priors, state, factors, rough=False, settled=True
         )
         iterations += used
-    return replace(_finish(tracks, camera_of, priors, state, factors, iterations), strayed=strayed)
+    if not rough:
+        priors = _with_untold_shutters(priors)
+    found = _finish(tracks, camera_of, priors, state, factors, iterations)
+    return replace(found, strayed=strayed, held=held)
+
+
+def _with_untold_shutters(priors: Priors) -> Priors:
+    """A readout that nobody told of and that isn't solved for is held at none: what it may be off counts."""
+    sd, held = priors.interior_sd.copy(), priors.held
+    untold = np.array([0.0 if c.readout_s else c.readout_sd_s for c in priors.cameras])
+    untold[sd[:, READOUT] > 0.0] = 0.0
+    if priors.poses.velocities_m_per_s is None or held is None or not untold.any():
+        return priors
+    sd[:, READOUT] += untold
+    readouts = np.outer(untold > 0.0, np.arange(len(INTERIOR)) == READOUT).ravel()
+    held = held | np.concatenate([readouts, np.zeros(len(held) - len(readouts), dtype=bool)])
+    return replace(priors, interior_sd=sd, held=held)
 
 
 def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:
-    if priors.swing_sd_rad is None:
+    if priors.swing_sd is None:
         return None
-    none = np.zeros((len(priors.poses), priors.swing_sd_rad.shape[1], 3))
+    none = np.zeros((len(priors.poses), priors.swing_sd.shape[1], 3))
     return none if again is None or again.swing is None else again.swing
 
 
@@ -187,7 +203,7 @@ def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State
     """Image coordinates count by their present median miss, all else as stated."""
     length = lengths_px(tracks, camera_of, priors, state)
     control = priors.control[tracks.point]
-    terms = 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1]
+    terms = 0 if priors.swing_sd is None else priors.swing_sd.shape[1]
     return Factors(
         swing=(1.0,) * terms,
         image_px=max(Factors.image_px, median_px(length[~control])),

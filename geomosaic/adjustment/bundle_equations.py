@@ -40,7 +40,7 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
     if state.swing is not None:
-        total += float(((state.swing / swing_sd(camera_of, priors, factors)) ** 2).sum())
+        total += float(((state.swing / swing_sd(priors, factors)) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
             priors.terrain,
@@ -58,7 +58,7 @@ def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, fa
 
     def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         some = Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
-        image, by_pose, by_interior, by_point = project(*observed(some, camera_of, priors, state))
+        image, by_pose, by_interior, by_point = project(*in_own_rows(some, camera_of, priors, state))
         residual, sd = some.image_px - image, sd_px[which]
         seen = np.isfinite(residual).all(axis=1) & has_say(some, priors)
         weight = np.where(seen, cauchy_weight(np.linalg.norm(residual, axis=1) / sd) / sd**2, 0.0)
@@ -85,7 +85,7 @@ def _with_priors(n: Normals, camera_of: Ints, priors: Priors, state: State, fact
     n.pose[:, :6, :6] += back @ (weighted * by_pose)
     n.pose_side[:, :6] += (back @ (weighted * miss))[:, :, 0]
     if state.swing is not None:
-        sd = swing_sd(camera_of, priors, factors).reshape(len(n.pose), -1)
+        sd = swing_sd(priors, factors).reshape(len(n.pose), -1)
         i = np.arange(6, n.pose.shape[1])
         n.pose[:, i, i] += 1.0 / sd**2
         n.pose_side[:, 6:] -= state.swing.reshape(sd.shape) / sd**2
@@ -113,10 +113,10 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
     return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
 
 
-def swing_sd(camera_of: Ints, priors: Priors, factors: Factors) -> Floats:
-    """Deviations of the swings' factors in rad with their present components, (f, t, 3)."""
-    told = np.zeros((len(priors.cameras), 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
-    return np.repeat((told * factors.swing)[camera_of, :, None], 3, axis=2)
+def swing_sd(priors: Priors, factors: Factors) -> Floats:
+    """Deviations of the frames' swings in rad with their present components, (f, t, 3)."""
+    told = np.zeros((len(priors.poses), 0)) if priors.swing_sd is None else priors.swing_sd
+    return np.repeat((told * factors.swing)[:, :, None], 3, axis=2)
 
 
 def present_miss(priors: Priors, state: State) -> Floats:
@@ -150,8 +150,23 @@ def trust_of(priors: Priors) -> Floats:
     return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
 
 
-def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
-    """What `project` and `image_from_ground` take, a row an observation."""
+def in_own_rows(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
+    """`observed` with rolling shutters at the points' own rows, see `Readout`."""
+    seen = observed(tracks, camera_of, priors, state)
+    read = seen[4]
+    if read is None:
+        return seen
+    rows = np.clip(image_from_ground(*seen)[:, 1], 0.0, read.heights_px)
+    return observed(tracks, camera_of, priors, state, np.where(np.isnan(rows), read.rows_px, rows))
+
+
+def observed(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, rows_px: Floats | None = None
+) -> tuple[Any, ...]:
+    """What `project` and `image_from_ground` take, a row an observation.
+
+    rows_px (m,): about the points' own, those measured if they aren't told.
+    """
     camera, frame, poses = camera_of[tracks.frame], tracks.frame, priors.poses
     interior, kinds = state.interior[camera], kinds_of(priors.cameras)
     seen = state.positions[frame], state.rotations[frame], interior, state.points[tracks.point]
@@ -160,10 +175,9 @@ def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> t
     if not _rolls(priors) or not (told or state.swing is not None):
         return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
-    read = readout_of(
-        poses, state.rotations, state.swing, frame, tracks.image_px[:, 1], heights, interior[:, READOUT]
-    )
-    return seen[0], read.rotations, *seen[2:], read.passed_m_per_s, kind, read.turned_rad_per_s, read.terms
+    rows = tracks.image_px[:, 1] if rows_px is None else rows_px
+    read = readout_of(poses, state.rotations, state.swing, frame, rows, heights, interior[:, READOUT])
+    return seen[0], read.rotations, *seen[2:], read, kind
 
 
 def _rolls(priors: Priors) -> bool:

@@ -58,8 +58,8 @@ class Priors:
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
-    observed, so that it tells nothing of the others' deviations. swing_sd_rad (c, t): of each camera's
-    frames, of how they swing while their rows are read, beside the poses' turns, see `swing`;
+    observed, so that it tells nothing of the others' deviations. swing_sd (f, t): of how
+    frames swing while their rows are read, beside the poses' turns, see `swing`;
     None where it isn't asked for; swing_common: whether a part of it may be common to all. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
@@ -77,7 +77,7 @@ class Priors:
     mounting: Mounting = NO_MOUNTING
     part: NDArray[np.intp] | None = None
     assumed: Bools | None = None
-    swing_sd_rad: Floats | None = None
+    swing_sd: Floats | None = None
     swing_common: bool = False
     trust: Floats | None = None
     held: Bools | None = None
@@ -96,8 +96,8 @@ class Bundle:
     drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
-    swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the terrain's own.
-    reduced: the last normal equations.
+    swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the
+    terrain's own. reduced: the last normal equations.
     """
 
     poses: Poses

@@ -180,7 +180,7 @@ def _place(
             return None
         many = np.broadcast_to(at_m, (len(frames), 3))
         image, by_pose, by_interior, by_point = project(
-            poses.positions_m[frames], read.rotations, interior, many, read.passed_m_per_s, kinds
+            poses.positions_m[frames], read.rotations, interior, many, read, kinds
         )
         if not np.isfinite(image).all():
             return None

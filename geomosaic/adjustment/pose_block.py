@@ -37,6 +37,7 @@ from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
+from geomosaic.adjustment.shape import shape_sd_m
 from geomosaic.adjustment.start import placed_by_pictures, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
@@ -44,7 +45,7 @@ from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
-from geomosaic.placement.velocity import velocities_m_per_s
+from geomosaic.placement.velocity import flown_m_per_s
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
@@ -101,7 +102,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     found, choice = _found(block, settings, few, camera_of, cameras, start), None
     block, other = _flown(block, found.solved.poses)
-    if other and any(c.readout_s for c in cameras):
+    if other and (settings.rolling_shutter or any(c.readout_s for c in cameras)):
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if settings.model == "auto" and found.ties.points:
         solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
@@ -143,7 +144,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *model_warnings(block, choice),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
-        figures=_figures(bundle, kept) | _relief(found),
+        figures=_figures(bundle, kept) | _relief(found) | _shape(block, found),
         spread=spread_of(bundle, camera_of, common_m2),
     )
     return replace(
@@ -161,7 +162,7 @@ def _flown(block: Block, poses: Poses) -> tuple[Block, bool]:
     told = block.poses.velocities_m_per_s
     if told is None or block.times_s is None or not np.isfinite(block.times_s).any():
         return block, False
-    flown = velocities_m_per_s(poses.positions_m, block.times_s)
+    flown = flown_m_per_s(poses.positions_m, block.times_s)
     velocities = np.where(np.isfinite(block.times_s)[:, None], flown, told)
     off, speed = (np.linalg.norm(v, axis=1) for v in (velocities - told, velocities))
     other = bool((off > _OTHER_VELOCITY * speed).any())
@@ -252,6 +253,13 @@ def _with_all(
     else:
         ground = levelled(few.ground, bundle)
     return _Found(kept, seen, priors, solved, ground, few.relief_px)
+
+
+def _shape(block: Block, found: _Found) -> dict[str, float]:
+    """How far the map's shape may be off, in pixels of the frames on the ground."""
+    pixel_m = flying_height_m(block) / float(np.median([c.focal_length_px for c in block.cameras]))
+    sd_m = shape_sd_m(found.solved, found.ties.points)
+    return {"shape_sd_px": sd_m / pixel_m} if np.isfinite(sd_m) else {}
 
 
 def _relief(found: _Found) -> dict[str, float]:

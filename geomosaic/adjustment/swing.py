@@ -23,10 +23,12 @@ axes). What the frames of a block really do is estimated, see `variance_componen
 _TABLED = 33  # times of a table of turns; linear between them: a period is met to 1 in 200
 
 
-def terms_at(share: Floats, terms: int) -> Floats:
-    """The functions (..., terms) at rows by their share of the picture's height, from the middle row on."""
+def terms_at(share: Floats, terms: int) -> tuple[Floats, Floats]:
+    """The functions (..., terms) at rows by their share of the picture's height, from the middle row on, and
+    their slopes over a whole height."""
     whole = legendre.legvander(2.0 * share, terms)
-    return np.asarray((whole - legendre.legvander(np.zeros(1), terms))[..., 1:])
+    slopes = 2.0 * whole[..., :terms] @ legendre.legder(np.eye(terms + 1))[:, 1:]
+    return (whole - legendre.legvander(np.zeros(1), terms))[..., 1:], slopes
 
 
 def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
@@ -45,7 +47,7 @@ def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
     n, k = turns.rad.shape[:2]
     after_s = np.linspace(-0.5, 0.5, k) * turns.span_s
     share = after_s / np.where(readouts_s, readouts_s, np.inf)[:, None]
-    by_row = np.einsum("nkt,ntj->nkj", terms_at(share, swing_rad.shape[1]), swing_rad)
+    by_row = np.einsum("nkt,ntj->nkj", terms_at(share, swing_rad.shape[1])[0], swing_rad)
     in_camera = np.einsum("nji,nkj->nki", poses.rotations, by_row)
     rad = log_turn(exp_turn(in_camera.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
     return replace(poses, turns=Turns(turns.span_s, rad.reshape(n, k, 3)))

@@ -72,7 +72,7 @@ def variance_components(
     share = variances[:, :6] * weight / sd**2
     control = priors.control[tracks.point]
     length_px = lengths_px(tracks, camera_of, priors, state)
-    swing_sd_rad = swing_sd(camera_of, priors, factors)
+    of_swing = swing_sd(priors, factors)
     tied = ~control & has_say(tracks, priors)
     if tied.any():
         length = np.nan_to_num(length_px[tied] / factors.image_px, nan=1e6)
@@ -81,7 +81,7 @@ def variance_components(
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
         if state.swing is not None:
-            settled += float((variances[:, 6:] / swing_sd_rad.reshape(len(variances), -1) ** 2).sum())
+            settled += float((variances[:, 6:] / of_swing.reshape(len(variances), -1) ** 2).sum())
         unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
         image_px = factors.image_px * float(np.sqrt((robust * length**2).sum() / redundancy))
@@ -102,7 +102,7 @@ def variance_components(
         total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[told].sum())
         factor = np.clip(_believed(factors.of(group) * np.sqrt(total / r), r), *_PRIOR_FACTORS)
         by_group[group] = float(factor)
-    swing = _swing_factors(priors, state, swing_sd_rad, variances[:, 6:], factors)
+    swing = _swing_factors(priors, state, of_swing, variances[:, 6:], factors)
     return replace(factors, **by_group, swing=swing)
 
 

@@ -25,6 +25,8 @@ class Camera:
     distortion is a share of the corner's radius.
     readout_s: time from reading the first row to the last, 0 for a global shutter; a pose is that of the
     middle row. Negative if the last row is read first, as in a picture turned by 180 degrees.
+    readout_sd_s: how well it is known, 0 where it is; without a readout, how long one might be that nobody
+    told.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Camera:
     readout_s: float = 0.0
     distortion_sd: float = 0.0
     kind: str = "brown"
+    readout_sd_s: float = 0.0
 
     def turned(self, quarters: int) -> Camera:
         """The camera of a picture that was turned clockwise by quarter turns after it was taken.
@@ -49,8 +52,8 @@ class Camera:
         The principal point, the decentring terms and the order of the rows turn with the pixels; of a
         quarter turn, whose columns would be read one after the other, the readout is left out.
         """
-        if quarters % 2 and self.readout_s:
-            return replace(self, readout_s=0.0).turned(quarters)
+        if quarters % 2 and (self.readout_s or self.readout_sd_s):
+            return replace(self, readout_s=0.0, readout_sd_s=0.0).turned(quarters)
         camera = self
         for _ in range(quarters % 4):
             p1, p2 = (camera.p2, -camera.p1) if camera.lens.decentring else (camera.p1, camera.p2)

@@ -9,6 +9,9 @@ Floats = NDArray[np.float64]
 _STEPS = 3
 _PAUSE = 3.0
 """A time between frames that is so many times the usual one is the way to another line."""
+_STRAIGHT = 0.15
+"""Steps that lie within this share of the speed about their median are those of a straight line."""
+_FRACTION_S = 0.01
 _ALIKE = 0.5
 """Before and behind a frame velocities that differ by less than this share of the speed are one."""
 
@@ -45,6 +48,64 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
         if len(both := np.concatenate([before, behind])):
             out[i] = np.median(both, axis=0)
     return out
+
+
+def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
+    """Velocities (n, 3) by positions that are sure to a small part of a step.
+
+    Where the steps about a frame agree, their median; where a line ends, that of `velocities_m_per_s`; on a
+    curve the slope of the parabola through its position and those before and behind, at an end of the last
+    three. Clocks that tell whole seconds are off by a third of a step: by them, parabolas are drawn over the
+    way, and the speed is that of some steps together.
+    """
+    out = velocities_m_per_s(positions_m, times_s)
+    speeds = np.linalg.norm(out, axis=1)
+    at = np.flatnonzero(np.isfinite(times_s))
+    at = at[np.argsort(times_s[at], kind="stable")]
+    passed = np.diff(times_s[at])
+    if not speeds.any():
+        return out
+    straight_m_per_s = _STRAIGHT * float(np.median(speeds[speeds > 0.0]))
+    near = (passed > 0.0) & (passed <= _PAUSE * float(np.median(passed[passed > 0.0])))
+    moves = np.diff(positions_m[at], axis=0)
+    exact = bool((np.abs(times_s - np.round(times_s))[at] > _FRACTION_S).mean() > 0.5)
+    for k, i in enumerate(at):
+        first, last = _run(near, k)
+        lasted, moved = passed[first:last], moves[first:last]
+        way = np.linalg.norm(moved, axis=1)
+        if not exact and len(way) and way.all():
+            lasted = way / (way.sum() / lasted.sum())
+        steps, here = moved / lasted[:, None], k - first
+        if len(steps) < 2:
+            continue
+        before, behind = steps[:here], steps[here:]
+        if _spread(steps) < straight_m_per_s:
+            out[i] = np.median(steps, axis=0)
+        elif not len(before) or not len(behind):
+            one, other = (steps[0], steps[1]) if len(behind) else (steps[-1], steps[-2])
+            out[i] = 1.5 * one - 0.5 * other
+        elif not _turns_off(before, behind):
+            share = lasted[here - 1] / (lasted[here - 1] + lasted[here])
+            out[i] = before[-1] * (1.0 - share) + behind[0] * share
+    return out
+
+
+def _run(near: NDArray[np.bool_], k: int) -> tuple[int, int]:
+    """The steps about frame k, up to three before and three behind, that no pause parts from it."""
+    first, last = k, k
+    while first > max(k - _STEPS, 0) and near[first - 1]:
+        first -= 1
+    while last < min(k + _STEPS, len(near)) and near[last]:
+        last += 1
+    return first, last
+
+
+def _turns_off(before: Floats, behind: Floats) -> bool:
+    """Whether a line ends here: steps before and behind differ, and one side agrees with itself."""
+    speed = max(float(np.linalg.norm(before[-1])), float(np.linalg.norm(behind[0])))
+    if np.linalg.norm(behind[0] - before[-1]) <= _ALIKE * speed:
+        return False
+    return min(_spread(before), _spread(behind)) < _ALIKE * speed / 4.0
 
 
 def _spread(steps: Floats) -> float:

@@ -92,6 +92,14 @@ CRITERIA: Mapping[str, Criterion] = {
         "give the lens and the readout time (--camera)",
         "small cameras' principal points lie within 1 or 2 in a hundred of the longer side",
     ),
+    "shape": Criterion(
+        0.5,
+        np.inf,
+        "px",
+        "positions and pictures leave open how the block is stretched or bent",
+        "lines flown across, the readout time (--camera), better positions or control points",
+        "one deviation; a map is promised to a pixel, and two deviations are what 95 of 100 keep",
+    ),
     "tilts": Criterion(
         3.0,
         np.inf,
@@ -238,6 +246,8 @@ def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dic
     found = {}
     if "sigma_px" in adjusted.figures:
         found["image deviation"] = adjusted.figures["sigma_px"]
+    if "shape_sd_px" in adjusted.figures:
+        found["shape"] = adjusted.figures["shape_sd_px"]
     if "sigma_tilt" in adjusted.figures:
         found["tilts"] = adjusted.figures["sigma_tilt"]
     if adjusted.shared is not None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from geomosaic.errors import UnknownNameError
 from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.survey.shutters import READOUTS_S
 
 Values = dict[str, Any]
 Random = np.random.Generator
@@ -193,6 +194,15 @@ def _sign(rng: Random) -> int:
     return 1 if rng.random() < 0.5 else -1
 
 
+def _model_of_known_readout(rng: Random, v: Values) -> Values:
+    """A camera that others have measured, whose own readout differs by some 5 %."""
+    model = str(rng.choice(sorted(READOUTS_S)))
+    return {
+        "camera_model": model.upper(),
+        "rolling_shutter_s": round(READOUTS_S[model] * (1.0 + 0.05 * float(rng.standard_normal())), 5),
+    }
+
+
 _OTHERS = ("take_off", "oblique", "horizon", "landing")
 _NO_OTHER = {"relative_height_told": False}
 _ALTITUDES = (
@@ -231,6 +241,9 @@ FAULTS: tuple[Fault, ...] = (
         "battery_offset_m": _number(r, 2.0, 6.0), "battery_height_offset_m": _number(r, -12.0, 12.0)}),
     Fault("rolling_shutter", 0.35, lambda r, v: {"rolling_shutter_s": _number(r, 0.015, 0.12)}),
     Fault("readout_told", 0.4, lambda r, v: {"readout_told": True}, needs="rolling_shutter"),
+    Fault("readout_by_model", 0.7, _model_of_known_readout, needs="rolling_shutter",
+        unless=("readout_told",)),
+    Fault("shutter_untold", 0.3, lambda r, v: {"shutter_told": False}, unless=("rolling_shutter",)),
     Fault("vibration", 0.5, lambda r, v: {
         "vibration_deg_per_s": _number(r, 1.0, 6.0), "vibration_hz": _number(r, 3.0, 12.0)},
         needs="rolling_shutter"),

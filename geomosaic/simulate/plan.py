@@ -130,6 +130,8 @@ class SurveyPlan:
     blurred: str = ""
     rolling_shutter_s: float = 0.0
     readout_told: bool = False
+    shutter_told: bool = True
+    camera_model: str = "simulated"
     vibration_deg_per_s: float = 0.0
     vibration_hz: float = 6.0
     gyroscope_told: bool = False
@@ -199,6 +201,8 @@ class SurveyPlan:
             raise InputError("TIFF frames are written without EXIF", mend="give pos_in csv")
         if self.pos_in == "csv" and (self.gyroscope_told or self.readout_told or self.lens_in_tags):
             raise InputError("tags are asked for in frames without tags", mend="give pos_in exif or both")
+        if not (self.camera_model.isascii() and self.camera_model.isprintable()):
+            raise InputError("a camera model is plain text", mend="give a name such as FC330")
         if self.rolling_shutter_s == 0.0:
             for needing in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
                 if getattr(self, needing):

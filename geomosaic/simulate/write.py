@@ -27,7 +27,7 @@ from geomosaic.simulate.readout import gyroscope_tag, readout_of
 from geomosaic.survey.cameras import FILM_DIAGONAL_MM
 
 Floats = NDArray[np.float64]
-MAKE, MODEL = "geomosaic", "simulated"
+MAKE = "geomosaic"
 SENSOR_WIDTH_MM = Fraction(132, 10)
 _USUAL_EXPOSURE_S = Fraction(1, 800)
 _BOOTED_S = 900.0
@@ -116,7 +116,7 @@ def frame_bytes(
     focal_mm = told.focal_length_px / float(per_mm)
     exposure_s = Fraction(round(plan.exposure_time_s * 1e6), 1_000_000) or _USUAL_EXPOSURE_S
     main, exif = camera_tags(
-        float(flight.time_s[i]), MAKE, MODEL, size, focal_mm, per_mm, focal_35mm, exposure_s
+        float(flight.time_s[i]), MAKE, plan.camera_model, size, focal_mm, per_mm, focal_35mm, exposure_s
     )
     if plan.pos_in == "csv":
         return with_segments(jpeg, tiff_bytes(main, exif, []), None)
@@ -166,6 +166,8 @@ def _camera_xmp(plan: SurveyPlan, told: Camera, flight: Flight, i: int) -> dict[
 def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
     """DJI's tags: gimbal pitch -90 at the nadir, signs written out. The aircraft itself flies level."""
     tags = {}
+    if plan.shutter_told:
+        tags["ShutterType"] = "Electronic" if plan.rolling_shutter_s else "Mechanical"
     if plan.height_told and i not in plan.numbered("no_gps"):
         height = float(observed.lon_lat_height[i, 2])
         tags["AbsoluteAltitude"] = f"{height:+.3f}"
@@ -259,7 +261,7 @@ def true_positions(
     return rows
 
 
-def opensfm_camera(camera: Camera) -> dict[str, dict[str, object]]:
+def opensfm_camera(camera: Camera, model: str) -> dict[str, dict[str, object]]:
     """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, the centre
     from the middle."""
     side = float(max(camera.width_px, camera.height_px))
@@ -268,7 +270,7 @@ def opensfm_camera(camera: Camera) -> dict[str, dict[str, object]]:
     terms |= {"k3": camera.k3, "k4": 0.0} if fisheye else {"p1": camera.p1, "p2": camera.p2, "k3": camera.k3}
     kind = "fisheye_opencv" if fisheye else "brown"
     return {
-        f"{MAKE} {MODEL} {camera.width_px} {camera.height_px} {kind.partition('_')[0]}": {
+        f"{MAKE} {model} {camera.width_px} {camera.height_px} {kind.partition('_')[0]}": {
             "projection_type": kind,
             "width": camera.width_px,
             "height": camera.height_px,

@@ -26,7 +26,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
     }  # fmt: skip

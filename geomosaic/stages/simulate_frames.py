@@ -23,7 +23,7 @@ class SimulateFrames(Stage):
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
     group = "Simulation"
-    version = 4
+    version = 5
     outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
 
     class Params(StageParams):
@@ -218,6 +218,10 @@ class SimulateFrames(Stage):
             _PLAN.rolling_shutter_s, help="time from reading the first row to the last", unit="s", ge=0, le=1
         )
         readout_told: bool = param(_PLAN.readout_told, help="frames hold the time that a line takes (XMP)")
+        shutter_told: bool = param(
+            _PLAN.shutter_told, help="frames hold whether the shutter is mechanical (DJI's XMP)"
+        )
+        camera_model: str = param(_PLAN.camera_model, help="the camera's model in EXIF")
         vibration_deg_per_s: float = param(
             _PLAN.vibration_deg_per_s,
             help="angular rate, about each axis, by which the platform shakes while rows are read",

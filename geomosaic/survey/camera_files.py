@@ -15,6 +15,7 @@ from geomosaic.doors.plain import read_json, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
+from geomosaic.survey.shutters import UNTOLD_SD_S
 
 _MAX_BYTES: Final = {".json": 128 << 20, ".yaml": 256 << 10}  # JSON may be a whole reconstruction
 _OPENSFM_MODELS: Final = {
@@ -70,7 +71,9 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
     for key, reader in readers.items():
         if key in entry:
             camera = replace(
-                reader(name, entry, path), readout_s=_getter(name, entry, path)("readout_s", 0.0)
+                reader(name, entry, path),
+                readout_s=_getter(name, entry, path)("readout_s", 0.0),
+                readout_sd_s=0.0 if "readout_s" in entry else UNTOLD_SD_S,
             )
             break
     else:

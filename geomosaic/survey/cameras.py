@@ -20,13 +20,13 @@ from geomosaic.survey.lens_tags import (
     dji_dewarp,
     fisheye,
     label,
-    readout_s,
     xmp_fisheye,
     xmp_perspective,
 )
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import frame_name
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
+from geomosaic.survey.shutters import shutter
 
 FILM_DIAGONAL_MM: Final = math.hypot(36.0, 24.0)
 SENSOR_WIDTHS_MM: Final = {
@@ -99,10 +99,14 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
         text += " of a fisheye lens"
         text += "" if camera.terms.any() else ", whose distortion the adjustment has to find"
     out = [Warn("camera-assumed", "", text)]
-    if camera.readout_s:
-        text = f"{camera.name}: a rolling shutter, all rows read within {camera.readout_s:.3g} s"
-        out.append(Warn("readout-by-tag", "", f"{text} (LineReadoutTime)"))
-    elif readout_s(header) is None:
+    source, rolling = shutter(header).source, f"{camera.name}: a rolling shutter, all rows read within"
+    if source == "tag":
+        text = f"{rolling} {camera.readout_s:.3g} s (LineReadoutTime)"
+        out.append(Warn("readout-by-tag", "", text))
+    elif source == "model":
+        text = f"{rolling} {camera.readout_s:.3g} s, as others measured of this model; solved for about that"
+        out.append(Warn("readout-by-model", "", text))
+    elif source == "absurd":
         text = f"{camera.name}: its LineReadoutTime can't be (all rows in {SLOWEST.value:g} s at most)"
         text += ": taken as not given"
         out.append(Warn("readout-absurd", "", text))
@@ -134,6 +138,7 @@ def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
     )
     name = f"{label(header)} {width} x {height}{zoom}"
     scale = width / exif.width_px if exif.width_px else 1.0
+    by_rows = shutter(header)
     blank = Camera(
         name,
         width,
@@ -141,7 +146,8 @@ def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
         1.0,
         width / 2.0,
         height / 2.0,
-        readout_s=readout_s(header) or 0.0,
+        readout_s=by_rows.readout_s,
+        readout_sd_s=by_rows.sd_s,
         kind="fisheye" if fisheye(header) else "brown",
     )
     from_35mm = None

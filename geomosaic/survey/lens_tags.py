@@ -10,13 +10,11 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import TERMS, fisheye_terms
 from geomosaic.survey.accuracy import FOCAL_LENGTH, MAKERS_DISTORTION
 from geomosaic.survey.header import FrameHeader
-from geomosaic.survey.plausible import OFF_CENTRE, SLOWEST, focal_length_can_be
+from geomosaic.survey.plausible import OFF_CENTRE, focal_length_can_be
 from geomosaic.survey.xmp import number, numbers
 
 _SQUARE: Final = 0.01
 """Of a fisheye's affine matrix: by how much of its size it may be none of square pixels."""
-_GLOBAL_SHUTTERS: Final = {("sequoia", 1)}
-"""Model and bands of cameras that tag the time a line takes but expose all lines at once."""
 
 
 def dji_dewarp(header: FrameHeader, blank: Camera) -> Camera | None:
@@ -115,15 +113,6 @@ def fisheye(header: FrameHeader) -> bool:
     return xmp.get("Camera:ModelType", "").lower() == "fisheye" or (
         "Camera:FisheyePolynomial" in xmp and "Camera:PerspectiveFocalLength" not in xmp
     )
-
-
-def readout_s(header: FrameHeader) -> float | None:
-    """`Camera:LineReadoutTime` (ns) of all rows: 0 where nothing tells one, None where it can't be."""
-    line_ns = number(header.xmp or {}, "Camera:LineReadoutTime") or 0.0
-    if (header.exif.model.lower(), header.bands) in _GLOBAL_SHUTTERS:
-        return 0.0
-    seconds = 1e-9 * line_ns * (header.exif.height_px or header.height_px)
-    return seconds if 0.0 <= seconds <= SLOWEST.value else None
 
 
 def label(header: FrameHeader) -> str:

@@ -1,0 +1,63 @@
+"""How long a camera takes to read a frame's rows: by its tags, by its model, or nobody knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.plausible import SLOWEST
+from geomosaic.survey.xmp import number
+
+READOUTS_S: Final = {
+    "phantom vision fc200": 0.074, "fc300c": 0.033, "fc300s": 0.033, "fc300x": 0.033, "fc330": 0.033,
+    "fc350": 0.030, "fc7203": 0.020, "fc3170": 0.027, "fc3411": 0.032, "fc3582": 0.026, "l1d-20c": 0.056,
+    "e90": 0.044, "hero4 black": 0.030, "hero8 black": 0.017,
+}  # fmt: skip
+"""Seconds from the first row to the last by EXIF's model, as users of OpenDroneMap measured them with a
+blinking light (its list of 2022, opendm/rollingshutter.py)."""
+READOUT_SD_SHARE: Final = 0.1
+"""Of a readout by model: they were read off whole milliseconds of 17 to 74, and a frame that is cut to
+another shape has fewer rows: by a sixth from 3:2 to 16:9."""
+GLOBAL_SHUTTERS: Final = {
+    "fc6310", "fc6310r", "fc6310s", "fc6360", "fc6510", "m3e", "zenmusep1", "s.o.d.a.",
+    "rededge", "rededge-m", "rededge-mx", "altum",
+}  # fmt: skip
+"""Models with a mechanical or global shutter by their makers' data sheets."""
+STILL_CAMERAS: Final = {
+    "canon", "nikon", "nikon corporation", "sony", "olympus corporation", "olympus imaging corp.", "pentax",
+    "ricoh", "ricoh imaging company, ltd.", "fujifilm", "panasonic", "leica camera ag", "phase one", "samsung",
+}  # fmt: skip
+"""Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are told not to."""
+UNTOLD_SD_S: Final = 0.04
+"""Of a camera of which nothing tells the shutter: none, or 0.02 to 0.1 s as small cameras have."""
+_BANDS_AT_ONCE: Final = {("sequoia", 1)}
+"""Model and bands of cameras that tag the time a line takes but expose all lines at once."""
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """readout_s, sd_s: from the first row to the last, 0 for a global shutter, and its deviation, 0 where it
+    is known; source: `tag`, `model`, `global`, `untold`, or `absurd` for a tag that can't be."""
+
+    readout_s: float
+    sd_s: float
+    source: str
+
+
+def shutter(header: FrameHeader) -> Shutter:
+    """By `Camera:LineReadoutTime` (ns, of all rows), DJI's `ShutterType`, or the model."""
+    xmp, model = header.xmp or {}, header.exif.model.lower().strip()
+    if (model, header.bands) in _BANDS_AT_ONCE:
+        return Shutter(0.0, 0.0, "global")
+    line_ns = number(xmp, "Camera:LineReadoutTime") or 0.0
+    seconds = 1e-9 * line_ns * (header.exif.height_px or header.height_px)
+    if seconds:
+        possible = 0.0 <= seconds <= SLOWEST.value
+        return Shutter(seconds, 0.0, "tag") if possible else Shutter(0.0, UNTOLD_SD_S, "absurd")
+    mechanical = xmp.get("drone-dji:ShutterType", "").lower() == "mechanical"
+    if mechanical or model in GLOBAL_SHUTTERS or header.exif.make.lower().strip() in STILL_CAMERAS:
+        return Shutter(0.0, 0.0, "global")
+    if model in READOUTS_S:
+        return Shutter(READOUTS_S[model], READOUT_SD_SHARE * READOUTS_S[model], "model")
+    return Shutter(0.0, UNTOLD_SD_S, "untold")
