@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.placement.velocity import velocities_m_per_s
+from geomosaic.placement.velocity import flown_m_per_s, velocities_m_per_s
 
 
 def test_each_line_has_its_own_velocity_whatever_one_position_says() -> None:
@@ -30,3 +30,34 @@ def test_a_line_that_ends_without_a_pause() -> None:
     at = np.column_stack([east, np.repeat([0.0, 40.0], 11), np.zeros(22)])
     found = velocities_m_per_s(at, np.arange(22.0))
     np.testing.assert_allclose(found, np.repeat([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]], 11, axis=0))
+
+
+def circle(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities on a circle of 40 m at 8 m/s, climbing at 0.5 m/s."""
+    angle = 0.2 * times
+    at = np.column_stack([40.0 * np.sin(angle), 40.0 * np.cos(angle), 0.5 * times])
+    return at, np.column_stack([8.0 * np.cos(angle), -8.0 * np.sin(angle), np.full(len(times), 0.5)])
+
+
+def test_on_a_curve_the_parabola_tells_the_velocity() -> None:
+    times = np.array([0.13, 1.52, 3.2, 4.61, 6.33, 7.7, 9.41])
+    at, true = circle(times)
+    off = np.linalg.norm(flown_m_per_s(at, times) - true, axis=1)
+    assert off[1:-1].max() < 0.2
+    assert off.max() < 0.8
+    assert np.linalg.norm(velocities_m_per_s(at, times) - true, axis=1).max() > 2.0
+
+
+def test_a_clock_of_whole_seconds_tells_the_speed_of_some_steps() -> None:
+    times = np.array([0.3, 1.6, 3.4, 4.7, 6.2, 7.8, 9.4, 10.7])
+    at, true = circle(times)
+    off = np.linalg.norm(flown_m_per_s(at, np.floor(times)) - true, axis=1)
+    assert off[1:-1].max() < 1.6
+
+
+def test_flown_lines_end_as_they_were_flown() -> None:
+    east = np.concatenate([np.arange(11.0), np.arange(10.0, -1.0, -1.0)]) * 10.0
+    at = np.column_stack([east, np.repeat([0.0, 40.0], 11), np.zeros(22)])
+    found = flown_m_per_s(at, np.arange(22.0))
+    np.testing.assert_allclose(found, np.repeat([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]], 11, axis=0))
+    assert not flown_m_per_s(at, np.full(22, np.nan)).any()

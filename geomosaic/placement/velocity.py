@@ -73,8 +73,9 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
         first, last = _run(near, k)
         lasted, moved = passed[first:last], moves[first:last]
         way = np.linalg.norm(moved, axis=1)
-        if not exact and len(way) and way.all():
-            lasted = way / (way.sum() / lasted.sum())
+        usual = way <= 2.0 * np.median(way) if len(way) else way > 0.0
+        if not exact and way[usual].all():
+            lasted = np.where(usual, way * lasted[usual].sum() / max(way[usual].sum(), 1e-9), lasted)
         steps, here = moved / lasted[:, None], k - first
         if len(steps) < 2:
             continue

@@ -25,8 +25,9 @@ GLOBAL_SHUTTERS: Final = {
 }  # fmt: skip
 """Models with a mechanical or global shutter by their makers' data sheets."""
 STILL_CAMERAS: Final = {
-    "canon", "nikon", "nikon corporation", "sony", "olympus corporation", "olympus imaging corp.", "pentax",
-    "ricoh", "ricoh imaging company, ltd.", "fujifilm", "panasonic", "leica camera ag", "phase one", "samsung",
+    "canon", "nikon", "nikon corporation", "sony", "olympus corporation", "olympus imaging corp.",
+    "pentax", "ricoh", "ricoh imaging company, ltd.", "fujifilm", "panasonic", "leica camera ag",
+    "phase one", "samsung",
 }  # fmt: skip
 """Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are told not to."""
 UNTOLD_SD_S: Final = 0.04

@@ -1,0 +1,40 @@
+"""How long rows take to be read: by tags, by the model, or untold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from geomosaic.survey.exif import Exif
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.shutters import UNTOLD_SD_S, Shutter, shutter
+
+
+def header(bands: int = 3, xmp: dict[str, str] | None = None, **exif: str) -> FrameHeader:
+    return FrameHeader(Path("/f/a.jpg"), 4000, 3000, bands, "uint8", None, Exif(**exif), xmp or {})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        (header(make="DJI", model="FC330"), Shutter(0.033, pytest.approx(0.0033), "model")),
+        (header(make="Hasselblad", model="L1D-20c"), Shutter(0.056, pytest.approx(0.0056), "model")),
+        (header(make="DJI", model="FC6310"), Shutter(0.0, 0.0, "global")),
+        (header(make="Canon", model="Canon PowerShot S110"), Shutter(0.0, 0.0, "global")),
+        (header(make="NIKON CORPORATION", model="NIKON D800"), Shutter(0.0, 0.0, "global")),
+        (header(make="DJI", model="FC9999"), Shutter(0.0, UNTOLD_SD_S, "untold")),
+        (header(xmp={"drone-dji:ShutterType": "Mechanical"}), Shutter(0.0, 0.0, "global")),
+        (header(xmp={"drone-dji:ShutterType": "Electronic"}), Shutter(0.0, UNTOLD_SD_S, "untold")),
+        (header(xmp={"Camera:LineReadoutTime": "20000"}, model="FC330"), Shutter(0.06, 0.0, "tag")),
+        (header(xmp={"Camera:LineReadoutTime": "-20000"}), Shutter(0.0, UNTOLD_SD_S, "absurd")),
+        (header(1, {"Camera:LineReadoutTime": "20000"}, model="Sequoia"), Shutter(0.0, 0.0, "global")),
+    ],
+)
+def test_the_surest_source_tells(told: FrameHeader, expected: Shutter) -> None:
+    found = shutter(told)
+    assert (found.source, found.readout_s, found.sd_s) == (
+        expected.source,
+        pytest.approx(expected.readout_s),
+        expected.sd_s,
+    )
