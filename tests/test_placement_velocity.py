@@ -33,10 +33,10 @@ def test_a_line_that_ends_without_a_pause() -> None:
 
 
 def circle(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities on a circle of 40 m at 8 m/s, climbing at 0.5 m/s."""
+    """Positions and velocities on a circle of 40 m at 8 m/s, climbing at 1.2 m/s."""
     angle = 0.2 * times
-    at = np.column_stack([40.0 * np.sin(angle), 40.0 * np.cos(angle), 0.5 * times])
-    return at, np.column_stack([8.0 * np.cos(angle), -8.0 * np.sin(angle), np.full(len(times), 0.5)])
+    at = np.column_stack([40.0 * np.sin(angle), 40.0 * np.cos(angle), 1.2 * times])
+    return at, np.column_stack([8.0 * np.cos(angle), -8.0 * np.sin(angle), np.full(len(times), 1.2)])
 
 
 def test_on_a_curve_the_parabola_tells_the_velocity() -> None:

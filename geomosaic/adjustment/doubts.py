@@ -145,10 +145,15 @@ def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
     ]
 
 
-def undetermined_wishes(shared: SharedUnknowns) -> list[Warn]:
-    """What was asked for beyond the lens and can't be told from this block."""
-    lens = INTERIOR[:-1]
-    names = [n for n, held in zip(shared.names, shared.held, strict=True) if held and n not in lens]
+def undetermined_wishes(shared: SharedUnknowns, cameras: Sequence[Camera]) -> list[Warn]:
+    """What was asked for beyond the lens and can't be told from this block; a readout that is told about
+    nobody asked for."""
+    told = {c.name for c in cameras if c.readout_s}
+    names = [
+        name
+        for of, name, held in zip(shared.of, shared.names, shared.held, strict=True)
+        if held and name not in INTERIOR[:-1] and not (name == INTERIOR[-1] and of in told)
+    ]
     text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
     return [Warn("not-determined", "", f"{name}: {text}") for name in names]
 

@@ -138,7 +138,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             *lying_tags(block, bundle.poses),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *drifting_heights(block, bundle.poses, np.unique(seen.frame)),
-            *undetermined_wishes(shared),
+            *undetermined_wishes(shared, told.cameras),
             *unsolved_frames(block, bundle.left_out),
             *strayed_lenses(cameras, bundle.strayed),
             *model_warnings(block, choice),

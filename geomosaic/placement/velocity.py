@@ -11,6 +11,8 @@ _PAUSE = 3.0
 """A time between frames that is so many times the usual one is the way to another line."""
 _STRAIGHT = 0.15
 """Steps that lie within this share of the speed about their median are those of a straight line."""
+_CLIMBS, _NEARLY = 0.1, 0.2
+"""Climbs below this share of the speed, and speeds that differ by less than that, are taken as none."""
 _FRACTION_S = 0.01
 _ALIKE = 0.5
 """Before and behind a frame velocities that differ by less than this share of the speed are one."""
@@ -53,10 +55,12 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocities (n, 3) by positions that are sure to a small part of a step.
 
-    Where the steps about a frame agree, their median; where a line ends, that of `velocities_m_per_s`; on a
+    On a straight line the median of all its steps; where a line ends, that of `velocities_m_per_s`; on a
     curve the slope of the parabola through its position and those before and behind, at an end of the last
     three. Clocks that tell whole seconds are off by a third of a step: by them, parabolas are drawn over the
-    way, and the speed is that of some steps together.
+    way, and the speed is that of some steps together. Speeds that are nearly alike are taken as one, and slow
+    climbs as level flight: what is left of them is chance, of which a readout that is solved for would be
+    made out to be nothing (a regression on noise).
     """
     out = velocities_m_per_s(positions_m, times_s)
     speeds = np.linalg.norm(out, axis=1)
@@ -81,13 +85,42 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
             continue
         before, behind = steps[:here], steps[here:]
         if _spread(steps) < straight_m_per_s:
-            out[i] = np.median(steps, axis=0)
+            out[i] = np.median(_along(moves, passed, near, first, last, straight_m_per_s), axis=0)
         elif not len(before) or not len(behind):
             one, other = (steps[0], steps[1]) if len(behind) else (steps[-1], steps[-2])
             out[i] = 1.5 * one - 0.5 * other
         elif not _turns_off(before, behind):
             share = lasted[here - 1] / (lasted[here - 1] + lasted[here])
             out[i] = before[-1] * (1.0 - share) + behind[0] * share
+    return _evened(out)
+
+
+def _along(
+    moves: Floats, passed: Floats, near: NDArray[np.bool_], first: int, last: int, apart_m_per_s: float
+) -> Floats:
+    """The steps first to last, and those before and behind as far as they go on alike."""
+    middle = np.median(moves[first:last] / passed[first:last, None], axis=0)
+
+    def goes_on(k: int) -> bool:
+        return bool(near[k] and np.linalg.norm(moves[k] / passed[k] - middle) < 2.0 * apart_m_per_s)
+
+    while first > 0 and goes_on(first - 1):
+        first -= 1
+    while last < len(near) and goes_on(last):
+        last += 1
+    return moves[first:last] / passed[first:last, None]
+
+
+def _evened(velocities: Floats) -> Floats:
+    """Level where they climb slowly, at the usual speed where theirs is near it."""
+    out = velocities.copy()
+    out[np.abs(out[:, 2]) < _CLIMBS * np.linalg.norm(out[:, :2], axis=1), 2] = 0.0
+    speed = np.linalg.norm(out, axis=1)
+    if not speed.any():
+        return out
+    usual = float(np.median(speed[speed > 0.0]))
+    alike = np.abs(speed - usual) < _NEARLY * usual
+    out[alike] *= (usual / speed[alike])[:, None]
     return out
 
 
