@@ -11,7 +11,7 @@ from geomosaic.adjustment.bundle_model import Priors
 from geomosaic.adjustment.chosen_ground import DEM_SD_M, flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.mounting import Mounting
-from geomosaic.adjustment.swing import RATE_SD_RAD_PER_S, TERMS
+from geomosaic.adjustment.swing import GUST_M_PER_S, RATE_SD_RAD_PER_S, TERMS
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.interior import Camera
 from geomosaic.placement.graph import connected_parts
@@ -64,8 +64,8 @@ def priors_of(
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
         assumed=assumed,
-        swing_sd=_swing_sd(block, settings) if settings.turning else None,
-        swing_common=_zero_unknown(block, settings),
+        swing_sd=_swing_sd(block, settings),
+        swing_common=settings.turning and _zero_unknown(block, settings),
     )
 
 
@@ -75,12 +75,15 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
 
 
 def _swing_sd(block: Block, settings: Settings) -> Floats | None:
-    """Beside a gyroscope whose zero isn't known yet, a constant rate is all that is asked for."""
+    """Where no turns are asked for, a constant rate stands for what velocities are off by; beside a gyroscope
+    whose zero isn't known yet, for that."""
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
     rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
-    if _zero_unknown(block, settings):
+    if not settings.turning:
+        rate_sd, terms = GUST_M_PER_S / flying_height_m(block), 1
+    elif _zero_unknown(block, settings):
         rate_sd, terms = _ZERO_SD_RAD_PER_S, 1
     return np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
 

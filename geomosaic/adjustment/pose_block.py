@@ -115,7 +115,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             choice = choice.contradicted_at_last()
         else:
             block, settings, cameras, found = its_block, its_settings, lenses, chosen
-    if found.solved.swing is not None and block.poses.turns is not None:
+    if settings.turning and found.solved.swing is not None and block.poses.turns is not None:
         block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if few is not tracks:

@@ -20,6 +20,10 @@ RATE_SD_RAD_PER_S = 0.3
 """To begin with, of what each function gives a frame's rates: 28 frames of a fixed wing of 0.7 kg have 0.26
 rad/s that they keep over a readout and 0.15 that come and go, by its gyroscope (root mean square of three
 axes). What the frames of a block really do is estimated, see `variance_components`."""
+GUST_M_PER_S = 0.5
+"""Of a velocity while a frame is read about that by positions: over the flying height it is a rate of
+turning, as far as level ground can tell. Taken as exact, chance differences of velocities would tell readout
+and scale."""
 _TABLED = 33  # times of a table of turns; linear between them: a period is met to 1 in 200
 
 
