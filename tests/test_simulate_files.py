@@ -109,9 +109,9 @@ def test_xmp_says_the_same_attitude(survey: SimulatedSurvey) -> None:
         data = (survey.frames / pos["frame"]).read_bytes()
         packet = data[data.index(b"<x:xmpmeta") : data.index(b"</x:xmpmeta>") + 12]
         (description,) = fromstring(packet)[0]
-        tags = {
-            key.removeprefix(DJI): float(v) for key, v in description.attrib.items() if key.startswith(DJI)
-        }
+        words = {key.removeprefix(DJI): v for key, v in description.attrib.items() if key.startswith(DJI)}
+        assert words.pop("ShutterType") == "Mechanical"
+        tags = {name: float(v) for name, v in words.items()}
         gimbal = (tags["GimbalYawDegree"], tags["GimbalPitchDegree"], tags["GimbalRollDegree"])
         said = Rotation.from_gimbal(*np.radians(gimbal)).matrix
         body = [float(pos[k]) for k in ("yaw_deg", "pitch_deg", "roll_deg")]
