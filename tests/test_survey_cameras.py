@@ -494,3 +494,23 @@ def test_a_camera_file_unlike_the_tags_is_followed_with_a_word(tmp_path: Path) -
         choice = cameras_from_file([header], [camera], tmp_path / "c.yaml", [None])
         assert [w.code for w in choice.warnings] == words
         assert choice.cameras[0].focal_length_px == factor * told
+
+
+@pytest.mark.parametrize(
+    ("in_file", "model", "expected", "words"),
+    [
+        ({"readout_s": 0.0, "readout_sd_s": 0.0}, "FC330", (0.0, 0.0), []),
+        ({"readout_s": 0.05, "readout_sd_s": 0.0}, "FC330", (0.05, 0.0), []),
+        ({"readout_sd_s": 0.04}, "FC330", (0.033, 0.0033), ["readout-by-model"]),
+        ({"readout_sd_s": 0.04}, "FC6310", (0.0, 0.0), []),
+        ({"readout_sd_s": 0.04}, "unheard of", (0.0, 0.04), []),
+    ],
+)
+def test_of_a_shutter_that_a_camera_file_does_not_tell_of_the_frames_do(
+    in_file: dict[str, float], model: str, expected: tuple[float, float], words: list[str]
+) -> None:
+    camera = replace(CAMERA, **in_file)  # type: ignore[arg-type]
+    frame = header(camera.width_px, camera.height_px, make="DJI", model=model)
+    choice = cameras_from_file([frame], [camera], Path("c.json"), [None])
+    assert (choice.cameras[0].readout_s, choice.cameras[0].readout_sd_s) == pytest.approx(expected)
+    assert [w.code for w in choice.warnings] == words

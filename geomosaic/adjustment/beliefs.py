@@ -64,7 +64,7 @@ def priors_of(
         terrain=terrain or believed_terrain(block, len(points_m)),
         part=part_of_frames(block),
         assumed=assumed,
-        swing_sd=_swing_sd(block, settings),
+        swing_sd_rad=_swing_sd_rad(block, settings),
         swing_common=settings.turning and _zero_unknown(block, settings),
     )
 
@@ -74,7 +74,7 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
     return interior_deviations(known, readout=settings.rolling_shutter)
 
 
-def _swing_sd(block: Block, settings: Settings) -> Floats | None:
+def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     """Where no turns are asked for, a constant rate stands for what velocities are off by; beside a gyroscope
     whose zero isn't known yet, for that."""
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):

@@ -163,7 +163,6 @@ def _solve(
             tracks, camera_of, priors, state, factors, rough=False, settled=True
         )
         iterations += used
-    if not rough:
         priors = _with_untold_shutters(priors)
     found = _finish(tracks, camera_of, priors, state, factors, iterations)
     return replace(found, strayed=strayed, held=held)
@@ -183,9 +182,9 @@ def _with_untold_shutters(priors: Priors) -> Priors:
 
 
 def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:
-    if priors.swing_sd is None:
+    if priors.swing_sd_rad is None:
         return None
-    none = np.zeros((len(priors.poses), priors.swing_sd.shape[1], 3))
+    none = np.zeros((len(priors.poses), priors.swing_sd_rad.shape[1], 3))
     return none if again is None or again.swing is None else again.swing
 
 
@@ -203,7 +202,7 @@ def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State
     """Image coordinates count by their present median miss, all else as stated."""
     length = lengths_px(tracks, camera_of, priors, state)
     control = priors.control[tracks.point]
-    terms = 0 if priors.swing_sd is None else priors.swing_sd.shape[1]
+    terms = 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1]
     return Factors(
         swing=(1.0,) * terms,
         image_px=max(Factors.image_px, median_px(length[~control])),

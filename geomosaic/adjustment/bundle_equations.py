@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_model import Factors, Priors, State
 from geomosaic.adjustment.collinearity import (
     INTERIOR,
+    Readout,
     image_from_ground,
     interior_of,
     kinds_of,
@@ -40,7 +41,7 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
     if state.swing is not None:
-        total += float(((state.swing / swing_sd(priors, factors)) ** 2).sum())
+        total += float(((state.swing / swing_sd_rad(priors, factors)) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
             priors.terrain,
@@ -85,7 +86,7 @@ def _with_priors(n: Normals, camera_of: Ints, priors: Priors, state: State, fact
     n.pose[:, :6, :6] += back @ (weighted * by_pose)
     n.pose_side[:, :6] += (back @ (weighted * miss))[:, :, 0]
     if state.swing is not None:
-        sd = swing_sd(priors, factors).reshape(len(n.pose), -1)
+        sd = swing_sd_rad(priors, factors).reshape(len(n.pose), -1)
         i = np.arange(6, n.pose.shape[1])
         n.pose[:, i, i] += 1.0 / sd**2
         n.pose_side[:, 6:] -= state.swing.reshape(sd.shape) / sd**2
@@ -113,9 +114,9 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
     return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
 
 
-def swing_sd(priors: Priors, factors: Factors) -> Floats:
+def swing_sd_rad(priors: Priors, factors: Factors) -> Floats:
     """Deviations of the frames' swings in rad with their present components, (f, t, 3)."""
-    told = np.zeros((len(priors.poses), 0)) if priors.swing_sd is None else priors.swing_sd
+    told = np.zeros((len(priors.poses), 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
     return np.repeat((told * factors.swing)[:, :, None], 3, axis=2)
 
 
@@ -153,20 +154,17 @@ def trust_of(priors: Priors) -> Floats:
 def in_own_rows(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
     """`observed` with rolling shutters at the points' own rows, see `Readout`."""
     seen = observed(tracks, camera_of, priors, state)
-    read = seen[4]
+    positions, _, interior, points, read, kind = seen
     if read is None:
         return seen
     rows = np.clip(image_from_ground(*seen)[:, 1], 0.0, read.heights_px)
-    return observed(tracks, camera_of, priors, state, np.where(np.isnan(rows), read.rows_px, rows))
+    rows = np.where(np.isnan(rows), read.rows_px, rows)
+    read = _readout(tracks, priors, state, rows, read.heights_px, interior[:, READOUT])
+    return positions, read.rotations, interior, points, read, kind
 
 
-def observed(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, rows_px: Floats | None = None
-) -> tuple[Any, ...]:
-    """What `project` and `image_from_ground` take, a row an observation.
-
-    rows_px (m,): about the points' own, those measured if they aren't told.
-    """
+def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
+    """What `project` and `image_from_ground` take, a row an observation; shutters at the measured rows."""
     camera, frame, poses = camera_of[tracks.frame], tracks.frame, priors.poses
     interior, kinds = state.interior[camera], kinds_of(priors.cameras)
     seen = state.positions[frame], state.rotations[frame], interior, state.points[tracks.point]
@@ -175,9 +173,16 @@ def observed(
     if not _rolls(priors) or not (told or state.swing is not None):
         return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
-    rows = tracks.image_px[:, 1] if rows_px is None else rows_px
-    read = readout_of(poses, state.rotations, state.swing, frame, rows, heights, interior[:, READOUT])
+    read = _readout(tracks, priors, state, tracks.image_px[:, 1], heights, interior[:, READOUT])
     return seen[0], read.rotations, *seen[2:], read, kind
+
+
+def _readout(
+    tracks: Tracks, priors: Priors, state: State, rows_px: Floats, heights_px: Floats, readouts_s: Floats
+) -> Readout:
+    return readout_of(
+        priors.poses, state.rotations, state.swing, tracks.frame, rows_px, heights_px, readouts_s
+    )
 
 
 def _rolls(priors: Priors) -> bool:

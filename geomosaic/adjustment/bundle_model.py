@@ -58,7 +58,7 @@ class Priors:
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
-    observed, so that it tells nothing of the others' deviations. swing_sd (f, t): of how
+    observed, so that it tells nothing of the others' deviations. swing_sd_rad (f, t): of how
     frames swing while their rows are read, beside the poses' turns, see `swing`;
     None where it isn't asked for; swing_common: whether a part of it may be common to all. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
@@ -77,7 +77,7 @@ class Priors:
     mounting: Mounting = NO_MOUNTING
     part: NDArray[np.intp] | None = None
     assumed: Bools | None = None
-    swing_sd: Floats | None = None
+    swing_sd_rad: Floats | None = None
     swing_common: bool = False
     trust: Floats | None = None
     held: Bools | None = None

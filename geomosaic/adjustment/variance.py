@@ -15,7 +15,7 @@ from geomosaic.adjustment.bundle_equations import (
     pose_sd,
     present_miss,
     shared_sd,
-    swing_sd,
+    swing_sd_rad,
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
@@ -72,7 +72,7 @@ def variance_components(
     share = variances[:, :6] * weight / sd**2
     control = priors.control[tracks.point]
     length_px = lengths_px(tracks, camera_of, priors, state)
-    of_swing = swing_sd(priors, factors)
+    of_swing = swing_sd_rad(priors, factors)
     tied = ~control & has_say(tracks, priors)
     if tied.any():
         length = np.nan_to_num(length_px[tied] / factors.image_px, nan=1e6)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 _STEPS = 3
 _PAUSE = 3.0
 """A time between frames that is so many times the usual one is the way to another line."""
@@ -18,6 +22,45 @@ _ALIKE = 0.5
 """Before and behind a frame velocities that differ by less than this share of the speed are one."""
 
 
+@dataclass(frozen=True)
+class _Way:
+    """Frames `at` by their times, (n,); from each to the next the time that passed and the move, (n - 1,) and
+    (n - 1, 3); whether that is a step, no pause."""
+
+    at: Ints
+    passed_s: Floats
+    moved_m: Floats
+    is_step: Bools
+
+    def about(self, k: int) -> tuple[int, int]:
+        """The steps about the k-th frame, three before and three behind, that no pause parts from it."""
+        first, last = k, k
+        while first > max(k - _STEPS, 0) and self.is_step[first - 1]:
+            first -= 1
+        while last < min(k + _STEPS, len(self.is_step)) and self.is_step[last]:
+            last += 1
+        return first, last
+
+    def alike(self, first: int, last: int, apart_m_per_s: float) -> Floats:
+        """Velocities of the steps first to last and of those beside them as far as they go on alike."""
+        middle = np.median(self.moved_m[first:last] / self.passed_s[first:last, None], axis=0)
+        off_m = np.linalg.norm(self.moved_m - self.passed_s[:, None] * middle, axis=1)
+        others = np.flatnonzero(~self.is_step | (off_m >= 2.0 * apart_m_per_s * self.passed_s))
+        first = int(others[others < first].max(initial=-1)) + 1
+        last = int(others[others >= last].min(initial=len(self.is_step)))
+        return self.moved_m[first:last] / self.passed_s[first:last, None]
+
+
+def _way(positions_m: Floats, times_s: Floats) -> _Way:
+    at = np.flatnonzero(np.isfinite(times_s))
+    at = at[np.argsort(times_s[at], kind="stable")]
+    passed = np.diff(times_s[at])
+    is_step = passed > 0.0
+    if is_step.any():
+        is_step &= passed <= _PAUSE * float(np.median(passed[is_step]))
+    return _Way(at, passed, np.diff(positions_m[at], axis=0), is_step)
+
+
 def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocity of each frame, (n, 3).
 
@@ -27,28 +70,19 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
     Args: positions_m (n, 3), times_s (n,) or NaN.
     """
-    out = np.zeros_like(positions_m)
-    at = np.flatnonzero(np.isfinite(times_s))
-    at = at[np.argsort(times_s[at], kind="stable")]
-    passed = np.diff(times_s[at])
-    if not (passed > 0.0).any():
-        return out
-    usual = float(np.median(passed[passed > 0.0]))
-    passed = np.where((passed > 0.0) & (passed <= _PAUSE * usual), passed, np.nan)
-    steps = np.diff(positions_m[at], axis=0) / passed[:, None]
-    pauses = np.flatnonzero(np.isnan(passed))
-    for k, i in enumerate(at):
-        first = int(pauses[pauses < k].max(initial=-1)) + 1
-        last = int(pauses[pauses >= k].min(initial=len(steps)))
-        before, behind = steps[max(k - _STEPS, first) : k], steps[k : min(k + _STEPS, last)]
+    out, way = np.zeros_like(positions_m), _way(positions_m, times_s)
+    for k, i in enumerate(way.at):
+        first, last = way.about(k)
+        steps = way.moved_m[first:last] / way.passed_s[first:last, None]
+        before, behind = steps[: k - first], steps[k - first :]
         if len(before) and len(behind):
             one, other = np.median(before, axis=0), np.median(behind, axis=0)
             speed = max(float(np.linalg.norm(one)), float(np.linalg.norm(other)))
             if float(np.linalg.norm(one - other)) > _ALIKE * speed:
                 out[i] = one if _spread(before) < _spread(behind) else other
                 continue
-        if len(both := np.concatenate([before, behind])):
-            out[i] = np.median(both, axis=0)
+        if len(steps):
+            out[i] = np.median(steps, axis=0)
     return out
 
 
@@ -64,28 +98,24 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """
     out = velocities_m_per_s(positions_m, times_s)
     speeds = np.linalg.norm(out, axis=1)
-    at = np.flatnonzero(np.isfinite(times_s))
-    at = at[np.argsort(times_s[at], kind="stable")]
-    passed = np.diff(times_s[at])
     if not speeds.any():
         return out
+    way = _way(positions_m, times_s)
     straight_m_per_s = _STRAIGHT * float(np.median(speeds[speeds > 0.0]))
-    near = (passed > 0.0) & (passed <= _PAUSE * float(np.median(passed[passed > 0.0])))
-    moves = np.diff(positions_m[at], axis=0)
-    exact = bool((np.abs(times_s - np.round(times_s))[at] > _FRACTION_S).mean() > 0.5)
-    for k, i in enumerate(at):
-        first, last = _run(near, k)
-        lasted, moved = passed[first:last], moves[first:last]
-        way = np.linalg.norm(moved, axis=1)
-        usual = way <= 2.0 * np.median(way) if len(way) else way > 0.0
-        if not exact and way[usual].all():
-            lasted = np.where(usual, way * lasted[usual].sum() / max(way[usual].sum(), 1e-9), lasted)
+    exact = bool((np.abs(times_s - np.round(times_s))[way.at] > _FRACTION_S).mean() > 0.5)
+    for k, i in enumerate(way.at):
+        first, last = way.about(k)
+        lasted, moved = way.passed_s[first:last], way.moved_m[first:last]
+        length = np.linalg.norm(moved, axis=1)
+        usual = length <= 2.0 * np.median(length) if len(length) else length > 0.0
+        if not exact and length[usual].all():
+            lasted = np.where(usual, length * lasted[usual].sum() / max(length[usual].sum(), 1e-9), lasted)
         steps, here = moved / lasted[:, None], k - first
         if len(steps) < 2:
             continue
         before, behind = steps[:here], steps[here:]
         if _spread(steps) < straight_m_per_s:
-            out[i] = np.median(_along(moves, passed, near, first, last, straight_m_per_s), axis=0)
+            out[i] = np.median(way.alike(first, last, straight_m_per_s), axis=0)
         elif not len(before) or not len(behind):
             one, other = (steps[0], steps[1]) if len(behind) else (steps[-1], steps[-2])
             out[i] = 1.5 * one - 0.5 * other
@@ -93,22 +123,6 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
             share = lasted[here - 1] / (lasted[here - 1] + lasted[here])
             out[i] = before[-1] * (1.0 - share) + behind[0] * share
     return _evened(out)
-
-
-def _along(
-    moves: Floats, passed: Floats, near: NDArray[np.bool_], first: int, last: int, apart_m_per_s: float
-) -> Floats:
-    """The steps first to last, and those before and behind as far as they go on alike."""
-    middle = np.median(moves[first:last] / passed[first:last, None], axis=0)
-
-    def goes_on(k: int) -> bool:
-        return bool(near[k] and np.linalg.norm(moves[k] / passed[k] - middle) < 2.0 * apart_m_per_s)
-
-    while first > 0 and goes_on(first - 1):
-        first -= 1
-    while last < len(near) and goes_on(last):
-        last += 1
-    return moves[first:last] / passed[first:last, None]
 
 
 def _evened(velocities: Floats) -> Floats:
@@ -122,16 +136,6 @@ def _evened(velocities: Floats) -> Floats:
     alike = np.abs(speed - usual) < _NEARLY * usual
     out[alike] *= (usual / speed[alike])[:, None]
     return out
-
-
-def _run(near: NDArray[np.bool_], k: int) -> tuple[int, int]:
-    """The steps about frame k, up to three before and three behind, that no pause parts from it."""
-    first, last = k, k
-    while first > max(k - _STEPS, 0) and near[first - 1]:
-        first -= 1
-    while last < min(k + _STEPS, len(near)) and near[last]:
-        last += 1
-    return first, last
 
 
 def _turns_off(before: Floats, behind: Floats) -> bool:

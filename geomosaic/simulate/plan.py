@@ -262,6 +262,11 @@ class SurveyPlan:
         middle = true.width_px / 2.0, true.height_px / 2.0
         return Camera(true.name, true.width_px, true.height_px, focal, *middle)
 
+    def told_readout_s(self) -> float | None:
+        """What the camera file tells of the shutter, None for nothing."""
+        told = self.readout_told if self.rolling_shutter_s else self.shutter_told
+        return self.rolling_shutter_s if told else None
+
     @property
     def pixel_m(self) -> float:
         """Ground pixel of the frames and of the true ortho."""

@@ -97,8 +97,10 @@ def simulate_frames(
         write_json(out / "truth" / "dirty.json", drawn)
 
     write_json(paths.truth, _truth(plan, flight, observed, world, names))
-    write_json(out / "truth" / "cameras.json", opensfm_camera(camera, plan.camera_model))
-    write_json(paths.camera, opensfm_camera(told, plan.camera_model))
+    write_json(
+        out / "truth" / "cameras.json", opensfm_camera(camera, plan.camera_model, plan.rolling_shutter_s)
+    )
+    write_json(paths.camera, opensfm_camera(told, plan.camera_model, plan.told_readout_s()))
     rows = true_positions(plan, flight, observed, world.projection)
     write_csv(paths.positions, POSITIONS_COLUMNS, rows)
     if paths.pos:

@@ -261,9 +261,11 @@ def true_positions(
     return rows
 
 
-def opensfm_camera(camera: Camera, model: str) -> dict[str, dict[str, object]]:
+def opensfm_camera(
+    camera: Camera, model: str, readout_s: float | None = None
+) -> dict[str, dict[str, object]]:
     """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, the centre
-    from the middle."""
+    from the middle; with the readout, 0 for none, where that is told."""
     side = float(max(camera.width_px, camera.height_px))
     fisheye = camera.kind == "fisheye"
     terms = {"k1": camera.k1, "k2": camera.k2}
@@ -279,5 +281,6 @@ def opensfm_camera(camera: Camera, model: str) -> dict[str, dict[str, object]]:
             "c_x": (camera.principal_col_px - camera.width_px / 2.0) / side,
             "c_y": (camera.principal_row_px - camera.height_px / 2.0) / side,
             **terms,
+            **({} if readout_s is None else {"readout_s": readout_s}),
         }
     }

@@ -23,7 +23,7 @@ class SimulateFrames(Stage):
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
     group = "Simulation"
-    version = 5
+    version = 6
     outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
 
     class Params(StageParams):

@@ -98,19 +98,21 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
     if camera.kind == "fisheye":
         text += " of a fisheye lens"
         text += "" if camera.terms.any() else ", whose distortion the adjustment has to find"
-    out = [Warn("camera-assumed", "", text)]
+    return [Warn("camera-assumed", "", text), *_shutter_told(header, camera)]
+
+
+def _shutter_told(header: FrameHeader, camera: Camera) -> list[Warn]:
+    """What a frame's tags or model say of its shutter, where that isn't nothing."""
     source, rolling = shutter(header).source, f"{camera.name}: a rolling shutter, all rows read within"
     if source == "tag":
-        text = f"{rolling} {camera.readout_s:.3g} s (LineReadoutTime)"
-        out.append(Warn("readout-by-tag", "", text))
-    elif source == "model":
+        return [Warn("readout-by-tag", "", f"{rolling} {camera.readout_s:.3g} s (LineReadoutTime)")]
+    if source == "model":
         text = f"{rolling} {camera.readout_s:.3g} s, as others measured of this model; solved for about that"
-        out.append(Warn("readout-by-model", "", text))
-    elif source == "absurd":
+        return [Warn("readout-by-model", "", text)]
+    if source == "absurd":
         text = f"{camera.name}: its LineReadoutTime can't be (all rows in {SLOWEST.value:g} s at most)"
-        text += ": taken as not given"
-        out.append(Warn("readout-absurd", "", text))
-    return out
+        return [Warn("readout-absurd", "", f"{text}: taken as not given")]
+    return []
 
 
 def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
@@ -226,7 +228,8 @@ def cameras_from_file(
     """The file's camera for each frame, scaled where the frame is a resized whole picture.
 
     With several cameras in the file: the one that the POS file names (`wanted`), else those whose name
-    holds the frame's make and model, else those of the frame's size, else of its shape.
+    holds the frame's make and model, else those of the frame's size, else of its shape. Of the shutter, where
+    the file says nothing, the frame's tags and model tell.
 
     Raises: `InputError` when none fits a frame or several do.
     """
@@ -246,6 +249,10 @@ def cameras_from_file(
             camera = scaled
         if camera.name not in found:
             warnings += _unlike_tags(header, camera)
+            if not camera.readout_s and camera.readout_sd_s:
+                told = shutter(header)
+                camera = replace(camera, readout_s=told.readout_s, readout_sd_s=told.sd_s)
+                warnings += _shutter_told(header, camera)
         found.setdefault(camera.name, camera)
         names.append(camera.name)
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
