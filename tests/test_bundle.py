@@ -256,7 +256,7 @@ def test_a_frame_without_ties_stays_over_a_dem() -> None:
         ground=dem, sequence=tuple(range(9)), lines=(0,) * 9,
     )  # fmt: skip
     adjusted = METHODS["bundle"](block, Settings())
-    assert adjusted.poses.positions_m[-1] == pytest.approx(p.positions_m[-1], abs=1e-6)
+    assert adjusted.poses.positions_m[-1] == pytest.approx(p.positions_m[-1], abs=1e-5)
 
 
 def test_a_block_of_the_wrong_size_is_named() -> None:

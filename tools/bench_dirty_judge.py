@@ -1,13 +1,15 @@
 """The judge of dirty surveys: what came of one, against its truth, whatever the run itself says.
 
 The map is judged on open ground: roofs and crowns lean in every frame and stand upright in the true ortho, so
-the ortho is masked where one of them may hide the ground.
+the ortho is masked where one of them may hide the ground. Crowns that wind moves are nowhere else in the true
+ortho than at rest, and no frame shows them so: they are masked too.
 """
 
 from __future__ import annotations
 
 import csv
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,9 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import Figures
+from geomosaic.simulate.changing import SWAY_REACH
+from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.survey import landscape_of
 
 Floats = NDArray[np.float64]
 STANDS_M = 0.5
@@ -76,14 +81,47 @@ def _figures(mosaic: Path, reference: Path) -> Figures | None:
 
 
 def open_ground(folder: Path) -> Path:
-    """The true ortho without what may be hidden by roofs and crowns; itself where nothing stands."""
-    ortho, dsm, dem = (folder / "truth" / f"{name}.tif" for name in ("ortho", "dsm", "dem"))
-    path = folder / "judge-ortho.tif"
-    if not dsm.exists():
-        return ortho
+    """The true ortho without what may be hidden by roofs and crowns, or moved by wind; itself where neither
+    is."""
+    ortho, path = folder / "truth" / "ortho.tif", folder / "judge-ortho.tif"
     if path.exists():
         return path
-    with rasterio.open(dsm) as surface, rasterio.open(dem) as bare:
+    plan = plan_of(folder)
+    with rasterio.open(ortho) as source:
+        profile, picture, mask = source.profile, source.read(), source.dataset_mask()
+    at = profile["transform"]
+    if (folder / "truth" / "dsm.tif").exists():
+        hidden, to_map = hidden_by_heights(folder)
+        cols = at.c + (np.arange(mask.shape[1]) + 0.5) * at.a
+        rows = at.f + (np.arange(mask.shape[0]) + 0.5) * at.e
+        col = np.clip(((cols - to_map.c) / to_map.a).astype(int), 0, hidden.shape[1] - 1)
+        row = np.clip(((rows - to_map.f) / to_map.e).astype(int), 0, hidden.shape[0] - 1)
+        mask[hidden[np.ix_(row, col)]] = 0
+    elif not plan.wind_in_trees_m:
+        return ortho
+    if plan.wind_in_trees_m:
+        bounds = at.c, at.f + mask.shape[0] * at.e, at.c + mask.shape[1] * at.a, at.f
+        for east, north, radius, _ in landscape_of(plan).trees_in(bounds):
+            middle = round((east - at.c) / at.a - 0.5), round((north - at.f) / at.e - 0.5)
+            cv2.circle(mask, middle, int(np.ceil(SWAY_REACH * radius / at.a)), 0, -1)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **profile) as out:
+        out.write(picture)
+        out.write_mask(mask)
+    return path
+
+
+def plan_of(folder: Path) -> SurveyPlan:
+    """How a survey was simulated."""
+    told = json.loads((folder / "truth" / "truth.json").read_text())["plan"]
+    return SurveyPlan(**{f.name: told[f.name] for f in fields(SurveyPlan) if f.name in told})
+
+
+def hidden_by_heights(folder: Path) -> tuple[NDArray[np.bool_], Affine]:
+    """Where what stands may hide the ground, on the grid of the surface's heights."""
+    with (
+        rasterio.open(folder / "truth" / "dsm.tif") as surface,
+        rasterio.open(folder / "truth" / "dem.tif") as bare,
+    ):
         like = {"crs": surface.crs, "transform": surface.transform, "width": surface.width,
                 "height": surface.height, "resampling": Resampling.bilinear}  # fmt: skip
         with WarpedVRT(bare, **like) as below:
@@ -93,18 +131,7 @@ def open_ground(folder: Path) -> Path:
             reach = int(np.ceil(LEAN * (floor_m + STEP_M) / surface.transform.a))
             round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
             hidden |= cv2.dilate((stands_m > floor_m).astype(np.uint8), round_)
-        to_map = surface.transform
-    with rasterio.open(ortho) as source:
-        profile, picture, mask = source.profile, source.read(), source.dataset_mask()
-        cols = source.transform.c + (np.arange(source.width) + 0.5) * source.transform.a
-        rows = source.transform.f + (np.arange(source.height) + 0.5) * source.transform.e
-    col = np.clip(((cols - to_map.c) / to_map.a).astype(int), 0, hidden.shape[1] - 1)
-    row = np.clip(((rows - to_map.f) / to_map.e).astype(int), 0, hidden.shape[0] - 1)
-    mask[hidden[np.ix_(row, col)] > 0] = 0
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **profile) as out:
-        out.write(picture)
-        out.write_mask(mask)
-    return path
+        return hidden > 0, surface.transform
 
 
 def covered(mosaic: Path, ortho: Path) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,10 @@ LEAST_POINTS = 50
 _SEEN_THRICE = 0.1
 _AS_WELL = 1.1
 _NEAR_FLAT = 3.0
-_BENT = 2.0
+_LEVEL: Final = 11.3
+"""By how much the squares of heights or tilts, in variances of the free block, may grow if it is bound to
+level ground: 99 % of chi-square with three degrees of freedom, the block's level and its two tilts. Over land
+that slopes by 3 degrees they grow by 70 and more, over level land by 1."""
 
 
 def flying_height_m(block: Block) -> float:
@@ -88,13 +92,20 @@ def chosen_ground(
 
 def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
     """Whether flat ground explains the pictures as well as free points do: the image residuals don't grow,
-    most points come to lie on it, and neither tilts nor heights are bent against what POS says of them."""
+    most points come to lie on it, and neither tilts nor heights leave what POS says of them, as far as it is
+    believed beside free points: land that slopes would tilt the whole block."""
     off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
     return bool(
         bound.factors.image_px < _AS_WELL * free.factors.image_px
         and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
-        and all(bound.factors.of(g) < _BENT * max(free.factors.of(g), 1.0) for g in ("tilt", "vertical"))
+        and all(_grown(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
     )
+
+
+def _grown(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
+    """By how many variances the squares of a group's misses have grown, of so many numbers a frame."""
+    shares = (bound.factors.of(group) / free.factors.of(group)) ** 2 - 1.0
+    return shares * numbers * float((~bound.left_out).sum())
 
 
 def surface_of(block: Block, flat: GroundSurface, bundle: Bundle) -> GroundSurface:

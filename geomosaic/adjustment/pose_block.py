@@ -100,10 +100,14 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     camera_of = np.array([number[c.name] for c in block.cameras])
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
+    rolling = settings.rolling_shutter or any(c.readout_s for c in cameras)
+    if rolling:
+        start = _read_at_once(block, settings, few, camera_of, cameras, start)
+        block, _ = _flown(block, start)
     found, choice = _found(block, settings, few, camera_of, cameras, start), None
     block, other = _flown(block, found.solved.poses)
-    if other and (settings.rolling_shutter or any(c.readout_s for c in cameras)):
-        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
+    if other and rolling:
+        found = _found(block, settings, few, camera_of, cameras, found.solved.poses, found)
     if settings.model == "auto" and found.ties.points:
         solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
         as_given = _of_ties(found.solved, found.ties)
@@ -156,6 +160,33 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     )
 
 
+def _read_at_once(
+    block: Block,
+    settings: Settings,
+    tracks: Tracks,
+    camera_of: NDArray[np.intp],
+    cameras: tuple[Camera, ...],
+    start: Poses,
+) -> Poses:
+    """Poses as if rows were not read one after the other, with lenses as given: sure to a part of what a
+    platform flies meanwhile, from which it is told how fast it flew. By velocities of told positions, which
+    are off by metres where frames are a few metres apart, lenses stray far to explain what they do to rows.
+    """
+    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+    if not len(points):
+        return start
+    at_once = tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in cameras)
+    still = replace(
+        block,
+        cameras=tuple(at_once[k] for k in camera_of),
+        poses=replace(block.poses, velocities_m_per_s=None, turns=None),
+    )
+    settings = replace(settings, rolling_shutter=False, turning=False)
+    priors = priors_of(still, settings, at_once, points)
+    solved = solve_bundle(kept, camera_of, priors, start, lens_held=True, rough=True)
+    return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)
+
+
 def _flown(block: Block, poses: Poses) -> tuple[Block, bool]:
     """The block with the velocities of solved poses, and whether one differs from what it was by a tenth:
     those of told positions are wrong where one is far off, missing, or at the end of a line."""
@@ -198,11 +229,18 @@ def _found(
     camera_of: NDArray[np.intp],
     cameras: tuple[Camera, ...],
     start: Poses,
+    before: _Found | None = None,
 ) -> _Found:
-    """Free points first, then with control, then bound to the ground if they lie on one."""
-    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+    """Free points first, then with control, then bound to the ground if they lie on one. before: a solution
+    to go on from, with the same lenses."""
+    if before is None:
+        points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+        again = None
+    else:
+        points, kept = before.priors.points_m[: before.ties.points], before.ties
+        again = _of_ties(before.solved, kept)
     ties, priors = len(points), priors_of(block, settings, cameras, points)
-    free = solve_bundle(kept, camera_of, priors, start) if ties else None
+    free = solve_bundle(kept, camera_of, priors, start, again=again) if ties else None
     seen, priors = with_control(kept, priors, block.control)
     if free is not None and seen is kept:
         solved = free

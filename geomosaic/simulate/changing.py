@@ -15,7 +15,7 @@ Pixels = NDArray[np.uint8]
 _PAINTS: tuple[Colour, ...] = ((225, 225, 228), (40, 42, 46), (150, 34, 30), (44, 66, 120), (196, 180, 60))
 _LANE_M = 1.6
 _GLITTER = 9.0
-_SWAY_REACH = 1.6
+SWAY_REACH = 1.6
 
 
 def glitter(
@@ -85,14 +85,14 @@ def sway(
     window: Pixels, west_m: float, north_m: float, pixel_m: float, trees: Floats, bent_m: Floats
 ) -> Pixels:
     """A window (rows, cols, 3) whose crowns are moved by bent_m (n, 2): most in their middle, at
-    _SWAY_REACH of their radius not at all.
+    SWAY_REACH of their radius not at all.
 
     Args: trees: (n, 4) as `Landscape.trees_in`.
     """
     rows, cols = window.shape[:2]
     moved = np.zeros((rows, cols, 2), dtype=np.float32)
     for (east, north, radius, _), bent in zip(trees, bent_m, strict=True):
-        reach = _SWAY_REACH * radius / pixel_m
+        reach = SWAY_REACH * radius / pixel_m
         x, y = (east - west_m) / pixel_m - 0.5, (north_m - north) / pixel_m - 0.5
         x_0, x_1 = max(int(x - reach), 0), min(int(x + reach) + 2, cols)
         y_0, y_1 = max(int(y - reach), 0), min(int(y + reach) + 2, rows)
