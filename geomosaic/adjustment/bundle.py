@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_equations import (
     KNOWN,
-    READOUT,
     cost_of,
     has_say,
     image_sd_px,
@@ -23,7 +21,15 @@ from geomosaic.adjustment.bundle_equations import (
     strayed_principal_points,
     trust_of,
 )
-from geomosaic.adjustment.bundle_model import Bundle, Factors, Priors, State, with_interior
+from geomosaic.adjustment.bundle_model import (
+    READOUT,
+    Bundle,
+    Factors,
+    Priors,
+    State,
+    stepped,
+    with_interior,
+)
 from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
@@ -38,7 +44,6 @@ from geomosaic.adjustment.variance import (
     variance_components,
 )
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
@@ -275,7 +280,7 @@ def _converge(
                 damping = max(10.0 * damping, _DAMPING)
                 continue
             for share in _SHARES:
-                trial = _moved(state, share, *step)
+                trial = stepped(state, share, *step)
                 trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
                 if trial_cost < cost:
                     break
@@ -294,40 +299,6 @@ def _converge(
 def _share_moved(step: Step, sd_m: Floats) -> float:
     """The largest move of a frame, as a share of its position's deviation."""
     return float((np.abs(step[0][:, :3]) / sd_m).max())
-
-
-def _moved(state: State, share: float, *step: Any) -> State:
-    """The state after a share of a step, see `Reduced.solve`."""
-    pose, interior, point, level, mounting = (share * part for part in step)
-    scale, position, point = _scaled_last(state, pose[:, :3], point)
-    readout, in_step = interior[:, READOUT], scale * state.interior[:, READOUT]
-    interior = interior.copy()
-    interior[:, READOUT] += np.where(readout == 0.0, 0.0, scale * (readout - in_step))
-    return State(
-        state.positions + position,
-        exp_turn(pose[:, 3:6]) @ state.rotations,
-        state.interior + interior,
-        state.points + point,
-        state.mounting + mounting if mounting.size else state.mounting,
-        state.level + level,
-        None if state.swing is None else state.swing + pose[:, 6:].reshape(state.swing.shape),
-    )
-
-
-def _scaled_last(state: State, position: Floats, point: Floats) -> tuple[float, Floats, Floats]:
-    """What a step changes of the block's scale, and its moves of positions (f, 3) and points (p, 3) if that
-    comes after all else.
-
-    Pictures don't see a scale, however far it goes. Added to the rest instead of multiplied, it misses the
-    pictures by the product of both: a principal point that shifts by 4 px goes with positions that move, and
-    5 % of these are 0.2 px in every picture. Steps were cut to a tenth and less, a hundred in a row, by that.
-    """
-    away = np.concatenate([state.positions, state.points]) - state.points.mean(axis=0)
-    move = np.concatenate([position, point])
-    beside = move - point.mean(axis=0)
-    scale = float((away * beside).sum()) / max(float((away**2).sum()), 1e-300)
-    move += scale * (beside - scale * away)
-    return scale, move[: len(position)], move[len(position) :]
 
 
 def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle_model import Factors, Priors, State
+from geomosaic.adjustment.bundle_model import READOUT, Factors, Priors, State
 from geomosaic.adjustment.collinearity import (
     INTERIOR,
     Readout,
@@ -29,7 +29,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
-READOUT = INTERIOR.index("readout_s")
 KNOWN = 1e-6
 """Prior deviation of what is known or held: next to nothing, in its unit or as a share of its deviation."""
 
