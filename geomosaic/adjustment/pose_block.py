@@ -33,6 +33,7 @@ from geomosaic.adjustment.doubts import (
     undetermined_wishes,
     unsolved_frames,
 )
+from geomosaic.adjustment.flown import flown
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT
@@ -45,7 +46,6 @@ from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
-from geomosaic.placement.velocity import flown_m_per_s
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
@@ -56,7 +56,6 @@ _DATUM_IN_DOUBT = 3.0
 _FEW_PER_FRAME, _FEW_CELLS = 192, 8
 """Enough to find poses, lens and variance components to a fraction of a pixel, at a tenth of the work."""
 _WORTHWHILE = 4
-_OTHER_VELOCITY = 0.1  # of the speed: over a readout of 0.1 s at 10 m/s, 0.1 m from the first row to the last
 
 
 def pose_block(block: Block, settings: Settings) -> Adjusted:
@@ -103,9 +102,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     rolling = settings.rolling_shutter or any(c.readout_s for c in cameras)
     if rolling:
         start = _read_at_once(block, settings, few, camera_of, cameras, start)
-        block, _ = _flown(block, start)
+        block, _ = flown(block, start)
     found, choice = _found(block, settings, few, camera_of, cameras, start), None
-    block, other = _flown(block, found.solved.poses)
+    block, other = flown(block, found.solved.poses)
     if other and rolling:
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses, found)
     if settings.model == "auto" and found.ties.points:
@@ -185,19 +184,6 @@ def _read_at_once(
     priors = priors_of(still, settings, at_once, points)
     solved = solve_bundle(kept, camera_of, priors, start, lens_held=True, rough=True)
     return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)
-
-
-def _flown(block: Block, poses: Poses) -> tuple[Block, bool]:
-    """The block with the velocities of solved poses, and whether one differs from what it was by a tenth:
-    those of told positions are wrong where one is far off, missing, or at the end of a line."""
-    told = block.poses.velocities_m_per_s
-    if told is None or block.times_s is None or not np.isfinite(block.times_s).any():
-        return block, False
-    flown = flown_m_per_s(poses.positions_m, block.times_s)
-    velocities = np.where(np.isfinite(block.times_s)[:, None], flown, told)
-    off, speed = (np.linalg.norm(v, axis=1) for v in (velocities - told, velocities))
-    other = bool((off > _OTHER_VELOCITY * speed).any())
-    return replace(block, poses=replace(block.poses, velocities_m_per_s=velocities)), other
 
 
 def _free(
