@@ -29,7 +29,7 @@ def test_a_line_that_ends_without_a_pause() -> None:
     east = np.concatenate([np.arange(11.0), np.arange(10.0, -1.0, -1.0)]) * 10.0
     at = np.column_stack([east, np.repeat([0.0, 40.0], 11), np.zeros(22)])
     found = velocities_m_per_s(at, np.arange(22.0))
-    np.testing.assert_allclose(found, np.repeat([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]], 11, axis=0))
+    np.testing.assert_allclose(found, np.repeat([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]], 11, axis=0), atol=1e-9)
 
 
 def circle(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,5 +59,17 @@ def test_flown_lines_end_as_they_were_flown() -> None:
     east = np.concatenate([np.arange(11.0), np.arange(10.0, -1.0, -1.0)]) * 10.0
     at = np.column_stack([east, np.repeat([0.0, 40.0], 11), np.zeros(22)])
     found = flown_m_per_s(at, np.arange(22.0))
-    np.testing.assert_allclose(found, np.repeat([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]], 11, axis=0))
+    np.testing.assert_allclose(found, np.repeat([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]], 11, axis=0), atol=1e-9)
     assert not flown_m_per_s(at, np.full(22, np.nan)).any()
+
+
+def test_a_platform_thrown_about_its_line_flies_at_its_speed() -> None:
+    """1 m of wander from frame to frame, 1.2 s apart, is no velocity of 1.2 m/s."""
+    rng = np.random.default_rng(5)
+    times = np.arange(20) * 1.2 + 0.1
+    at = times[:, None] * [6.0, 3.0, 0.0] + rng.normal(0.0, 1.0, (20, 3))
+    off = flown_m_per_s(at, times) - [6.0, 3.0, 0.0]
+    assert np.sqrt((off[3:-3] ** 2).mean(axis=0)).max() < 0.25
+    assert np.sqrt((off**2).mean()) < 0.5 * np.sqrt(
+        ((np.gradient(at, times, axis=0) - [6.0, 3.0, 0.0]) ** 2).mean()
+    )

@@ -13,8 +13,10 @@ Bools = NDArray[np.bool_]
 _STEPS = 3
 _PAUSE = 3.0
 """A time between frames that is so many times the usual one is the way to another line."""
-_STRAIGHT = 0.15
-"""Steps that lie within this share of the speed about their median are those of a straight line."""
+_CORNER = 1.35
+"""A change of velocity from step to step by so many times the speed, a turn by 85 degrees, is no curve."""
+_CLEARLY = 6.0
+"""F by which a curve has to fit better than a line: 1 in 100 lines, with 6 and 9 degrees of freedom."""
 _CLIMBS, _NEARLY = 0.1, 0.2
 """Climbs below this share of the speed, and speeds that differ by less than that, are taken as none."""
 _FRACTION_S = 0.01
@@ -41,14 +43,20 @@ class _Way:
             last += 1
         return first, last
 
-    def alike(self, first: int, last: int, apart_m_per_s: float) -> Floats:
-        """Velocities of the steps first to last and of those beside them as far as they go on alike."""
-        middle = np.median(self.moved_m[first:last] / self.passed_s[first:last, None], axis=0)
-        off_m = np.linalg.norm(self.moved_m - self.passed_s[:, None] * middle, axis=1)
-        others = np.flatnonzero(~self.is_step | (off_m >= 2.0 * apart_m_per_s * self.passed_s))
-        first = int(others[others < first].max(initial=-1)) + 1
-        last = int(others[others >= last].min(initial=len(self.is_step)))
-        return self.moved_m[first:last] / self.passed_s[first:last, None]
+    def straight(self, k: int) -> tuple[int, int]:
+        """Of these steps those between corners; for a frame at a corner the side that agrees with itself."""
+        first, last = self.about(k)
+        steps = self.moved_m[first:last] / self.passed_s[first:last, None]
+        if len(steps) < 2:
+            return first, last
+        speed = float(np.median(np.linalg.norm(steps, axis=1)))
+        corners = first + 1 + np.flatnonzero(np.linalg.norm(np.diff(steps, axis=0), axis=1) > _CORNER * speed)
+        before = int(corners[corners < k].max(initial=first))
+        behind = int(corners[corners > k].min(initial=last))
+        if k not in corners:
+            return before, behind
+        one, other = steps[before - first : k - first], steps[k - first : behind - first]
+        return (before, k) if _spread(one) < _spread(other) else (k, behind)
 
 
 def _way(positions_m: Floats, times_s: Floats) -> _Way:
@@ -89,40 +97,49 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocities (n, 3) by positions that are sure to a small part of a step.
 
-    On a straight line the median of all its steps; where a line ends, that of `velocities_m_per_s`; on a
-    curve the slope of the parabola through its position and those before and behind, at an end of the last
-    three. Clocks that tell whole seconds are off by a third of a step: by them, parabolas are drawn over the
-    way, and the speed is that of some steps together. Speeds that are nearly alike are taken as one, and slow
-    climbs as level flight: what is left of them is chance, of which a readout that is solved for would be
-    made out to be nothing (a regression on noise).
+    The slope of a line through the positions up to three frames before and three behind: a platform is thrown
+    about its way by a metre and flies on at its speed, of which seven frames tell more than two. On a curve
+    (F test) that of the parabola through its position and those beside it; where a line ends, of its own
+    side. Clocks that tell whole seconds are off by a third of a step: by them, times go by the way. Speeds
+    that are nearly alike are taken as one, and slow climbs as level flight: what is left of them is chance,
+    of which a readout that is solved for would be made out to be nothing (a regression on noise).
     """
-    out = velocities_m_per_s(positions_m, times_s)
-    speeds = np.linalg.norm(out, axis=1)
-    if not speeds.any():
+    out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
+    if not out.any():
         return out
-    way = _way(positions_m, times_s)
-    straight_m_per_s = _STRAIGHT * float(np.median(speeds[speeds > 0.0]))
     exact = bool((np.abs(times_s - np.round(times_s))[way.at] > _FRACTION_S).mean() > 0.5)
     for k, i in enumerate(way.at):
-        first, last = way.about(k)
-        lasted, moved = way.passed_s[first:last], way.moved_m[first:last]
-        length = np.linalg.norm(moved, axis=1)
-        usual = length <= 2.0 * np.median(length) if len(length) else length > 0.0
-        if not exact and length[usual].all():
-            lasted = np.where(usual, length * lasted[usual].sum() / max(length[usual].sum(), 1e-9), lasted)
-        steps, here = moved / lasted[:, None], k - first
-        if len(steps) < 2:
-            continue
-        before, behind = steps[:here], steps[here:]
-        if _spread(steps) < straight_m_per_s:
-            out[i] = np.median(way.alike(first, last, straight_m_per_s), axis=0)
-        elif not len(before) or not len(behind):
-            one, other = (steps[0], steps[1]) if len(behind) else (steps[-1], steps[-2])
-            out[i] = 1.5 * one - 0.5 * other
-        elif not _turns_off(before, behind):
-            share = lasted[here - 1] / (lasted[here - 1] + lasted[here])
-            out[i] = before[-1] * (1.0 - share) + behind[0] * share
+        first, last = way.straight(k)
+        passed_s = way.passed_s[first:last]
+        length = np.linalg.norm(way.moved_m[first:last], axis=1)
+        if not exact and length.all():
+            passed_s = length * passed_s.sum() / length.sum()
+        if len(passed_s) > 1:
+            times = np.concatenate([[0.0], np.cumsum(passed_s)])
+            out[i] = _slope(times - times[k - first], positions_m[way.at[first : last + 1]])
     return _evened(out)
+
+
+def _slope(times_s: Floats, positions_m: Floats) -> Floats:
+    """At time 0 of the line through positions (m, 3); where a polynomial of the third degree fits clearly
+    better, of the parabola through the three positions that are nearest in time."""
+    line, off = _polynomial(times_s, positions_m, 1)
+    degree = min(3, len(times_s) - 2)
+    if degree < 2:
+        return np.asarray(line[1])
+    _, left = _polynomial(times_s, positions_m, degree)
+    free = len(times_s) - degree - 1
+    if (off - left) / (degree - 1) * free <= _CLEARLY * left:
+        return np.asarray(line[1])
+    nearest = np.sort(np.argsort(np.abs(times_s), kind="stable")[:3])
+    return np.asarray(_polynomial(times_s[nearest], positions_m[nearest], 2)[0][1])
+
+
+def _polynomial(times_s: Floats, positions_m: Floats, degree: int) -> tuple[Floats, float]:
+    """Its coefficients (degree + 1, 3), and the sum of squares that it leaves."""
+    powers = np.vander(times_s, degree + 1, increasing=True)
+    found, *_ = np.linalg.lstsq(powers, positions_m, rcond=None)
+    return np.asarray(found, dtype=np.float64), float(((positions_m - powers @ found) ** 2).sum())
 
 
 def _evened(velocities: Floats) -> Floats:
@@ -136,14 +153,6 @@ def _evened(velocities: Floats) -> Floats:
     alike = np.abs(speed - usual) < _NEARLY * usual
     out[alike] *= (usual / speed[alike])[:, None]
     return out
-
-
-def _turns_off(before: Floats, behind: Floats) -> bool:
-    """Whether a line ends here: steps before and behind differ, and one side agrees with itself."""
-    speed = max(float(np.linalg.norm(before[-1])), float(np.linalg.norm(behind[0])))
-    if np.linalg.norm(behind[0] - before[-1]) <= _ALIKE * speed:
-        return False
-    return min(_spread(before), _spread(behind)) < _ALIKE * speed / 4.0
 
 
 def _spread(steps: Floats) -> float:
