@@ -126,12 +126,16 @@ def hidden_by_heights(folder: Path) -> tuple[NDArray[np.bool_], Affine]:
                 "height": surface.height, "resampling": Resampling.bilinear}  # fmt: skip
         with WarpedVRT(bare, **like) as below:
             stands_m = surface.read(1) - below.read(1)
+        to_map, known = surface.transform, bare.bounds  # the bare ground may end before the surface
+        east, north = to_map @ (np.indices(stands_m.shape)[::-1] + 0.5)
+        inside = (east > known.left) & (east < known.right) & (north > known.bottom) & (north < known.top)
+        stands_m[~inside] = 0.0
         hidden = np.zeros(stands_m.shape, np.uint8)
         for floor_m in np.arange(STANDS_M, max(float(stands_m.max()), STANDS_M) + STEP_M, STEP_M):
             reach = int(np.ceil(LEAN * (floor_m + STEP_M) / surface.transform.a))
             round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
             hidden |= cv2.dilate((stands_m > floor_m).astype(np.uint8), round_)
-        return hidden > 0, surface.transform
+        return hidden > 0, to_map
 
 
 def covered(mosaic: Path, ortho: Path) -> float | None:
