@@ -100,6 +100,8 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     rolling = settings.rolling_shutter or any(c.readout_s for c in cameras)
+    if settings.model == "auto" and rolling and block.poses.turns is not None:
+        settings = replace(settings, turning=True)  # what a gyroscope's filter and its last sample leave
     if rolling:
         start = _read_at_once(block, settings, few, camera_of, cameras, start)
         block, _ = flown(block, start)
