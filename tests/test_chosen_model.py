@@ -109,3 +109,20 @@ def test_the_zero_of_a_gyroscope_is_common_to_all_frames() -> None:
     assert np.abs(np.median(missed, axis=0)).max() < 0.001
     assert np.abs(missed - np.median(missed, axis=0)).max() < 0.0012
     assert adjusted.figures["sigma_px"] < 0.4
+
+
+def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
+    """Its last sample is 33 ms old when 0.1 s of rows end: the last rate goes on, of a shake of 7.5 Hz."""
+    flown = fly(6, 3, 5, points=500, readout_s=0.1, rate_sd_rad_per_s=0.4, shaking_hz=7.5)
+    truth = flown.truth.turns
+    assert truth is not None
+    told, last = truth.rad.copy(), 27
+    rate = truth.rad[:, last] - truth.rad[:, last - 1]
+    told[:, last:] = truth.rad[:, last, None] + rate[:, None] * np.arange(41 - last)[:, None]
+    poses = replace(flown.block.poses, turns=Turns(0.1, told))
+    adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings())
+    assert adjusted.figures["sigma_px"] < 0.35
+    assert (
+        np.hypot(adjusted.cameras[0].principal_col_px - 402.0, adjusted.cameras[0].principal_row_px - 297.0)
+        < 5.0
+    )

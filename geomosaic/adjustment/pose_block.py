@@ -100,8 +100,6 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     rolling = settings.rolling_shutter or any(c.readout_s for c in cameras)
-    if settings.model == "auto" and rolling and block.poses.turns is not None:
-        settings = replace(settings, turning=True)  # what a gyroscope's filter and its last sample leave
     if rolling:
         start = _read_at_once(block, settings, few, camera_of, cameras, start)
         block, _ = flown(block, start)
@@ -120,6 +118,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
             choice = choice.contradicted_at_last()
         else:
             block, settings, cameras, found = its_block, its_settings, lenses, chosen
+    if settings.model == "auto" and rolling and block.poses.turns is not None and not settings.turning:
+        settings = replace(settings, turning=True)  # what a gyroscope's filter and its last sample leave
+        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
     if settings.turning and found.solved.swing is not None and block.poses.turns is not None:
         block, settings = with_common_rate(block, settings, found.solved)
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
