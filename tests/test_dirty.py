@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 from collections import Counter
 from pathlib import Path
@@ -18,6 +19,7 @@ from rasterio.windows import Window
 from small_surveys import geomosaic
 
 from geomosaic.simulate.dirty import FAULTS, GROUND_SHARES, KIND_SHARES, OVERLAP, dirty_survey
+from geomosaic.simulate.survey import landscape_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 import bench_dirty
@@ -174,6 +176,7 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
         profile = {**ortho.profile, "width": part.width, "height": part.height}
         profile["transform"] = ortho.transform @ Affine.translation(int(left), int(top))
     (tmp_path / "t" / "truth").mkdir(parents=True)
+    shutil.copy(tmp_path / "s" / "truth" / "truth.json", tmp_path / "t" / "truth")
     with rasterio.open(tmp_path / "t" / "truth" / "ortho.tif", "w", **profile) as out:
         out.write(picture)
         out.write_mask(mask)
@@ -197,3 +200,26 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
     with rasterio.open(bench_dirty_judge.open_ground(tmp_path / "s")) as judge:
         hidden = (mask > 0).sum() - (judge.dataset_mask() > 0).sum()
     assert 0.01 < hidden / (mask > 0).sum() < 0.95, "what houses and trees may hide isn't judged"
+
+
+def test_the_judge_hides_crowns_that_wind_moves_and_nothing_beyond_the_bare_ground(tmp_path: Path) -> None:
+    """Frames at the rim of the bare ground's raster had made all of the surface beyond it stand 300 m high."""
+    folder = tmp_path / "s"
+    assert geomosaic(
+        "simulate", "frames", folder, "--lines", 1, "--frames-per-line", 2, "--width-px", 400,
+        "--height-px", 300, "--height-above-ground-m", 40, "--buildings-stand", "--wind-in-trees-m", 0.2,
+        "--relief-m", 8, "--seed", 4,
+    ) == 0  # fmt: skip
+    plan = bench_dirty_judge.plan_of(folder)
+    assert (plan.seed, plan.wind_in_trees_m) == (4, 0.2)
+    assert bench_dirty_judge.hidden_by_heights(folder)[0].mean() < 0.5
+    with (
+        rasterio.open(folder / "truth" / "ortho.tif") as true,
+        rasterio.open(bench_dirty_judge.open_ground(folder)) as left,
+    ):
+        before, after = true.dataset_mask() > 0, left.dataset_mask() > 0
+        tree = landscape_of(plan).trees_in(true.bounds)
+        col, row = np.floor(~true.transform @ tree[:, :2].T).astype(int)
+        inside = (col >= 0) & (col < true.width) & (row >= 0) & (row < true.height)
+    assert inside.any() and not after[row[inside], col[inside]].any()
+    assert 0.05 * before.sum() < after.sum() < before.sum()
