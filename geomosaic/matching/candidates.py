@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.matching.features import Features
+from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Comparison:
 
 def coarse(features: Features) -> Features:
     """The keypoints that a picture of a few hundred pixels would have."""
-    largest = np.sort(np.argsort(-features.size_px, kind="stable")[:_COARSEST])
+    largest = coarsest(features, _COARSEST)
     return Features(features.image_px[largest], features.size_px[largest], features.descriptors[largest])
 
 

@@ -58,6 +58,11 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
     return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
 
 
+def coarsest(features: Features, most: int) -> NDArray[np.intp]:
+    """Numbers of the largest keypoints, as a picture of a fraction of the size would have."""
+    return np.sort(np.argsort(-features.size_px, kind="stable")[:most])
+
+
 def sift_features(image: Bytes, valid: Bytes | None, reduction: int, most: int = 6000) -> Features:
     """SIFT (Lowe 2004) on an 8 bit picture that was reduced by `reduction`.
 

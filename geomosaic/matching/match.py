@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.matching.features import Features
+from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.search import CHECKS, root_sift, search
 
 Floats = NDArray[np.float64]
 _FREE_LEAST = 1.5
+_FEW = 1200
+"""Coarsest keypoints that are compared first: of an overlap of a third, some hundred are seen again."""
+_TOLERANCES = 12.0
+"""Least radius about a predicted place, in tolerances: enough keypoints for Lowe's ratio to mean much."""
+_SPREAD = 3.0
+"""Radius in 90 % quantiles of what relief and lens leave of the plane through the coarsest."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +55,34 @@ def match_pair(job: PairJob) -> PairMatch:
     left, right = root_sift(job.left.descriptors), root_sift(job.right.descriptors)
     guided = [] if np.isinf(job.radius_m) else [(job.radius_m, job.least)]
     for radius_m, least in (*guided, (np.inf, int(_FREE_LEAST * job.least))):
-        i, j = search(left, right, job.left_ground_m, job.right_ground_m, radius_m, job.ratio)
+        i, j = _candidates(job, left, right, radius_m)
         good = CHECKS[job.check](job.left.image_px[i], job.right.image_px[j], job.tolerance_px)
         i, j = _once_per_place(job, i[good], j[good])
         if len(i) >= least:
             return PairMatch(i.astype(np.int32), j.astype(np.int32), bool(np.isinf(radius_m)))
     nothing = np.zeros(0, np.int32)
     return PairMatch(nothing, nothing, False)
+
+
+def _candidates(
+    job: PairJob, left: NDArray[np.float32], right: NDArray[np.float32], radius_m: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Candidate tie points: the coarsest keypoints say where in the right picture the left one lies, and the
+    rest is compared about there; all within the radius on the ground where the coarsest don't say it."""
+    few_i, few_j = coarsest(job.left, _FEW), coarsest(job.right, _FEW)
+    here_m, there_m = job.left_ground_m[:, :2], job.right_ground_m[:, :2]
+    i, j = search(left[few_i], right[few_j], here_m[few_i], there_m[few_j], radius_m, job.ratio)
+    i, j = few_i[i], few_j[j]
+    good = CHECKS[job.check](job.left.image_px[i], job.right.image_px[j], job.tolerance_px)
+    if good.sum() >= job.least:
+        seen, there = job.left.image_px[i[good]], job.right.image_px[j[good]]
+        plane, _ = cv2.findHomography(seen, there, 0)
+        if plane is not None:
+            at = np.asarray(cv2.perspectiveTransform(job.left.image_px[:, None], plane)[:, 0], np.float64)
+            off_px = np.linalg.norm(at[i[good]] - there, axis=1)
+            radius_px = max(_TOLERANCES * job.tolerance_px, _SPREAD * float(np.quantile(off_px, 0.9)))
+            return search(left, right, at, job.right.image_px, radius_px, job.ratio)
+    return search(left, right, here_m, there_m, radius_m, job.ratio)
 
 
 def _once_per_place(job: PairJob, i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:

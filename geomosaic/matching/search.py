@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import cv2
 import numpy as np
@@ -12,6 +12,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
 _ROWS = 512
+_IN_CELL = 150
+"""Keypoints: fewer leave Lowe's ratio little to compare with, and cost more in handling than they save."""
 
 
 def root_sift(descriptors: Bytes) -> NDArray[np.float32]:
@@ -20,27 +22,39 @@ def root_sift(descriptors: Bytes) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(d / np.maximum(d.sum(axis=1, keepdims=True), 1.0)))
 
 
-def mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32], ratio: float) -> tuple[Ints, Ints]:
-    """Index pairs that are each other's nearest descriptor and pass Lowe's ratio test from the left."""
-    nothing = np.zeros(0, np.intp)
+def mutual_nearest(
+    left: NDArray[np.float32],
+    right: NDArray[np.float32],
+    ratio: float,
+    among: Iterable[tuple[Ints, Ints]] | None = None,
+) -> tuple[Ints, Ints]:
+    """Index pairs that are each other's nearest descriptor and pass Lowe's ratio test from the left.
+
+    Args: among: which of the left are compared with which of the right, no left one twice; all with all
+        if not given.
+    """
     if len(left) < 2 or len(right) < 2:
-        return nothing, nothing
-    best = np.empty(len(left), np.intp)
-    distinct = np.empty(len(left), np.bool_)
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    best = np.zeros(len(left), np.intp)
+    distinct = np.zeros(len(left), np.bool_)
     column_best = np.full(len(right), -1.0, np.float32)
-    back = np.zeros(len(right), np.intp)
-    for start in range(0, len(left), _ROWS):
-        likeness = left[start : start + _ROWS] @ right.T
-        rows = np.arange(len(likeness))
-        nearest = likeness.argmax(axis=1)
-        first = likeness[rows, nearest]
-        top = likeness.argmax(axis=0)
-        highest = likeness[top, np.arange(len(right))]
-        better = highest > column_best
-        column_best[better], back[better] = highest[better], top[better] + start
-        likeness[rows, nearest] = -1.0
-        best[start : start + _ROWS] = nearest
-        distinct[start : start + _ROWS] = (1.0 - first) < ratio**2 * (1.0 - likeness.max(axis=1))
+    back = np.full(len(right), -1, np.intp)
+    for here, there in among or [(np.arange(len(left)), np.arange(len(right)))]:
+        if len(there) < 2:
+            continue
+        candidates = right[there].T
+        for part in np.split(here, range(_ROWS, len(here), _ROWS)):
+            likeness = left[part] @ candidates
+            rows = np.arange(len(part))
+            nearest = likeness.argmax(axis=1)
+            first = likeness[rows, nearest]
+            top = likeness.argmax(axis=0)
+            highest = likeness[top, np.arange(len(there))]
+            better = highest > column_best[there]
+            column_best[there[better]], back[there[better]] = highest[better], part[top[better]]
+            likeness[rows, nearest] = -1.0
+            best[part] = there[nearest]
+            distinct[part] = (1.0 - first) < ratio**2 * (1.0 - likeness.max(axis=1))
     kept = np.flatnonzero((back[best] == np.arange(len(left))) & distinct)
     return kept, best[kept]
 
@@ -48,32 +62,42 @@ def mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32], ratio:
 def search(
     left_descriptors: NDArray[np.float32],
     right_descriptors: NDArray[np.float32],
-    left_ground_m: Floats,
-    right_ground_m: Floats,
-    radius_m: float,
+    left_at: Floats,
+    right_at: Floats,
+    radius: float,
     ratio: float = 0.8,
 ) -> tuple[Ints, Ints]:
-    """Candidate tie points whose predicted ground positions differ by at most radius_m.
+    """Candidate tie points that lie at most a radius apart where they are believed to be.
 
-    Guided: only keypoints in the predicted overlap, grown by the radius, are compared. With an
-    infinite radius the search is free: all keypoints of both frames.
+    Guided: only keypoints of a cell and at most a radius beside it are compared. With an infinite radius the
+    search is free: all keypoints of both frames.
+
+    Args: left_at, right_at: (n, 2) places in any system that both share, in the radius' unit; NaN where
+        a keypoint has none.
     """
-    if np.isinf(radius_m):
+    if np.isinf(radius):
         return mutual_nearest(left_descriptors, right_descriptors, ratio)
-    inside_left = _within(left_ground_m, right_ground_m, radius_m)
-    inside_right = _within(right_ground_m, left_ground_m, radius_m)
-    i, j = mutual_nearest(left_descriptors[inside_left], right_descriptors[inside_right], ratio)
-    i, j = inside_left[i], inside_right[j]
-    near = np.linalg.norm(left_ground_m[i, :2] - right_ground_m[j, :2], axis=1) <= radius_m
+    i, j = mutual_nearest(left_descriptors, right_descriptors, ratio, _near(left_at, right_at, radius))
+    near = np.linalg.norm(left_at[i] - right_at[j], axis=1) <= radius
     return i[near], j[near]
 
 
-def _within(points_m: Floats, others_m: Floats, margin_m: float) -> Ints:
-    if not len(others_m) or not np.isfinite(others_m[:, :2]).all(axis=1).any():
-        return np.zeros(0, np.intp)
-    low = np.nanmin(others_m[:, :2], axis=0) - margin_m
-    high = np.nanmax(others_m[:, :2], axis=0) + margin_m
-    return np.flatnonzero(((points_m[:, :2] >= low) & (points_m[:, :2] <= high)).all(axis=1))
+def _near(left: Floats, right: Floats, radius: float) -> Iterator[tuple[Ints, Ints]]:
+    """Left keypoints cell by cell, and the right ones at most a radius beside the cell."""
+    there = np.flatnonzero(np.isfinite(right).all(axis=1))
+    here = np.flatnonzero(np.isfinite(left).all(axis=1))
+    if not len(there) or not len(here):
+        return
+    low, high = right[there].min(axis=0) - radius, right[there].max(axis=0) + radius
+    here = here[((left[here] >= low) & (left[here] <= high)).all(axis=1)]
+    side = np.maximum(2.0 * radius, (high - low) / max(1.0, np.sqrt(len(there) // _IN_CELL)))
+    cell = np.floor((left[here] - low) / side).astype(np.intp)
+    order = np.lexsort(cell.T)
+    starts = np.flatnonzero(np.diff(cell[order], axis=0, prepend=-1).any(axis=1))
+    for members in np.split(order, starts[1:]) if len(order) else ():
+        at = left[here[members]]
+        inside = (right[there] >= at.min(axis=0) - radius) & (right[there] <= at.max(axis=0) + radius)
+        yield here[members], there[inside.all(axis=1)]
 
 
 def by_homography(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray[np.bool_]:

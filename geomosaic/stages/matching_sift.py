@@ -37,7 +37,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 6
+    version = 7
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
