@@ -202,3 +202,18 @@ def test_turned_frames_are_counted_from_one() -> None:
     assert SurveyPlan(turned="4-6, 9").turned_frames() == {3, 4, 5, 8}
     with pytest.raises(UnknownNameError):
         SurveyPlan(pos_in="gpx")
+
+
+def test_places_and_velocities_are_of_one_path() -> None:
+    """A flight that strays from its lines by 2 m within 3 s: steps of half a second agree with the velocities at
+    both ends, of 0.3 m/s and more that no line tells, and upright too."""
+    plan = SurveyPlan(seed=4, kind="line", lines=1, frames_per_line=400, forward_overlap=0.955,
+                      ground_pixel_m=0.1, speed_m_per_s=9.0, wander_m=2.0, wander_s=3.0)  # fmt: skip
+    flight = fly(plan)
+    step_s = np.diff(flight.time_s)[:, None]
+    assert step_s.max() < 0.5
+    moved = np.diff(flight.poses.positions_m, axis=0) / step_s
+    v = flight.velocity_m_per_s
+    assert np.abs(moved - 0.5 * (v[:-1] + v[1:])).max() < 0.02
+    strayed = (v - v.mean(axis=0)).std(axis=0)
+    assert strayed == pytest.approx([2.0 / 3.0] * 3, rel=0.25)

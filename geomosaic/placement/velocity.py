@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from geomosaic.placement.smoothing_spline import slopes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -15,10 +18,6 @@ _PAUSE = 3.0
 """A time between frames that is so many times the usual one is the way to another line."""
 _CORNER = 1.35
 """A change of velocity from step to step by so many times the speed, a turn by 85 degrees, is no curve."""
-_CLEARLY = 6.0
-"""F by which a curve has to fit better than a line: 1 in 100 lines, with 6 and 9 degrees of freedom."""
-_CLIMBS, _NEARLY = 0.1, 0.2
-"""Climbs below this share of the speed, and speeds that differ by less than that, are taken as none."""
 _FRACTION_S = 0.01
 _ALIKE = 0.5
 """Before and behind a frame velocities that differ by less than this share of the speed are one."""
@@ -43,20 +42,24 @@ class _Way:
             last += 1
         return first, last
 
-    def straight(self, k: int) -> tuple[int, int]:
-        """Of these steps those between corners; for a frame at a corner the side that agrees with itself."""
-        first, last = self.about(k)
-        steps = self.moved_m[first:last] / self.passed_s[first:last, None]
-        if len(steps) < 2:
-            return first, last
-        speed = float(np.median(np.linalg.norm(steps, axis=1)))
-        corners = first + 1 + np.flatnonzero(np.linalg.norm(np.diff(steps, axis=0), axis=1) > _CORNER * speed)
-        before = int(corners[corners < k].max(initial=first))
-        behind = int(corners[corners > k].min(initial=last))
-        if k not in corners:
-            return before, behind
-        one, other = steps[before - first : k - first], steps[k - first : behind - first]
-        return (before, k) if _spread(one) < _spread(other) else (k, behind)
+    def ways(self) -> list[tuple[int, int]]:
+        """First and last frame of each way without a pause or a corner."""
+        steps = self.moved_m / np.where(self.is_step, self.passed_s, np.inf)[:, None]
+        speed = np.linalg.norm(steps, axis=1)
+        usual = float(np.median(speed[self.is_step])) if self.is_step.any() else 0.0
+        turned = np.linalg.norm(np.diff(steps, axis=0), axis=1) > _CORNER * usual
+        ends = np.unique(
+            [0, *(1 + np.flatnonzero(turned | ~self.is_step[:-1] | ~self.is_step[1:])), len(steps)]
+        )
+        return [(int(a), int(b)) for a, b in itertools.pairwise(ends) if self.is_step[a:b].all()]
+
+    def clock(self, first: int, last: int, exact: bool) -> Floats:
+        """Times of a way from its beginning; by how far the frames lie apart where the clock is coarse."""
+        passed_s = self.passed_s[first:last]
+        length = np.linalg.norm(self.moved_m[first:last], axis=1)
+        if not exact and length.all():
+            passed_s = length * passed_s.sum() / length.sum()
+        return np.concatenate([[0.0], np.cumsum(passed_s)])
 
 
 def _way(positions_m: Floats, times_s: Floats) -> _Way:
@@ -97,61 +100,21 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocities (n, 3) by positions that are sure to a small part of a step.
 
-    The slope of a line through the positions up to three frames before and three behind: a platform is thrown
-    about its way by a metre and flies on at its speed, of which seven frames tell more than two. On a curve
-    (F test) that of the parabola through its position and those beside it; where a line ends, of its own
-    side. Clocks that tell whole seconds are off by a third of a step: by them, times go by the way. Speeds
-    that are nearly alike are taken as one, and slow climbs as level flight: what is left of them is chance,
-    of which a readout that is solved for would be made out to be nothing (a regression on noise).
+    The slopes of smoothing splines through the ways between pauses and corners: how much of what leaves a
+    straight line is flown, and how much jitter, is asked of all ways together, level and upright each by
+    itself. A frame at a corner flies as the longer way does. Clocks that tell whole seconds are off by a
+    third of a step: by them, times go by the way.
     """
     out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
     if not out.any():
         return out
     exact = bool((np.abs(times_s - np.round(times_s))[way.at] > _FRACTION_S).mean() > 0.5)
-    for k, i in enumerate(way.at):
-        first, last = way.straight(k)
-        passed_s = way.passed_s[first:last]
-        length = np.linalg.norm(way.moved_m[first:last], axis=1)
-        if not exact and length.all():
-            passed_s = length * passed_s.sum() / length.sum()
-        if len(passed_s) > 1:
-            times = np.concatenate([[0.0], np.cumsum(passed_s)])
-            out[i] = _slope(times - times[k - first], positions_m[way.at[first : last + 1]])
-    return _evened(out)
-
-
-def _slope(times_s: Floats, positions_m: Floats) -> Floats:
-    """At time 0 of the line through positions (m, 3); where a polynomial of the third degree fits clearly
-    better, of the parabola through the three positions that are nearest in time."""
-    line, off = _polynomial(times_s, positions_m, 1)
-    degree = min(3, len(times_s) - 2)
-    if degree < 2:
-        return np.asarray(line[1])
-    _, left = _polynomial(times_s, positions_m, degree)
-    free = len(times_s) - degree - 1
-    if (off - left) / (degree - 1) * free <= _CLEARLY * left:
-        return np.asarray(line[1])
-    nearest = np.sort(np.argsort(np.abs(times_s), kind="stable")[:3])
-    return np.asarray(_polynomial(times_s[nearest], positions_m[nearest], 2)[0][1])
-
-
-def _polynomial(times_s: Floats, positions_m: Floats, degree: int) -> tuple[Floats, float]:
-    """Its coefficients (degree + 1, 3), and the sum of squares that it leaves."""
-    powers = np.vander(times_s, degree + 1, increasing=True)
-    found, *_ = np.linalg.lstsq(powers, positions_m, rcond=None)
-    return np.asarray(found, dtype=np.float64), float(((positions_m - powers @ found) ** 2).sum())
-
-
-def _evened(velocities: Floats) -> Floats:
-    """Level where they climb slowly, at the usual speed where theirs is near it."""
-    out = velocities.copy()
-    out[np.abs(out[:, 2]) < _CLIMBS * np.linalg.norm(out[:, :2], axis=1), 2] = 0.0
-    speed = np.linalg.norm(out, axis=1)
-    if not speed.any():
-        return out
-    usual = float(np.median(speed[speed > 0.0]))
-    alike = np.abs(speed - usual) < _NEARLY * usual
-    out[alike] *= (usual / speed[alike])[:, None]
+    ways = way.ways()
+    clocks = [way.clock(first, last, exact) for first, last in ways]
+    places = [positions_m[way.at[first : last + 1]] for first, last in ways]
+    level, upright = (slopes(clocks, [p[:, axes] for p in places]) for axes in ([0, 1], [2]))
+    for k in sorted(range(len(ways)), key=lambda k: ways[k][1] - ways[k][0]):
+        out[way.at[ways[k][0] : ways[k][1] + 1]] = np.column_stack([level[k], upright[k]])
     return out
 
 

@@ -158,6 +158,7 @@ def _survey(rng: Random) -> tuple[str, Values]:
         "pixel_noise": _number(rng, 1.0, 3.0),
         "jpeg_quality": int(rng.integers(80, 96)),
         "pos_in": "exif",
+        "wander_s": _number(rng, 2.0, 8.0),
     }
 
 

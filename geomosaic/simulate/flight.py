@@ -25,6 +25,8 @@ _CLIMB_M_PER_S = 2.0
 _CLIMB_TO = 0.7
 _OBLIQUE_DEG, _HORIZON_DEG = (35.0, 60.0), (75.0, 88.0)
 _GROUND_TAG_SD_M = 0.5
+_WAVES = 64
+"""Whose sum is as good as Gaussian."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,9 @@ class Flight:
     lon_lat_height: (n, 3) geodetic; yaw_pitch_roll_deg: (n, 3) body angles, see `Attitude`, against the
     north and the vertical of each frame; poses: the same in the work frame; time_s: (n,) since 1970;
     line: (n,) number of the flight line;
-    velocity_m_per_s: (n, 3) along the planned course, level, in the work frame; role: (n,) `survey`, or
-    `take_off`, `landing`, `oblique` or `horizon` of frames that belong in no map; battery: (n,) from 0.
+    velocity_m_per_s: (n, 3) in the work frame, along the planned course and of the wander about it; role:
+    (n,) `survey`, or `take_off`, `landing`, `oblique` or `horizon` of frames that belong in no map; battery:
+    (n,) from 0.
     """
 
     work_frame: LocalFrame
@@ -77,18 +80,31 @@ def _planned(plan: SurveyPlan) -> Flight:
     course = course_of(plan)
     n = len(course.at_m)
     forward_m, right_m = course.at_m.T
+    strayed_m, straying_m_per_s = _wander(plan, course.time_s)
     wander = plan.rng("flight").standard_normal((n, 6))
     heading = np.radians(plan.heading_deg)
-    east = forward_m * np.sin(heading) + right_m * np.cos(heading) + plan.wander_m * wander[:, 0]
-    north = forward_m * np.cos(heading) - right_m * np.sin(heading) + plan.wander_m * wander[:, 1]
+    east = forward_m * np.sin(heading) + right_m * np.cos(heading) + strayed_m[:, 0]
+    north = forward_m * np.cos(heading) - right_m * np.sin(heading) + strayed_m[:, 1]
     work_frame = LocalFrame(plan.lon_deg, plan.lat_deg, plan.ground_height_m)
     geodetic = work_frame.geodetic_from_enu(np.stack([east, north, np.zeros(n)], axis=-1))
-    geodetic[:, 2] = plan.ground_height_m + plan.height_above_ground_m + plan.wander_m * wander[:, 2]
+    geodetic[:, 2] = plan.ground_height_m + plan.height_above_ground_m + strayed_m[:, 2]
     yaw = plan.heading_deg + course.nose_deg + plan.wander_yaw_deg * wander[:, 3]
     attitude = np.column_stack([yaw % 360.0, plan.wander_tilt_deg * wander[:, 4:]])
     ahead = heading + np.radians(course.course_deg)
     velocity = plan.speed_m_per_s * np.column_stack([np.sin(ahead), np.cos(ahead), np.zeros(n)])
+    velocity += straying_m_per_s
     return _flight(work_frame, geodetic, attitude, START_S + course.time_s, course.line, velocity)
+
+
+def _wander(plan: SurveyPlan, time_s: Floats) -> tuple[Floats, Floats]:
+    """How far the flight strays from its course, (n, 3), and how fast: a smooth stationary Gaussian process
+    whose correlation falls to exp(-1/2) in `wander_s`, by random frequencies (Rahimi and Recht 2007, section
+    3), so that places and velocities are of one path."""
+    rng = plan.rng("wander")
+    rate = rng.standard_normal((_WAVES, 3)) / plan.wander_s
+    phase = rate * time_s[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 3))
+    size = plan.wander_m * np.sqrt(2.0 / _WAVES)
+    return size * np.cos(phase).sum(axis=1), -size * (rate * np.sin(phase)).sum(axis=1)
 
 
 def _with_others(plan: SurveyPlan, flight: Flight) -> Flight:

@@ -61,6 +61,7 @@ class SurveyPlan:
     ground_pixel_m: float = 0.1
     speed_m_per_s: float = 8.0
     wander_m: float = 1.0
+    wander_s: float = 4.0
     wander_tilt_deg: float = 1.0
     wander_yaw_deg: float = 2.0
     take_off_frames: int = 0

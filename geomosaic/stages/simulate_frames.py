@@ -23,7 +23,7 @@ class SimulateFrames(Stage):
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
     group = "Simulation"
-    version = 6
+    version = 7
     outputs: ClassVar[dict[str, type]] = {"truth_file": RunFile}
 
     class Params(StageParams):
@@ -59,6 +59,9 @@ class SimulateFrames(Stage):
         speed_m_per_s: float = param(_PLAN.speed_m_per_s, help="ground speed", unit="m/s", ge=0.5, le=300)
         wander_m: float = param(
             _PLAN.wander_m, help="how far the flight strays from its plan (sd)", unit="m", ge=0, le=100
+        )
+        wander_s: float = param(
+            _PLAN.wander_s, help="in what time it strays (correlation time)", unit="s", ge=0.1, le=1000
         )
         wander_tilt_deg: float = param(
             _PLAN.wander_tilt_deg, help="true pitch and roll (sd)", unit="deg", ge=0, le=20
