@@ -72,7 +72,9 @@ def test_a_rolling_shutter_sees_each_row_from_where_the_camera_is_then() -> None
 
 
 def test_truth_holds_the_course_that_the_shutter_needs(tmp_path: Path) -> None:
-    plan = dataclasses.replace(PLAN, rolling_shutter_s=0.04, heading_deg=90.0, speed_m_per_s=12.0)
+    plan = dataclasses.replace(
+        PLAN, rolling_shutter_s=0.04, heading_deg=90.0, speed_m_per_s=12.0, wander_m=0.0
+    )
     survey = simulate_frames(tmp_path / "rolling", plan)
     truth = json.loads(survey.truth.read_text())
     np.testing.assert_allclose(truth["frames"][0]["velocity_enu_m_per_s"], [12.0, 0.0, 0.0], atol=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly
 
-from geomosaic.adjustment.doubts import drifting_heights
+from geomosaic.adjustment.height_drift import height_drift
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.camera.exterior import Poses
@@ -68,4 +68,21 @@ def test_heights_that_drift_are_named_with_both_ends_and_do_no_harm() -> None:
     assert np.std(up) < 0.5
     honest = METHODS["bundle"](flown.block, Settings())
     assert not [w for w in honest.warnings if w.code == "heights-drift"]
-    assert drifting_heights(block, adjusted.poses, np.arange(3)) == [], "three frames say nothing"
+    assert not height_drift(block, adjusted.poses, np.arange(3)).parts, "three frames say nothing"
+
+
+def test_a_slope_and_a_jump_of_heights_are_solved_for_together() -> None:
+    """A barometer that sinks by 24 m over twelve frames, and a second battery's zero 15 m up."""
+    flown = fly(6, lines=2, per_line=6)
+    drift = np.linspace(12.0, -12.0, 12) + np.where(np.arange(12) < 6, 0.0, 15.0)
+    at = flown.truth.positions_m + np.outer(drift, [0.0, 0.0, 1.0])
+    at[:, 2] += np.random.default_rng(2).normal(0.0, 0.5, 12)
+    block = replace(flown.block, poses=replace(flown.block.poses, positions_m=at))
+    found = height_drift(block, flown.truth, np.arange(12))
+    (slope_m, none), (jump_m, behind) = found.parts
+    assert none is None and behind == 5
+    assert slope_m == pytest.approx(-24.0, abs=3.0)
+    assert jump_m == pytest.approx(15.0, abs=3.0)
+    freed = found.freed(block).poses.positions_m[:, 2] - flown.truth.positions_m[:, 2]
+    assert freed.std() < 1.0
+    assert freed.mean() == pytest.approx((at - flown.truth.positions_m)[:, 2].mean(), abs=1e-9), "kept"

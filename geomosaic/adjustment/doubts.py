@@ -23,8 +23,6 @@ _SAME_PLACE_M = 1e-3  # positions given alike say nothing of the scale
 _SCALE_IN_DOUBT = 4.0
 _WITHIN_FLIGHT_M = 1.0  # to what a code receiver's positions of one flight agree, whatever is stated of them
 _SHIFT_IN_DOUBT = 5.0
-_DRIFTS = 3.0
-_DRIFTS_CLEARLY = 5.0
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
 
 
@@ -96,39 +94,6 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
         )
         out.append(Warn("scale-doubtful", "", text))
     return out
-
-
-def drifting_heights(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
-    """What given minus adjusted heights of the frames `seen` do in order of flight: a line through them, or a
-    jump (another battery, another zero), whichever explains more.
-
-    Told where it is more than three stated deviations of a height, and more than five of its own.
-    """
-    known = set(seen[~position_assumed(block.poses)[seen]].tolist())
-    order = [i for i in block.sequence if i in known]
-    n = len(order)
-    if n < 4:
-        return []
-    off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
-    jumps = [np.where(np.arange(n) < k, -0.5, 0.5) for k in range(2, n - 1)]
-    found = []
-    for share in (np.linspace(-0.5, 0.5, n), *jumps):
-        share = share - share.mean()
-        rise_m = float(share @ off_m / (share @ share))
-        left = off_m - off_m.mean() - rise_m * share
-        found.append((float(left @ left), rise_m, float(np.sqrt(left @ left / (n - 2) / (share @ share)))))
-    best = int(np.argmin([squares for squares, _, _ in found]))
-    _, rise_m, rise_sd_m = found[best]
-    stated_m = float(np.median(block.poses.positions_sd_m[order, 2]))
-    if abs(rise_m) < max(_DRIFTS * stated_m, _DRIFTS_CLEARLY * rise_sd_m):
-        return []
-    first, last = (block.names[order[0]], block.names[order[-1]])
-    does = f"drift by {rise_m:+.1f} m from {first} to {last}"
-    if best:
-        first, last = block.names[order[best]], block.names[order[best + 1]]
-        does = f"jump by {rise_m:+.1f} m between {first} and {last}"
-    text = f"heights {does} against the pictures (stated deviation {stated_m:.1f} m); set by the pictures"
-    return [Warn("heights-drift", first, text)]
 
 
 def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:

@@ -27,13 +27,13 @@ from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import control_residuals, spread_of, with_control
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
-    drifting_heights,
     lying_tags,
     strayed_lenses,
     undetermined_wishes,
     unsolved_frames,
 )
 from geomosaic.adjustment.flown import flown
+from geomosaic.adjustment.height_drift import height_drift
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
 from geomosaic.adjustment.mounting import MOUNTING, UNIT
@@ -105,7 +105,9 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         block, _ = flown(block, start)
     found, choice = _found(block, settings, few, camera_of, cameras, start), None
     block, other = flown(block, found.solved.poses)
-    if other and rolling:
+    drift = height_drift(block, found.solved.poses, np.unique(found.seen.frame))
+    block = drift.freed(block)
+    if drift.parts or (other and rolling):
         found = _found(block, settings, few, camera_of, cameras, found.solved.poses, found)
     if settings.model == "auto" and found.ties.points:
         solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
@@ -143,7 +145,7 @@ def _solve(block: Block, settings: Settings) -> Adjusted:
         warnings=(
             *lying_tags(block, bundle.poses),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
-            *drifting_heights(block, bundle.poses, np.unique(seen.frame)),
+            *height_drift(told, bundle.poses, np.unique(seen.frame)).warnings(told),
             *undetermined_wishes(shared, told.cameras),
             *unsolved_frames(block, bundle.left_out),
             *strayed_lenses(cameras, bundle.strayed),
