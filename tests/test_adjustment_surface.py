@@ -177,3 +177,22 @@ def test_the_surface_reaches_as_far_as_the_frames() -> None:
     ]
     cols_px = np.array(outlines)[..., 0]
     assert not ((cols_px > 30.0) & (cols_px < 770.0)).any()
+
+
+def test_beyond_a_wood_lies_the_ground_it_stands_on() -> None:
+    """Level meadows and woods of 9 m in every fifth square of 40 m, seen from 90 m; the last 25 m in the east, behind a
+    wood, have no points. And hills there go on as hills."""
+    rng = np.random.default_rng(3)
+    at = rng.uniform(0.0, 275.0, (9000, 2))
+    wood = ((at[:, 0] // 40 + at[:, 1] // 40) % 5 == 0) | (at[:, 0] > 240.0)
+    slope = 0.03 * at[:, 0]
+    up = slope + np.where(wood, 9.0 + rng.normal(0.0, 1.0, 9000), 0.0) + rng.normal(0.0, 0.1, 9000)
+    low, high = np.zeros(2), np.array([300.0, 275.0])
+    found = tie_surface(np.column_stack([at, up]), np.full(9000, 0.2), low, high, 90.0)
+    north = np.linspace(20.0, 255.0, 40)
+    beyond = found.up_at(np.full(40, 297.0), north) - 0.03 * 297.0
+    assert np.abs(beyond).mean() < 3.0, "not the crowns' 9 m"
+    hills = 12.0 * np.sin(at[:, 0] / 60.0) + 9.0 * np.cos(at[:, 1] / 70.0) + rng.normal(0.0, 0.1, 9000)
+    found = tie_surface(np.column_stack([at, hills]), np.full(9000, 0.2), low, high, 90.0)
+    true = 12.0 * np.sin(285.0 / 60.0) + 9.0 * np.cos(north / 70.0)
+    assert np.abs(found.up_at(np.full(40, 285.0), north) - true).max() < 1.0

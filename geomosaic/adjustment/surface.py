@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import comb
 
 import numpy as np
@@ -12,12 +13,16 @@ from scipy.sparse.linalg import splu
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 
 Floats = NDArray[np.float64]
-_MOST_NODES, _MOST_TRIAL_NODES = 40_000, 8_000
+_MOST_NODES, _MOST_TRIAL_NODES = 40_000, 4_000
 _POINTS_PER_NODE = 3.0
 _ROUNDS, _TRIAL_ROUNDS = 8, 4
 _SLOPE = 1.0
 _CURVINGS = (2.0, 4.0, 8.0, 16.0, 32.0)
 _UNTOLD_CURVING = 8.0
+_STANDINGS = (0.0, 0.1, 0.0125)
+"""Tried, in flying heights: how far ground goes off the plane that most points share; 0 where no plane holds
+it. Of hills a tenth is less than there is, of woods and houses on level land a hundredth is what is left."""
+_FOLDS = (1, 3)
 _GAP = 0.2
 _PER_HEIGHT = 20.0
 _CAP = 10.0
@@ -43,9 +48,10 @@ def tie_surface(
     last points as they curve there, where second derivatives would go straight on; slopes bring the surface
     back to level further out. How much the curvature changes is found by cross-validation: every fifth
     square of a fifth of the flying height is left out and foretold by the others, as ground beyond the
-    points has to be. Lengths count in flying heights, so that a smaller block gets the same surface,
-    smaller. The grid has about one node to three points; rho is Cauchy's, so that single trees, poles and
-    wrong matches don't pull the ground.
+    points has to be. In the same way it is found whether, and how strongly, the plane that most points share
+    holds the surface: beyond a wood lies the ground it stands on, not its crowns. Lengths count in flying
+    heights, so that a smaller block gets the same surface, smaller. The grid has about one node to three
+    points; rho is Cauchy's, so that single trees, poles and wrong matches don't pull the ground.
 
     Args: points_m (p, 3), sd_up_m (p,), low_m and high_m (2,): the rectangle to cover, which may reach
         beyond the points; height_m: the frames' height above the points.
@@ -53,25 +59,63 @@ def tie_surface(
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
     at = points_m, sd_up_m, low_m, high_m, height_m
-    curving = _curving(*at, node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES))
-    return _fitted(*at, node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, _ROUNDS)
+    trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
+    curving = _curving(*at, trial_m)
+    standing = _standing(*at, trial_m, curving)
+    return _fitted(*at, node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
 
 
 def _curving(
     points_m: Floats, sd_up_m: Floats, low_m: Floats, high_m: Floats, height_m: float, spacing_m: float
 ) -> float:
     """The curving that foretells points left out best: least mean miss, wild ones capped."""
-    col, row = np.floor((points_m[:, :2] - low_m) / (_GAP * height_m)).astype(np.intp).T
-    out = (col + 2 * row) % 5 == 0
-    if out.sum() < 10 or out.all():
+    at = points_m, sd_up_m, low_m, high_m, height_m, spacing_m
+    misses = [_foretold(*at, curving, 0.0, 0) for curving in _CURVINGS]
+    if any(miss is None for miss in misses):
         return _UNTOLD_CURVING
+    means = [float(np.minimum(m, _CAP * np.median(m)).mean()) for m in misses if m is not None]
+    return _CURVINGS[int(np.argmin(means))]
+
+
+def _standing(
+    points_m: Floats,
+    sd_up_m: Floats,
+    low_m: Floats,
+    high_m: Floats,
+    height_m: float,
+    spacing_m: float,
+    curving: float,
+) -> float:
+    """The standing on a plane that foretells points left out best, by the median: crowns are no ground."""
+    at = points_m, sd_up_m, low_m, high_m, height_m, spacing_m, curving
+    misses = [[_foretold(*at, standing, fold) for fold in _FOLDS] for standing in _STANDINGS]
+    if any(miss is None for folds in misses for miss in folds):
+        return 0.0
+    medians = [sum(float(np.median(m)) for m in folds if m is not None) for folds in misses]
+    return _STANDINGS[int(np.argmin(medians))]
+
+
+def _foretold(
+    points_m: Floats,
+    sd_up_m: Floats,
+    low_m: Floats,
+    high_m: Floats,
+    height_m: float,
+    spacing_m: float,
+    curving: float,
+    standing: float,
+    fold: int,
+) -> Floats | None:
+    """By how much the surface of four squares in five misses the points of the others; None if too few."""
+    col, row = np.floor((points_m[:, :2] - low_m) / (_GAP * height_m)).astype(np.intp).T
+    out = (col + 2 * row) % 5 == fold
+    if out.sum() < 10 or out.all():
+        return None
     known, asked = points_m[~out], points_m[out]
-    misses = []
-    for curving in _CURVINGS:
-        trial = _fitted(known, sd_up_m[~out], low_m, high_m, height_m, spacing_m, curving, _TRIAL_ROUNDS)
-        miss = np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1]))
-        misses.append(float(np.minimum(miss, _CAP * np.median(miss)).mean()))
-    return _CURVINGS[int(np.argmin(misses))]
+    trial = _fitted(
+        known, sd_up_m[~out], low_m, high_m, height_m, spacing_m, curving, standing, _TRIAL_ROUNDS
+    )
+    return np.asarray(np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1])))
 
 
 def _fitted(
@@ -82,14 +126,20 @@ def _fitted(
     height_m: float,
     spacing_m: float,
     curving: float,
+    standing: float,
     rounds: int,
 ) -> GroundSurface:
-    """The surface of one curving: the mean change of curvature, in flying heights."""
+    """The surface of one curving, the mean change of curvature, and one standing off a plane, both in flying
+    heights."""
     cols, rows = (np.ceil((high_m - low_m) / spacing_m).astype(int) + 1).tolist()
     design = _bilinear((points_m[:, :2] - low_m) / spacing_m, rows, cols)
-    level = level_m(points_m[:, 2], sd_up_m)
-    target = points_m[:, 2] - level
+    plane = _plane(points_m, sd_up_m)
+    target = points_m[:, 2] - plane(points_m[:, 0], points_m[:, 1])
     stiff = _stiffness(rows, cols, spacing_m / height_m, curving) / height_m**2
+    if standing:
+        stiff = stiff + (_PER_HEIGHT * spacing_m / height_m / (standing * height_m)) ** 2 * identity(
+            rows * cols
+        )
     weight = 1.0 / sd_up_m**2
     surface = np.zeros(rows * cols)
     for _ in range(rounds):
@@ -99,8 +149,22 @@ def _fitted(
         miss = np.abs(target - design @ surface)
         scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
         weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
-    up = surface.reshape(rows, cols) + level
+    east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
+    up = surface.reshape(rows, cols) + plane(east, north[:, None])
     return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
+
+
+def _plane(points_m: Floats, sd_up_m: Floats) -> Callable[[Floats, Floats], Floats]:
+    """Up by east and north on the plane that most points share: Cauchy weights, from their level on."""
+    middle = points_m[:, :2].mean(axis=0)
+    terms = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
+    found = np.array([level_m(points_m[:, 2], sd_up_m), 0.0, 0.0])
+    for _ in range(20):
+        miss = points_m[:, 2] - terms @ found
+        scale = np.maximum(1.5 * float(np.median(np.abs(miss))), sd_up_m)
+        root = np.sqrt(1.0 / (1.0 + (miss / scale) ** 2)) / sd_up_m
+        found = np.linalg.lstsq(terms * root[:, None], points_m[:, 2] * root, rcond=None)[0]
+    return lambda e, n: np.asarray(found[0] + found[1] * (e - middle[0]) + found[2] * (n - middle[1]))
 
 
 def _bilinear(at: Floats, rows: int, cols: int) -> csc_matrix:

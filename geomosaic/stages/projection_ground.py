@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 _MOST_FLAT_REACH = 3.0
 _NODE_PX = 4.0  # ground pixels between the nodes of a surface: edges of walls are no sharper in a mosaic
 _PAIRS = 16
-_LONGEST_PX = 1500
+_LONGEST_PX = 750
 
 
 class ProjectionGround(Stage):
@@ -42,7 +42,7 @@ class ProjectionGround(Stage):
     id = "projection.ground"
     display_name = "Make the ground surface"
     group = "Projection"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "survey": Survey}
 
