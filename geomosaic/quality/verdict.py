@@ -29,12 +29,13 @@ class Criterion:
 
 CRITERIA: Mapping[str, Criterion] = {
     "image deviation": Criterion(
-        1.0,
+        0.7,
         3.0,
         "px",
         "pictures and camera disagree: rolling shutter while turning, another lens, moving ground",
         "give the lens and the readout time (--camera)",
-        "a map is promised to a pixel and called wrong beyond three; keypoints are good to a third of one",
+        "keypoints on ground that stays are good to a third of a pixel, by reduced frames to half of one: "
+        "beyond that something moves or bends; a map is called wrong beyond three",
     ),
     "pattern of residuals": Criterion(
         0.5,

@@ -26,7 +26,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
     }  # fmt: skip
