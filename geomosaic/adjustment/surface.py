@@ -19,9 +19,15 @@ _ROUNDS, _TRIAL_ROUNDS = 8, 4
 _SLOPE = 1.0
 _CURVINGS = (2.0, 4.0, 8.0, 16.0, 32.0)
 _UNTOLD_CURVING = 8.0
-_STANDINGS = (0.0, 0.1, 0.0125)
-"""Tried, in flying heights: how far ground goes off the plane that most points share; 0 where no plane holds
-it. Of hills a tenth is less than there is, of woods and houses on level land a hundredth is what is left."""
+_UNHELD = (3, 0.0)
+_STANDINGS = (_UNHELD, (3, 0.0125), (6, 0.1), (6, 0.0125))
+"""Tried: terms of what ground stands on, a plane (3) or a paraboloid (6), and how far it goes off it, in
+flying heights; 0 where nothing holds it. Off a tenth go hills, off a hundredth what trees and houses leave of
+even land."""
+_GROUND_SHARE = 0.05
+"""Of points above a ground that is laid below them; 0.01 to 0.1 is usual (Eilers and Boelens 2005)."""
+_LOW, _LOWEST = 0.5, 0.4
+"""Shares of the points: of those left out, what may be ground judges; the lowest tell how ground scatters."""
 _FOLDS = (1, 3)
 _GAP = 0.2
 _PER_HEIGHT = 20.0
@@ -48,10 +54,11 @@ def tie_surface(
     last points as they curve there, where second derivatives would go straight on; slopes bring the surface
     back to level further out. How much the curvature changes is found by cross-validation: every fifth
     square of a fifth of the flying height is left out and foretold by the others, as ground beyond the
-    points has to be. In the same way it is found whether, and how strongly, the plane that most points share
-    holds the surface: beyond a wood lies the ground it stands on, not its crowns. Lengths count in flying
-    heights, so that a smaller block gets the same surface, smaller. The grid has about one node to three
-    points; rho is Cauchy's, so that single trees, poles and wrong matches don't pull the ground.
+    points has to be. In the same way it is found whether, and how strongly, a plane or a paraboloid laid
+    below the points holds the surface, judged by low points: beyond a wood lies the ground it stands on, not
+    its crowns. Lengths count in flying heights, so that a smaller block gets the same surface, smaller. The
+    grid has about one node to three points; rho is Cauchy's, so that single trees, poles and wrong matches
+    don't pull the ground.
 
     Args: points_m (p, 3), sd_up_m (p,), low_m and high_m (2,): the rectangle to cover, which may reach
         beyond the points; height_m: the frames' height above the points.
@@ -70,11 +77,10 @@ def _curving(
 ) -> float:
     """The curving that foretells points left out best: least mean miss, wild ones capped."""
     at = points_m, sd_up_m, low_m, high_m, height_m, spacing_m
-    misses = [_foretold(*at, curving, 0.0, 0) for curving in _CURVINGS]
-    if any(miss is None for miss in misses):
+    misses = [_foretold(*at, curving, _UNHELD, 0)[1] for curving in _CURVINGS]
+    if not len(misses[0]):
         return _UNTOLD_CURVING
-    means = [float(np.minimum(m, _CAP * np.median(m)).mean()) for m in misses if m is not None]
-    return _CURVINGS[int(np.argmin(means))]
+    return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in misses]))]
 
 
 def _standing(
@@ -85,13 +91,19 @@ def _standing(
     height_m: float,
     spacing_m: float,
     curving: float,
-) -> float:
-    """The standing on a plane that foretells points left out best, by the median: crowns are no ground."""
+) -> tuple[int, float]:
+    """The standing that foretells low points left out best, by the median: crowns are no ground."""
     at = points_m, sd_up_m, low_m, high_m, height_m, spacing_m, curving
-    misses = [[_foretold(*at, standing, fold) for fold in _FOLDS] for standing in _STANDINGS]
-    if any(miss is None for folds in misses for miss in folds):
-        return 0.0
-    medians = [sum(float(np.median(m)) for m in folds if m is not None) for folds in misses]
+    even = _even(points_m, sd_up_m, max(terms for terms, _ in _STANDINGS))
+    above = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1])
+    medians = []
+    for standing in _STANDINGS:
+        medians.append(0.0)
+        for fold in _FOLDS:
+            out, miss = _foretold(*at, standing, fold)
+            if not len(miss):
+                return _UNHELD
+            medians[-1] += float(np.median(miss[above[out] <= np.quantile(above[out], _LOW)]))
     return _STANDINGS[int(np.argmin(medians))]
 
 
@@ -103,19 +115,20 @@ def _foretold(
     height_m: float,
     spacing_m: float,
     curving: float,
-    standing: float,
+    standing: tuple[int, float],
     fold: int,
-) -> Floats | None:
-    """By how much the surface of four squares in five misses the points of the others; None if too few."""
+) -> tuple[NDArray[np.bool_], Floats]:
+    """Which points lie in one square of five, (p,), and by how much the surface of the others misses them; of
+    too few, nothing."""
     col, row = np.floor((points_m[:, :2] - low_m) / (_GAP * height_m)).astype(np.intp).T
     out = (col + 2 * row) % 5 == fold
     if out.sum() < 10 or out.all():
-        return None
+        return out, np.zeros(0)
     known, asked = points_m[~out], points_m[out]
     trial = _fitted(
         known, sd_up_m[~out], low_m, high_m, height_m, spacing_m, curving, standing, _TRIAL_ROUNDS
     )
-    return np.asarray(np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1])))
+    return out, np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1]))
 
 
 def _fitted(
@@ -126,20 +139,18 @@ def _fitted(
     height_m: float,
     spacing_m: float,
     curving: float,
-    standing: float,
+    standing: tuple[int, float],
     rounds: int,
 ) -> GroundSurface:
-    """The surface of one curving, the mean change of curvature, and one standing off a plane, both in flying
-    heights."""
+    """The surface of one curving, the mean change of curvature in flying heights, and one standing."""
     cols, rows = (np.ceil((high_m - low_m) / spacing_m).astype(int) + 1).tolist()
     design = _bilinear((points_m[:, :2] - low_m) / spacing_m, rows, cols)
-    plane = _plane(points_m, sd_up_m)
-    target = points_m[:, 2] - plane(points_m[:, 0], points_m[:, 1])
+    terms, off = standing
+    even = _even(points_m, sd_up_m, terms)
+    target = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1])
     stiff = _stiffness(rows, cols, spacing_m / height_m, curving) / height_m**2
-    if standing:
-        stiff = stiff + (_PER_HEIGHT * spacing_m / height_m / (standing * height_m)) ** 2 * identity(
-            rows * cols
-        )
+    if off:
+        stiff = stiff + (_PER_HEIGHT * spacing_m / height_m / (off * height_m)) ** 2 * identity(rows * cols)
     weight = 1.0 / sd_up_m**2
     surface = np.zeros(rows * cols)
     for _ in range(rounds):
@@ -150,21 +161,33 @@ def _fitted(
         scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
         weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
     east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-    up = surface.reshape(rows, cols) + plane(east, north[:, None])
+    up = surface.reshape(rows, cols) + even(east, north[:, None])
     return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
 
 
-def _plane(points_m: Floats, sd_up_m: Floats) -> Callable[[Floats, Floats], Floats]:
-    """Up by east and north on the plane that most points share: Cauchy weights, from their level on."""
-    middle = points_m[:, :2].mean(axis=0)
-    terms = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
-    found = np.array([level_m(points_m[:, 2], sd_up_m), 0.0, 0.0])
+def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:
+    """Up by east and north on the plane (3 terms) or paraboloid (6) of the ground: laid below the points by
+    asymmetric least squares (Eilers and Boelens 2005), then by the points that lie about it."""
+    middle, size_m = points_m[:, :2].mean(axis=0), float(np.ptp(points_m[:, :2], axis=0).max()) or 1.0
+
+    def powers(east_m: Floats, north_m: Floats) -> Floats:
+        e, n = np.broadcast_arrays((east_m - middle[0]) / size_m, (north_m - middle[1]) / size_m)
+        return np.stack([np.ones_like(e), e, n, e * e, e * n, n * n][:terms], axis=-1)
+
+    design, up = powers(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
+
+    def by(root: Floats) -> Floats:
+        return np.asarray(np.linalg.lstsq(design * root[:, None], up * root, rcond=None)[0])
+
+    found = by(np.ones(len(up)))
+    for _ in range(30):
+        found = by(np.sqrt(np.where(up > design @ found, _GROUND_SHARE, 1.0 - _GROUND_SHARE)))
     for _ in range(20):
-        miss = points_m[:, 2] - terms @ found
-        scale = np.maximum(1.5 * float(np.median(np.abs(miss))), sd_up_m)
-        root = np.sqrt(1.0 / (1.0 + (miss / scale) ** 2)) / sd_up_m
-        found = np.linalg.lstsq(terms * root[:, None], points_m[:, 2] * root, rcond=None)[0]
-    return lambda e, n: np.asarray(found[0] + found[1] * (e - middle[0]) + found[2] * (n - middle[1]))
+        miss = up - design @ found
+        low = miss[miss <= np.quantile(miss, _LOWEST)]
+        scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
+        found = by(1.0 / (1.0 + (miss / scale) ** 2))
+    return lambda east_m, north_m: np.asarray(powers(east_m, north_m) @ found)
 
 
 def _bilinear(at: Floats, rows: int, cols: int) -> csc_matrix:

@@ -59,8 +59,8 @@ def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | N
 
     Lengths are in mm, or in pixels of the full frame where `PerspectiveFocalLengthUnits` says so; the
     principal point counts from the top left corner. The distortion is Brown's as `Camera` writes it, T1 its
-    p1 and T2 its p2. None too where the principal point lies as no lens has it: then the tags are of
-    another picture, turned or cut.
+    p1 and T2 its p2; all 0 tell nothing. None too where the principal point lies as no lens has it: then the
+    tags are of another picture, turned or cut.
 
     Args: pixels_per_mm: of the frame, None if nothing tells it.
     """
@@ -72,7 +72,7 @@ def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | N
         return None
     camera = _at_principal_point(_with_lens(blank, focal * in_px, "xmp-perspective"), header, pixels_per_mm)
     distortion = numbers(xmp, "Camera:PerspectiveDistortion", 5)
-    if distortion is None or camera is None:
+    if distortion is None or camera is None or not any(distortion):  # no lens has none: nobody measured it
         return camera
     k1, k2, k3, p1, p2 = distortion
     return replace(camera, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2, distortion_sd=MAKERS_DISTORTION.sd_relative)
