@@ -24,6 +24,7 @@ STAGES = (
     "matching.sift",
     "adjustment.solve",
     "adjustment.rig",
+    "mosaic.tones",
     "mosaic.compose",
     "quality.verdict",
     "export.cog",

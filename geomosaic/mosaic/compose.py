@@ -20,6 +20,7 @@ from geomosaic.mosaic.plan import Part, Scene, Window, near, parts, windows
 from geomosaic.mosaic.raster import writing_mosaic
 from geomosaic.mosaic.seamlines import SeamLabels
 from geomosaic.mosaic.seams import SEAMS, Seam
+from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.mosaic.window import Composed, compose_window
 from geomosaic.projection.ground import GroundSurface
@@ -44,6 +45,7 @@ def compose(
     seam: str = "nearest_nadir",
     feather_m: float | None = None,
     resampling: str = "cubic",
+    tones: Tones | None = None,
     memory_bytes: int = 1 << 30,
     sources_path: Path | None = None,
     threads: int = 2,
@@ -54,7 +56,8 @@ def compose(
 
     The same bytes come out whatever the number of threads and the memory. `check_cancelled` raises to stop.
 
-    Args: poses, cameras, used: of each of the survey's frames. memory_bytes: for decoded frames; windows in
+    Args: poses, cameras, used: of each of the survey's frames. tones: how brightly frames show the ground,
+    evened out; as they are if not given. memory_bytes: for decoded frames; windows in
     work take some 100 MB more for each thread. sources_path: where the raster of frame indices goes, if at
     all (see `raster.writing_mosaic`).
     Raises: `InputError` if frames don't go together or can't be resampled, `UnknownNameError` for a strategy.
@@ -87,7 +90,13 @@ def compose(
                 lambda i: decode(survey.frames[i], KERNEL_RADIUS_PX[resampling]),
             )
             work = partial(
-                _work, scene, dtype=kind.dtype, bands=kind.bands, seam=SEAMS[seam], resampling=resampling
+                _work,
+                scene,
+                dtype=kind.dtype,
+                bands=kind.bands,
+                seam=SEAMS[seam],
+                resampling=resampling,
+                tones=tones,
             )
             done = 0
             running: deque[Future[Composed]] = deque()
@@ -144,9 +153,10 @@ def _work(
     bands: int,
     seam: Seam,
     resampling: str,
+    tones: Tones | None,
 ) -> Composed:
     decoded = {frame: future.result() for frame, future in frames.items()}
-    return compose_window(scene, window, planned, decoded, dtype, bands, seam, resampling)
+    return compose_window(scene, window, planned, decoded, dtype, bands, seam, resampling, tones)
 
 
 def _common_kind(frames: Sequence[Frame]) -> Frame:

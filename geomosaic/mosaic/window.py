@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.mosaic.frames import Decoded
 from geomosaic.mosaic.plan import Part, Scene, Window, distances_m, ground_of, margin_px, parts
 from geomosaic.mosaic.seams import Seam
+from geomosaic.mosaic.tones import Tones
 from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import frame_from_map
 
@@ -39,6 +40,7 @@ def compose_window(
     bands: int,
     seam: Seam,
     resampling: str,
+    tones: Tones | None = None,
 ) -> Composed:
     """All the window's pixels; those no frame sees are 0 and not valid."""
     shape = (window.height, window.width)
@@ -72,6 +74,8 @@ def compose_window(
             continue
         gave_pixels.append(part.view.frame)
         seen = resample(decoded[part.view.frame].pixels, cols[at], rows[at], resampling)
+        if tones is not None:
+            seen = tones.evened(seen, part.view.frame, part.view.camera, cols[at], rows[at])
         weight = weights[k, part.rows, part.cols][at]
         total[part.rows, part.cols][at] += seen * weight[..., None]
     valid = np.asarray(weights.any(axis=0))

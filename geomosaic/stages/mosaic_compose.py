@@ -20,6 +20,7 @@ from geomosaic.mosaic.compose import AUTO_FEATHER_PX, compose
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.seams import SEAMS
+from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.placement.model import Placement
@@ -37,14 +38,14 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
         "placement": Placement,
         "adjusted": Adjusted,
     }
-    optional_inputs: ClassVar[dict[str, type]] = {"rig": RigPoses}
+    optional_inputs: ClassVar[dict[str, type]] = {"rig": RigPoses, "tones": Tones}
     outputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
     results: ClassVar[tuple[str, ...]] = (SOURCES,)
 
@@ -121,6 +122,7 @@ class MosaicCompose(Stage):
                 seam=params.seam,
                 feather_m=None if params.feather_m == "auto" else params.feather_m,
                 resampling=params.resampling,
+                tones=tones,
                 memory_bytes=params.memory_mb << 20,
                 sources_path=by,
                 threads=params.threads,
@@ -128,6 +130,7 @@ class MosaicCompose(Stage):
                 check_cancelled=context.check_cancelled,
             )
 
+        tones: Tones | None = inputs.get("tones")
         rig = inputs.get("rig", RigPoses())
         if survey.other_bands and not rig.bands:
             text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"

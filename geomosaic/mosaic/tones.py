@@ -1,0 +1,235 @@
+"""How brightly each frame shows the ground: gains and vignettes, found where frames overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.mosaic.views import FrameView
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.warp import frame_from_map, ground_window
+from geomosaic.survey.model import Frame
+from geomosaic.survey.pixels import read_pixels
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.intp]
+
+_ACROSS: Final = 24
+"""Places along a frame's longer side: some hundred in each overlap, of which a gain takes one."""
+_LEAST_SIDE_PX: Final = 64
+_DARK, _BRIGHT = 6.0, 249.0
+"""Grey levels of 8 bits beyond which a camera no longer tells how bright the ground is."""
+_GAIN_SD, _VIGNETTE_SD = 0.2, 0.5
+"""Natural logarithms, before the pictures speak: half a stop of exposure either way, and corners at most half
+as bright. What weakly holds each gain to nothing holds a block from growing darker from end to end."""
+_INDEPENDENT: Final = 25.0
+"""Places of a frame that tell something of their own: light changes over a field, not from place to place."""
+_LEAST_SD: Final = 0.005
+_CAUCHY: Final = 2.385
+"""95 % efficient for Gaussian errors (Holland and Welsch 1977, table 1)."""
+_ROUNDS: Final = 8
+
+
+@dataclass(frozen=True)
+class Tones:
+    """Natural logarithms of how much brighter frames show the ground than all do in the mean.
+
+    gain (n, b): of each frame and band. vignette (n, b, 2): times the squared and the fourth power of the
+    distance from the frame's middle, in half diagonals.
+    """
+
+    gain: Floats
+    vignette: Floats
+
+    def evened(
+        self, pixels: NDArray[Any], frame: int, camera: Camera, cols: Floats32, rows: Floats32
+    ) -> NDArray[Any]:
+        """Pixels (..., b) that a frame shows at cols and rows (...), as all frames would; float32, within
+        what integers of the pixels' type hold."""
+        gain, vignette = self.gain[frame], self.vignette[frame]
+        if not gain.any() and not vignette.any():
+            return pixels
+        radius2 = np.nan_to_num(_radius2(camera, cols, rows).astype(np.float32))  # not seen: no weight there
+        out = pixels.astype(np.float32)
+        for b in range(out.shape[-1]):
+            second, fourth = vignette[b].astype(np.float32)
+            out[..., b] *= np.exp(-(np.float32(gain[b]) + radius2 * (second + fourth * radius2)))
+        if np.issubdtype(pixels.dtype, np.integer):
+            limits = np.iinfo(pixels.dtype)
+            np.clip(out, limits.min, limits.max, out=out)
+        return out
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """A frame, and where it is to be sampled: image_px (n, 2) col and row."""
+
+    frame: Frame
+    image_px: Floats
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Values (n, b) of a frame at the places asked for, NaN where it is invalid, too dark or too bright."""
+
+    values: Floats32
+
+
+@dataclass(frozen=True)
+class Places:
+    """m sightings: number of the place, the frame, and the squared distance from its middle in half
+    diagonals, (m,) each; image_px (m, 2)."""
+
+    place: Ints
+    frame: Ints
+    radius2: Floats
+    image_px: Floats
+
+
+@dataclass(frozen=True)
+class Evenness:
+    """By how many grey levels two frames differ where they show the same ground: median and nine tenths,
+    before and after."""
+
+    before_median: float
+    before_90: float
+    after_median: float
+    after_90: float
+
+
+def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface) -> Places:
+    """Where each frame sees the nodes of a lattice on the map that at least two see."""
+    spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
+    spacing_m /= _ACROSS
+    place, frame, radius2, image = [], [], [], []
+    for view in views:
+        west, south, east, north = view.bounds_m / spacing_m
+        first, last = (int(np.floor(west)), int(np.floor(-north))), (int(np.ceil(east)), int(np.ceil(-south)))
+        across, down = last[0] - first[0], last[1] - first[1]
+        corner = first[0] * spacing_m, -first[1] * spacing_m
+        window = ground_window(crs, work_frame, ground, *corner, spacing_m, across, down)
+        cols, rows = frame_from_map(window, view.pose, view.camera)
+        margin = _reduction(view.camera.width_px, view.camera.height_px)
+        seen = (cols > margin) & (cols < view.camera.width_px - margin)
+        seen &= (rows > margin) & (rows < view.camera.height_px - margin)
+        j, i = np.nonzero(seen)
+        place.append(np.column_stack([j + first[1], i + first[0]]))
+        frame.append(np.full(len(i), view.frame))
+        radius2.append(_radius2(view.camera, cols[seen], rows[seen]))
+        image.append(np.column_stack([cols[seen], rows[seen]]))
+    _, number, often = np.unique(np.concatenate(place), axis=0, return_inverse=True, return_counts=True)
+    twice = often[number] > 1
+    numbers = np.unique(number[twice], return_inverse=True)[1]
+    return Places(
+        numbers,
+        np.concatenate(frame)[twice],
+        np.concatenate(radius2)[twice].astype(np.float64),
+        np.concatenate(image)[twice].astype(np.float64),
+    )
+
+
+def sampled(job: Sampling) -> Samples:
+    """Decodes a frame once, reduced, and takes its means about the places."""
+    frame = job.frame
+    reduction = _reduction(frame.width_px, frame.height_px)
+    pixels, valid = read_pixels(frame, reduction)
+    x, y = (np.ascontiguousarray(job.image_px[:, [k]] / reduction - 0.5, dtype=np.float32) for k in (0, 1))
+    smooth = cv2.blur(pixels, (3, 3), borderType=cv2.BORDER_REPLICATE).reshape(pixels.shape)
+    values = np.column_stack(
+        [cv2.remap(smooth[..., b], x, y, cv2.INTER_LINEAR).astype(np.float32) for b in range(frame.bands)]
+    )
+    values[((values < _DARK) | (values > _BRIGHT)).any(axis=1)] = np.nan
+    if valid is not None:
+        whole = cv2.erode(valid, np.ones((3, 3), np.uint8))
+        values[cv2.remap(whole, x, y, cv2.INTER_LINEAR)[:, 0] < 255] = np.nan
+    return Samples(values)
+
+
+def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> tuple[Tones, Evenness]:
+    """Gains and vignettes by which all frames show each place alike, band by band.
+
+    Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
+    cars drive off and water shines from one side; weak priors at nothing.
+
+    Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
+    """
+    n, bands = len(camera_of), values.shape[1]
+    known = np.isfinite(values).all(axis=1)
+    place, frame, radius2 = (a[known] for a in (places.place, places.frame, places.radius2))
+    logs = np.log(values[known].astype(np.float64))
+    camera = np.asarray(camera_of, dtype=np.intp)[frame]
+    seen = np.bincount(frame, minlength=n)
+    share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
+    unknowns = n + 2 * (max(camera_of, default=0) + 1)
+    at, rows = np.arange(len(frame)), np.tile(np.arange(len(frame)), 3)
+    columns = np.concatenate([frame, n + 2 * camera, n + 2 * camera + 1])
+    entries = np.concatenate([np.ones(len(frame)), radius2, radius2**2])
+    design = coo_matrix((entries, (rows, columns)), shape=(len(frame), unknowns)).tocsr()
+    of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.place))).tocsr()
+    prior = np.concatenate([np.full(n, _GAIN_SD**-2), np.full(unknowns - n, _VIGNETTE_SD**-2)])
+    gain, vignette = np.zeros((n, bands)), np.zeros((n, bands, 2))
+    left = np.zeros_like(logs)
+    for b in range(bands if len(at) else 0):
+        found, left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
+        gain[:, b] = np.where(seen > 0, found[:n], 0.0)
+        vignette[:, b] = found[n:].reshape(-1, 2)[np.asarray(camera_of)]
+    before = logs - _means(of_place, np.ones(len(at)), logs)
+    return Tones(gain, vignette), _evenness(np.exp(logs), before, left)
+
+
+def _solved(
+    design: csr_matrix, of_place: csr_matrix, logs: Floats, share: Floats, prior: Floats
+) -> tuple[Floats, Floats]:
+    """One band's unknowns, and what they leave of the differences to each place's mean."""
+    found, left = np.zeros(design.shape[1]), logs - _means(of_place, share, logs)
+    for _ in range(_ROUNDS):
+        sd = max(1.4826 * float(np.median(np.abs(left))), _LEAST_SD)
+        weight = share / sd**2 / (1.0 + (left / (_CAUCHY * sd)) ** 2)
+        weighed = diags(weight) @ design
+        beside = of_place.T @ weighed
+        total = of_place.T @ weight
+        per = diags(1.0 / np.maximum(total, 1e-12))
+        normal = design.T @ weighed - beside.T @ per @ beside + diags(prior)
+        side = weighed.T @ logs - beside.T @ (per @ (of_place.T @ (weight * logs)))
+        found = spsolve(normal.tocsc(), side)
+        off = logs - design @ found
+        left = off - _means(of_place, weight, off)
+    return found, left
+
+
+def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
+    """Each sighting's place's weighted mean of values (m,) or (m, b)."""
+    total = np.maximum(of_place.T @ weight, 1e-12)
+    sums = of_place.T @ (diags(weight) @ values)
+    return np.asarray(of_place @ (sums / (total if values.ndim == 1 else total[:, None])))
+
+
+def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:
+    """Differences of two frames are the root of two times those to their mean."""
+    if not len(grey):
+        return Evenness(*[float("nan")] * 4)
+    figures = [
+        float(np.quantile(np.sqrt(2.0) * np.abs(np.expm1(off)) * grey, share))
+        for off in (before, after)
+        for share in (0.5, 0.9)
+    ]
+    return Evenness(*figures)
+
+
+def _radius2(camera: Camera, cols: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
+    middle_col, middle_row = camera.width_px / 2.0, camera.height_px / 2.0
+    return np.asarray(((cols - middle_col) ** 2 + (rows - middle_row) ** 2) / (middle_col**2 + middle_row**2))
+
+
+def _reduction(width_px: int, height_px: int) -> int:
+    return next((r for r in (8, 4, 2) if min(width_px, height_px) >= r * _LEAST_SIDE_PX), 1)

@@ -1,0 +1,73 @@
+"""Evens out how brightly frames show the ground, before they are composed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, ClassVar
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
+from geomosaic.mosaic.views import frame_views
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
+
+_EVEN = ("auto", "always", "never")
+
+
+class MosaicTones(Stage):
+    """Solves for each frame's exposure and white balance, and each camera's vignette."""
+
+    id = "mosaic.tones"
+    display_name = "Even the tones"
+    group = "Mosaic"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
+    outputs: ClassVar[dict[str, type]] = {"tones": Tones}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        even: str = param(
+            "auto",
+            help="exposure, white balance and vignetting evened out; auto: of pictures of 8 bits, not of a "
+            "rig's bands or of measured values",
+            choices=_EVEN,
+        )
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Samples the frames where they overlap, solves, and tells how far they differ."""
+        survey: Survey = inputs["survey"]
+        adjusted: Adjusted = inputs["adjusted"]
+        frames, ground = survey.frames, inputs["ground"]
+        n, bands = len(frames), max((f.bands for f in frames), default=1)
+        none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)))
+        pictures = all(f.dtype == "uint8" and f.bands == bands and bands in (1, 3) for f in frames)
+        if params.even == "never" or (params.even == "auto" and (survey.other_bands or not pictures)):
+            return {"tones": none}
+        used = [s != "rejected" for s in adjusted.status]
+        views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
+        if len(views) < 2:
+            return {"tones": none}
+        places = lattice(views, survey.map_crs, survey.work_frame, ground)
+        values = self._values(survey, places, bands, context)
+        number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
+        tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras])
+        context.metric("tones.difference_grey", asdict(evenness))
+        context.metric("tones.gain_sd", float(tones.gain.std()))
+        return {"tones": tones}
+
+    @staticmethod
+    def _values(survey: Survey, places: Places, bands: int, context: Context) -> np.ndarray[Any, Any]:
+        """Of all sightings, (m, b)."""
+        seen = np.unique(places.frame).tolist()
+        mine = [np.flatnonzero(places.frame == i) for i in seen]
+        jobs = [Sampling(survey.frames[i], places.image_px[m]) for i, m in zip(seen, mine, strict=True)]
+        found = context.map("tones", sampled, jobs, keys=seen)
+        values = np.full((len(places.frame), bands), np.nan, dtype=np.float32)
+        for m, samples in zip(mine, found, strict=True):
+            values[m] = samples.values
+        return values

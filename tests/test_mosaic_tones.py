@@ -1,0 +1,113 @@
+"""Exposure, white balance and vignettes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+from rasterio.warp import reproject
+from small_surveys import mosaic, summary
+
+from geomosaic.camera.interior import Camera
+from geomosaic.mosaic.tones import Places, Tones, solve_tones
+from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.survey import simulate_frames
+
+CAMERA = Camera("c", 400, 300, 350.0, 200.0, 150.0)
+
+
+def sightings(
+    seed: int, frames: int = 12, noise: float = 0.03
+) -> tuple[Places, np.ndarray, np.ndarray, np.ndarray]:
+    """A line of frames, each seeing the next two's places too; with true gains (n, 3) and vignette (2,)."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(40.0, 160.0, (frames + 2, 60, 3))
+    gains = rng.normal(0.0, 0.12, (frames, 3))
+    gains -= gains.mean(axis=0)
+    vignette = np.array([-0.18, -0.1])
+    place, frame, radius2, values = [], [], [], []
+    for i in range(frames):
+        for k in range(3):
+            r2 = rng.uniform(0.0, 1.0, 60)
+            light = np.exp(gains[i] + (r2 * vignette[0] + r2**2 * vignette[1])[:, None])
+            place.append((i + k) * 60 + np.arange(60))
+            frame.append(np.full(60, i))
+            radius2.append(r2)
+            values.append(ground[i + k] * light * np.exp(rng.normal(0.0, noise, (60, 3))))
+    flat = np.concatenate(place), np.concatenate(frame), np.concatenate(radius2)
+    return (
+        Places(*flat, np.zeros((len(flat[0]), 2))),
+        np.concatenate(values).astype(np.float32),
+        gains,
+        vignette,
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_gains_of_each_band_and_the_vignette_are_found(seed: int) -> None:
+    places, values, gains, vignette = sightings(seed)
+    values[::17] *= 1.8  # cars that drove off, and water that shines
+    values[5] = np.nan
+    tones, evenness = solve_tones(places, values, [0] * 12)
+    off = tones.gain - gains
+    assert np.abs(off - off.mean(axis=0)).max() < 0.03
+    corner, found = vignette.sum(), tones.vignette.sum(axis=-1)
+    np.testing.assert_allclose(found, corner, atol=0.03)
+    assert evenness.after_median < 0.35 * evenness.before_median
+
+
+def test_alike_frames_stay_as_they_are_and_a_block_doesnt_drift() -> None:
+    places, values, *_ = sightings(4, frames=60)
+    rng = np.random.default_rng(5)
+    level = np.repeat(rng.uniform(40.0, 160.0, 62 * 60), 1)
+    values = (level[places.place][:, None] * np.exp(rng.normal(0.0, 0.05, (len(places.place), 3)))).astype(
+        np.float32
+    )
+    tones, _ = solve_tones(places, values, [0] * 60)
+    assert np.abs(tones.gain).max() < 0.04
+    trend = np.polyfit(np.arange(60.0), tones.gain.mean(axis=1), 1)[0] * 60.0
+    assert abs(trend) < 0.03
+
+
+def test_evened_pixels_are_those_that_all_frames_would_show() -> None:
+    tones = Tones(np.array([[0.0], [np.log(0.5)]]), np.array([[[0.0, 0.0]], [[-0.2, -0.1]]]))
+    pixels = np.array([[[100], [60]]], dtype=np.uint8)
+    cols, rows = np.array([[200.0, 400.0]], np.float32), np.array([[150.0, 300.0]], np.float32)
+    found = tones.evened(pixels, 1, CAMERA, cols, rows)
+    np.testing.assert_allclose(found[0, :, 0], [200.0, 60.0 * 2.0 * np.exp(0.3)], rtol=1e-5)
+    assert tones.evened(np.full((1, 2, 1), 200, np.uint8), 1, CAMERA, cols, rows).max() == 255.0
+    assert tones.evened(pixels, 0, CAMERA, cols, rows) is pixels
+    unseen = tones.evened(pixels, 1, CAMERA, np.full_like(cols, np.nan), rows)
+    assert np.isfinite(unseen).all()
+
+
+def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
+    """9 real JPEGs with a third of the light lost in the corners and exposures that scatter by 8 %."""
+    plan = SurveyPlan(
+        seed=3, lines=3, frames_per_line=3, width_px=480, height_px=360, vignetting=0.33, exposure_sd=0.08
+    )
+    survey = simulate_frames(tmp_path / "flight", plan)
+    run, as_they_are = tmp_path / "run", tmp_path / "as_they_are"
+    told = ["--pos", str(survey.pos), "--camera", str(survey.camera)]
+    mosaic(survey.frames, run, *told)
+    figures = summary(run)["metrics"]["tones"]["difference_grey"]
+    assert figures["before_90"] > 8.0
+    assert figures["after_90"] < 2.5
+    mosaic(survey.frames, as_they_are, *told, "--set=mosaic.tones.even=never")
+    assert "tones" not in summary(as_they_are)["metrics"]
+    spread = [uneven(path / "mosaic.tif", survey.ortho) for path in (run, as_they_are)]
+    assert spread[0] < 0.6 * spread[1]
+
+
+def uneven(found: Path, true: Path) -> float:
+    """Standard deviation of the logarithm of how much brighter a mosaic is than the truth, over some metres."""
+    with rasterio.open(found) as m, rasterio.open(true) as t:
+        ours, valid = m.read(2).astype(np.float32), m.dataset_mask() > 0
+        theirs = np.zeros_like(ours)
+        reproject(rasterio.band(t, 2), theirs, dst_transform=m.transform, dst_crs=m.crs)
+    valid &= theirs > 0
+    ours, theirs = (cv2.blur(np.where(valid, p, 0.0), (41, 41)) for p in (ours, theirs))
+    return float(np.log(ours[valid] / theirs[valid]).std())
