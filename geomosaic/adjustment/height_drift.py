@@ -69,37 +69,65 @@ def height_drift(block: Block, poses: Poses, seen: NDArray[np.intp]) -> HeightDr
     n = len(order)
     if n < _LEAST:
         return HeightDrift(order, np.zeros(n), ())
-    jumps = [np.where(np.arange(n) < k, -0.5, 0.5) for k in range(2, n - 1)]
-    shapes = np.array([s - s.mean() for s in (np.linspace(-0.5, 0.5, n), *jumps)])
     off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
+    off_m -= off_m.mean()
     stated_m = float(np.median(block.poses.positions_sd_m[order, 2]))
     parts: tuple[int, ...] = ()
     rises = np.zeros(0)
-    while grown := _grown(shapes, off_m, parts, _DRIFTS * stated_m):
+    while grown := _grown(off_m, parts, _DRIFTS * stated_m):
         parts, rises = grown
     by_size = sorted(zip(rises.tolist(), parts, strict=True), key=lambda part: -abs(part[0]))
-    return HeightDrift(order, rises @ shapes[list(parts)], tuple((r, k if k else None) for r, k in by_size))
+    metres = rises @ _shapes(parts, n) if parts else np.zeros(n)
+    return HeightDrift(order, metres, tuple((r, k or None) for r, k in by_size))
 
 
-def _grown(
-    shapes: Floats, off_m: Floats, parts: tuple[int, ...], least_m: float
-) -> tuple[tuple[int, ...], Floats] | None:
-    """The parts with one more, or with a line and a jump more where neither alone is enough, and the rises of
-    all; None where none is large and sure enough."""
-    left = [k for k in range(len(shapes)) if k not in parts]
-    for more in ([(k,) for k in left], [(0, k) for k in left if k and 0 in left]):
-        fits = [(_fit(shapes[[*parts, *m]], off_m), (*parts, *m)) for m in more]
-        fits = [f for f in fits if len(f[1]) <= min(_MOST, len(off_m) - 3)]
-        if fits:
-            (rises, sds, _), best = min(fits, key=lambda f: f[0][2])
-            if (np.abs(rises) > np.maximum(least_m, _DRIFTS_CLEARLY * sds))[len(parts) :].all():
-                return best, rises
+def _grown(off_m: Floats, parts: tuple[int, ...], least_m: float) -> tuple[tuple[int, ...], Floats] | None:
+    """The parts with the one more that explains most, or with a line and a jump more where no one alone is
+    enough, and the rises of all; None where none is large and sure enough."""
+    for line in ((), (0,)):
+        beside = (*parts, *line)
+        if len(set(beside)) < len(beside) or len(beside) >= min(_MOST, len(off_m) - 3):
+            continue
+        tried = (*beside, _most_telling(off_m, beside))
+        rises, sds = _fit(_shapes(tried, len(off_m)), off_m)
+        if (np.abs(rises) > np.maximum(least_m, _DRIFTS_CLEARLY * sds))[len(parts) :].all():
+            return tried, rises
     return None
 
 
-def _fit(shapes: Floats, off_m: Floats) -> tuple[Floats, Floats, float]:
-    """By least squares: how much of each shape (k, n) there is, its deviation, and what squares are left."""
-    found, *_ = np.linalg.lstsq(shapes.T, off_m - off_m.mean(), rcond=None)
-    left = float(((off_m - off_m.mean() - found @ shapes) ** 2).sum())
-    cofactor = np.diag(np.linalg.pinv(shapes @ shapes.T))
-    return found, np.sqrt(cofactor * left / (len(off_m) - 1 - len(found))), left
+def _shapes(parts: tuple[int, ...], n: int) -> Floats:
+    """A line (0), and jumps behind the k-th frame, that rise by 1 and have no mean, (parts, n)."""
+    along = np.arange(n)
+    shapes = [along / (n - 1.0) if k == 0 else (along > k).astype(np.float64) for k in parts]
+    return np.array([s - s.mean() for s in shapes]).reshape(len(parts), n)
+
+
+def _most_telling(off_m: Floats, beside: tuple[int, ...]) -> int:
+    """Which line or jump takes most off the squares that those beside it leave.
+
+    All jumps at once, by running sums: what a jump has in common with a course without mean is the sum of
+    the course behind it.
+    """
+    n = len(off_m)
+    q = np.linalg.qr(_shapes(beside, n).T)[0]
+    behind = np.arange(1, n - 2)  # two frames at least on either side
+
+    def common(course: Floats) -> Floats:
+        sums = course.sum(axis=0) - np.cumsum(course, axis=0)
+        return np.concatenate([_shapes((0,), n) @ course, sums[behind]])
+
+    line = _shapes((0,), n)[0]
+    squares = np.concatenate([[line @ line], (behind + 1.0) * (n - 1.0 - behind) / n])
+    free = squares - (common(q) ** 2).sum(axis=1)
+    gain = common((off_m - q @ (q.T @ off_m))[:, None])[:, 0] ** 2 / np.where(
+        free > 1e-9 * squares, free, np.inf
+    )
+    return int(np.concatenate([[0], behind])[gain.argmax()])
+
+
+def _fit(shapes: Floats, off_m: Floats) -> tuple[Floats, Floats]:
+    """By least squares: how much of each shape (k, n) there is, and its deviation."""
+    found, *_ = np.linalg.lstsq(shapes.T, off_m, rcond=None)
+    left = float(((off_m - found @ shapes) ** 2).sum())
+    cofactors = np.diag(np.linalg.inv(shapes @ shapes.T))
+    return np.asarray(found), np.asarray(np.sqrt(cofactors * left / (len(off_m) - 1 - len(found))))

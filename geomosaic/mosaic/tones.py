@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
+from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
@@ -27,16 +29,15 @@ Ints = NDArray[np.intp]
 _ACROSS: Final = 24
 """Places along a frame's longer side: some hundred in each overlap, of which a gain takes one."""
 _LEAST_SIDE_PX: Final = 64
-_DARK, _BRIGHT = 6.0, 249.0
-"""Grey levels of 8 bits beyond which a camera no longer tells how bright the ground is."""
+_TELLING: Final = (6.0, 249.0)
+"""Grey levels of 8 bits between which a camera tells how bright the ground is; of other types all but nothing
+and the most they hold."""
 _GAIN_SD, _VIGNETTE_SD = 0.2, 0.5
 """Natural logarithms, before the pictures speak: half a stop of exposure either way, and corners at most half
 as bright. What weakly holds each gain to nothing holds a block from growing darker from end to end."""
 _INDEPENDENT: Final = 25.0
 """Places of a frame that tell something of their own: light changes over a field, not from place to place."""
 _LEAST_SD: Final = 0.005
-_CAUCHY: Final = 2.385
-"""95 % efficient for Gaussian errors (Holland and Welsch 1977, table 1)."""
 _ROUNDS: Final = 8
 
 
@@ -143,16 +144,19 @@ def sampled(job: Sampling) -> Samples:
     frame = job.frame
     reduction = _reduction(frame.width_px, frame.height_px)
     pixels, valid = read_pixels(frame, reduction)
-    x, y = (np.ascontiguousarray(job.image_px[:, [k]] / reduction - 0.5, dtype=np.float32) for k in (0, 1))
+    cols, rows = (np.ascontiguousarray(job.image_px[:, [k]] / reduction, dtype=np.float32) for k in (0, 1))
     smooth = cv2.blur(pixels, (3, 3), borderType=cv2.BORDER_REPLICATE).reshape(pixels.shape)
-    values = np.column_stack(
-        [cv2.remap(smooth[..., b], x, y, cv2.INTER_LINEAR).astype(np.float32) for b in range(frame.bands)]
-    )
-    values[((values < _DARK) | (values > _BRIGHT)).any(axis=1)] = np.nan
+    values = resample(smooth, cols, rows, "bilinear")[:, 0].astype(np.float32)
+    dark, bright = _TELLING if pixels.dtype == np.uint8 else (0.0, _most(pixels.dtype))
+    values[~((values > dark) & (values < bright)).all(axis=1)] = np.nan
     if valid is not None:
         whole = cv2.erode(valid, np.ones((3, 3), np.uint8))
-        values[cv2.remap(whole, x, y, cv2.INTER_LINEAR)[:, 0] < 255] = np.nan
+        values[resample(whole[..., None], cols, rows, "bilinear")[:, 0, 0] < 255] = np.nan
     return Samples(values)
+
+
+def _most(dtype: np.dtype[Any]) -> float:
+    return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else np.inf
 
 
 def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> tuple[Tones, Evenness]:
@@ -194,7 +198,7 @@ def _solved(
     found, left = np.zeros(design.shape[1]), logs - _means(of_place, share, logs)
     for _ in range(_ROUNDS):
         sd = max(1.4826 * float(np.median(np.abs(left))), _LEAST_SD)
-        weight = share / sd**2 / (1.0 + (left / (_CAUCHY * sd)) ** 2)
+        weight = share / sd**2 * cauchy_weight(left / sd)
         weighed = diags(weight) @ design
         beside = of_place.T @ weighed
         total = of_place.T @ weight

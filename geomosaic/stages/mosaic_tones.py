@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.errors import InputError
 from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -24,7 +25,7 @@ class MosaicTones(Stage):
     id = "mosaic.tones"
     display_name = "Even the tones"
     group = "Mosaic"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"tones": Tones}
 
@@ -45,8 +46,14 @@ class MosaicTones(Stage):
         frames, ground = survey.frames, inputs["ground"]
         n, bands = len(frames), max((f.bands for f in frames), default=1)
         none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)))
-        pictures = all(f.dtype == "uint8" and f.bands == bands and bands in (1, 3) for f in frames)
-        if params.even == "never" or (params.even == "auto" and (survey.other_bands or not pictures)):
+        if survey.other_bands and params.even == "always":
+            raise InputError(
+                "a rig's bands are measured values, and each would need tones of its own",
+                mend="leave mosaic.tones.even at auto or never",
+            )
+        alike = all(f.bands == bands for f in frames)
+        pictures = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands
+        if not alike or params.even == "never" or (params.even == "auto" and not pictures):
             return {"tones": none}
         used = [s != "rejected" for s in adjusted.status]
         views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
