@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
@@ -28,7 +29,7 @@ _GROUND_SHARE = 0.05
 """Of points above a ground that is laid below them; 0.01 to 0.1 is usual (Eilers and Boelens 2005)."""
 _LOW, _LOWEST = 0.5, 0.4
 """Shares of the points: of those left out, what may be ground judges; the lowest tell how ground scatters."""
-_FOLDS = (1, 3)
+_FOLDS, _FEWEST = (1, 3), 10
 _GAP = 0.2
 _PER_HEIGHT = 20.0
 _CAP = 10.0
@@ -65,104 +66,89 @@ def tie_surface(
     """
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
-    at = points_m, sd_up_m, low_m, high_m, height_m
+    evens = {terms: _even(points_m, sd_up_m, terms) for terms in {terms for terms, _ in _STANDINGS}}
+    task = _Task(points_m, sd_up_m, low_m, high_m, height_m, evens)
     trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
-    curving = _curving(*at, trial_m)
-    standing = _standing(*at, trial_m, curving)
-    return _fitted(*at, node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
+    curving = _curving(task, trial_m)
+    standing = _standing(task, trial_m, curving)
+    return task.fitted(node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
 
 
-def _curving(
-    points_m: Floats, sd_up_m: Floats, low_m: Floats, high_m: Floats, height_m: float, spacing_m: float
-) -> float:
+@dataclass(frozen=True)
+class _Task:
+    """What `tie_surface` is asked for. evens: what the ground may stand on, by its number of terms."""
+
+    points_m: Floats
+    sd_up_m: Floats
+    low_m: Floats
+    high_m: Floats
+    height_m: float
+    evens: Mapping[int, Callable[[Floats, Floats], Floats]]
+
+    def above(self, terms: int) -> Floats:
+        """Heights of the points above what the ground may stand on."""
+        return self.points_m[:, 2] - self.evens[terms](self.points_m[:, 0], self.points_m[:, 1])
+
+    def fold(self, number: int) -> NDArray[np.bool_]:
+        """The points in one square of five."""
+        col, row = np.floor((self.points_m[:, :2] - self.low_m) / (_GAP * self.height_m)).astype(np.intp).T
+        return np.asarray((col + 2 * row) % 5 == number)
+
+    def foretold(self, spacing_m: float, curving: float, standing: tuple[int, float], fold: int) -> Floats:
+        """By how much the surface of the other squares misses a fold's points; of too few, nothing."""
+        out = self.fold(fold)
+        if out.sum() < _FEWEST or out.all():
+            return np.zeros(0)
+        known = replace(self, points_m=self.points_m[~out], sd_up_m=self.sd_up_m[~out])
+        trial, asked = known.fitted(spacing_m, curving, standing, _TRIAL_ROUNDS), self.points_m[out]
+        return np.asarray(np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1])))
+
+    def fitted(
+        self, spacing_m: float, curving: float, standing: tuple[int, float], rounds: int
+    ) -> GroundSurface:
+        """The surface of one curving, the mean change of curvature in flying heights, and one standing."""
+        cols, rows = (np.ceil((self.high_m - self.low_m) / spacing_m).astype(int) + 1).tolist()
+        design = _bilinear((self.points_m[:, :2] - self.low_m) / spacing_m, rows, cols)
+        terms, off = standing
+        target, height_m = self.above(terms), self.height_m
+        stiff = _stiffness(rows, cols, spacing_m / height_m, curving) / height_m**2
+        if off:
+            held = _PER_HEIGHT * spacing_m / height_m / (off * height_m)
+            stiff = stiff + held**2 * identity(rows * cols)
+        weight = 1.0 / self.sd_up_m**2
+        surface = np.zeros(rows * cols)
+        for _ in range(rounds):
+            normal = (design.T @ diags(weight) @ design + stiff).tocsc()
+            factors = splu(normal, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            surface = factors.solve(np.asarray(design.T @ (weight * target)))
+            miss = np.abs(target - design @ surface)
+            scale = np.maximum(self.sd_up_m, 1.5 * float(np.median(miss)))
+            weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
+        east, north = (self.low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
+        up = surface.reshape(rows, cols) + self.evens[terms](east, north[:, None])
+        return GroundSurface("tie_surface", float(self.low_m[0]), float(self.low_m[1]), spacing_m, up)
+
+
+def _curving(task: _Task, spacing_m: float) -> float:
     """The curving that foretells points left out best: least mean miss, wild ones capped."""
-    at = points_m, sd_up_m, low_m, high_m, height_m, spacing_m
-    misses = [_foretold(*at, curving, _UNHELD, 0)[1] for curving in _CURVINGS]
+    misses = [task.foretold(spacing_m, curving, _UNHELD, 0) for curving in _CURVINGS]
     if not len(misses[0]):
         return _UNTOLD_CURVING
     return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in misses]))]
 
 
-def _standing(
-    points_m: Floats,
-    sd_up_m: Floats,
-    low_m: Floats,
-    high_m: Floats,
-    height_m: float,
-    spacing_m: float,
-    curving: float,
-) -> tuple[int, float]:
+def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float]:
     """The standing that foretells low points left out best, by the median: crowns are no ground."""
-    at = points_m, sd_up_m, low_m, high_m, height_m, spacing_m, curving
-    even = _even(points_m, sd_up_m, max(terms for terms, _ in _STANDINGS))
-    above = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1])
-    medians = []
-    for standing in _STANDINGS:
-        medians.append(0.0)
-        for fold in _FOLDS:
-            out, miss = _foretold(*at, standing, fold)
+    above = task.above(max(terms for terms, _ in _STANDINGS))
+    total = np.zeros(len(_STANDINGS))
+    for fold in _FOLDS:
+        of_fold = above[task.fold(fold)]
+        for k, standing in enumerate(_STANDINGS):
+            miss = task.foretold(spacing_m, curving, standing, fold)
             if not len(miss):
                 return _UNHELD
-            medians[-1] += float(np.median(miss[above[out] <= np.quantile(above[out], _LOW)]))
-    return _STANDINGS[int(np.argmin(medians))]
-
-
-def _foretold(
-    points_m: Floats,
-    sd_up_m: Floats,
-    low_m: Floats,
-    high_m: Floats,
-    height_m: float,
-    spacing_m: float,
-    curving: float,
-    standing: tuple[int, float],
-    fold: int,
-) -> tuple[NDArray[np.bool_], Floats]:
-    """Which points lie in one square of five, (p,), and by how much the surface of the others misses them; of
-    too few, nothing."""
-    col, row = np.floor((points_m[:, :2] - low_m) / (_GAP * height_m)).astype(np.intp).T
-    out = (col + 2 * row) % 5 == fold
-    if out.sum() < 10 or out.all():
-        return out, np.zeros(0)
-    known, asked = points_m[~out], points_m[out]
-    trial = _fitted(
-        known, sd_up_m[~out], low_m, high_m, height_m, spacing_m, curving, standing, _TRIAL_ROUNDS
-    )
-    return out, np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1]))
-
-
-def _fitted(
-    points_m: Floats,
-    sd_up_m: Floats,
-    low_m: Floats,
-    high_m: Floats,
-    height_m: float,
-    spacing_m: float,
-    curving: float,
-    standing: tuple[int, float],
-    rounds: int,
-) -> GroundSurface:
-    """The surface of one curving, the mean change of curvature in flying heights, and one standing."""
-    cols, rows = (np.ceil((high_m - low_m) / spacing_m).astype(int) + 1).tolist()
-    design = _bilinear((points_m[:, :2] - low_m) / spacing_m, rows, cols)
-    terms, off = standing
-    even = _even(points_m, sd_up_m, terms)
-    target = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1])
-    stiff = _stiffness(rows, cols, spacing_m / height_m, curving) / height_m**2
-    if off:
-        stiff = stiff + (_PER_HEIGHT * spacing_m / height_m / (off * height_m)) ** 2 * identity(rows * cols)
-    weight = 1.0 / sd_up_m**2
-    surface = np.zeros(rows * cols)
-    for _ in range(rounds):
-        normal = (design.T @ diags(weight) @ design + stiff).tocsc()
-        factors = splu(normal, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        surface = factors.solve(np.asarray(design.T @ (weight * target)))
-        miss = np.abs(target - design @ surface)
-        scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
-        weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
-    east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-    up = surface.reshape(rows, cols) + even(east, north[:, None])
-    return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
+            total[k] += np.median(miss[of_fold <= np.quantile(of_fold, _LOW)])
+    return _STANDINGS[int(total.argmin())]
 
 
 def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:
@@ -176,17 +162,18 @@ def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Fl
 
     design, up = powers(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
 
-    def by(root: Floats) -> Floats:
-        return np.asarray(np.linalg.lstsq(design * root[:, None], up * root, rcond=None)[0])
+    def by(weight: Floats) -> Floats:
+        weighed = design * weight[:, None]
+        return np.asarray(np.linalg.pinv(weighed.T @ design, hermitian=True) @ (weighed.T @ up))
 
     found = by(np.ones(len(up)))
     for _ in range(30):
-        found = by(np.sqrt(np.where(up > design @ found, _GROUND_SHARE, 1.0 - _GROUND_SHARE)))
+        found = by(np.where(up > design @ found, _GROUND_SHARE, 1.0 - _GROUND_SHARE))
     for _ in range(20):
         miss = up - design @ found
         low = miss[miss <= np.quantile(miss, _LOWEST)]
         scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
-        found = by(1.0 / (1.0 + (miss / scale) ** 2))
+        found = by(1.0 / (1.0 + (miss / scale) ** 2) ** 2)
     return lambda east_m, north_m: np.asarray(powers(east_m, north_m) @ found)
 
 
