@@ -27,7 +27,10 @@ LENS_SDS = {
 }
 OFF_PX = {7: [2.5, -1.0], 60: [0.0, 3.0], 131: [-1.5, 1.5]}
 """Observations with an error of 5 to 14 deviations."""
-CAUCHY = 3.0
+FREEDOM = 7.0
+"""Of Student's distribution, in pairs: density (1 + s^2 / FREEDOM) ** -(FREEDOM / 2 + 1), s over its scale."""
+TELLS = 9.0 / 11.0
+"""Fisher's information of such a pair times its squared scale."""
 STEP = 1e-5
 
 
@@ -73,7 +76,7 @@ class Oracle:
         return np.divide(off, self.size, out=np.zeros_like(off), where=self.size > 0.0)
 
     def image(self, x):
-        """Residuals over the image's deviation, (m, 2)."""
+        """Residuals over the deviation that their points leave of them, (m, 2)."""
         pose, lens, points = np.split(x * self.size, [self.lens.start, self.lens.stop])
         told, before = self.priors.poses, self.priors.cameras[0]
         camera = replace(before, **{k: getattr(before, k) + v for k, v in zip(LENS, lens, strict=True)})
@@ -86,7 +89,12 @@ class Oracle:
             out[seen] = self.tracks.image_px[seen] - here.image_from_ground(
                 camera, at[self.tracks.point[seen]]
             )
-        return out / self.solved.factors.image_px
+        return out / (self.solved.factors.image_px * np.sqrt(self.shown[:, None]))
+
+    @property
+    def shown(self):
+        """1 - 3 / 2k of observations of a point in k images, (m,)."""
+        return 1.0 - 1.5 / self.tracks.lengths[self.tracks.point]
 
     def derivatives(self, x):
         """Of `image`, (m, 2, n), by central differences: an observation sees one frame, the lens, one point."""
@@ -103,10 +111,15 @@ class Oracle:
         return out
 
     def solve(self):
-        """The unknowns at the least of sum rho(|image|) + sum x^2, begun with squares for rho.
+        """The unknowns at the least of sum rho(|image|) + sum x^2 that is nearest to the solver's.
 
-        rho(s) = c^2 log(1 + s^2 / c^2): each image residual is shortened to a square root of rho.
+        A long-tailed cost has several: an image that is off may be one of a point's four or another. The least
+        that is found with squares for rho to begin with has to be as likely.
+
+        rho(s) = c^2 log(1 + s^2 / c^2), times what makes of it the logarithm of a density: each image residual is
+        shortened to a square root of rho.
         """
+        times = np.sqrt(self.shown * (FREEDOM + 2.0) / (FREEDOM * TELLS))[:, None]
         x = np.zeros(len(self.size))
 
         def all_of(free):
@@ -116,7 +129,7 @@ class Oracle:
         def rows(free, c):
             r = self.image(all_of(free))
             s2 = (r**2).sum(axis=1, keepdims=True)
-            return np.concatenate([(r * np.sqrt(c**2 * np.log1p(s2 / c**2) / s2)).ravel(), free])
+            return np.concatenate([(times * r * np.sqrt(c**2 * np.log1p(s2 / c**2) / s2)).ravel(), free])
 
         def slopes(free, c):
             now = all_of(free)
@@ -125,25 +138,29 @@ class Oracle:
             rho, weight = c**2 * np.log1p(s2 / c**2), 1.0 / (1.0 + s2 / c**2)
             short = np.sqrt(rho / s2)
             less = (weight / short - short) / s2
-            by = (
+            by = times[:, :, None] * (
                 short[:, None, None] * by
                 + (less[:, None] * r)[:, :, None] * np.einsum("ma,man->mn", r, by)[:, None]
             )
             return np.concatenate([by.reshape(-1, len(free)), np.eye(len(free))])
 
-        found = np.zeros(len(self.free))
-        for c in (1e4, CAUCHY):
-            found = least_squares(
-                rows, found, slopes, method="lm", xtol=1e-9, ftol=1e-12, gtol=1e-15, args=(c,)
-            ).x
-        return all_of(found)
+        def least(begin, c):
+            return least_squares(
+                rows, begin, slopes, method="lm", xtol=1e-9, ftol=1e-12, gtol=1e-15, args=(c,)
+            )
+
+        squares, c = least(np.zeros(len(self.free)), 1e4), np.sqrt(FREEDOM * TELLS)
+        near, apart = (least(begin, c) for begin in (self.of_solver()[self.free], squares.x))
+        assert near.cost < apart.cost + 0.5
+        return all_of(near.x)
 
     def covariance(self, x):
-        """(J'PJ)^-1 of all unknowns in the units of `size`, P with Cauchy's weights; what is held is as
-        unknown as it was, and the others follow it."""
+        """(J'PJ)^-1 of all unknowns in the units of `size`, P with Student's weights of a mean of 1;
+        what is held is as unknown as it was, and the others follow it."""
         n = len(self.size)
         r = self.image(x)
-        root = np.repeat(1.0 / np.sqrt(1.0 + (r**2).sum(axis=1) / CAUCHY**2), 2)
+        weight = self.shown * (FREEDOM + 2.0) / (FREEDOM + (r**2).sum(axis=1) / TELLS)
+        root = np.repeat(np.sqrt(weight), 2)
         jacobian = self.derivatives(x).reshape(-1, n) * root[:, None]
         free, held = self.free, self.lens.start + np.flatnonzero(self.solved.held[:8])
         own = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free] + np.eye(len(free)))
@@ -206,12 +223,12 @@ def test_the_block_is_what_it_should_be(both, request):
 
 
 def test_poses_lens_and_points_are_those_of_the_least_cost(both):
-    """To a hundredth of their deviations: the solver stops where a step gains 1e-5 of the cost, and takes a
-    told attitude's derivative for that at no miss."""
+    """To a tenth of their deviations: the solver stops where a step gains 1e-4 of the cost, and points with an
+    image far off go on longest."""
     oracle, x, covariance = both
     off = (x - oracle.of_solver())[oracle.free]
     sd = np.sqrt(np.diag(covariance))[oracle.free]
-    assert np.abs(off / sd).max() < 0.01
+    assert np.abs(off / sd).max() < 0.1
     assert np.abs(x[oracle.free] / sd).max() > 1.0
 
 
@@ -222,7 +239,7 @@ def test_stated_covariances_are_those_of_the_whole_system(both):
     for i, own in enumerate(stated):
         here = slice(6 * i, 6 * i + 6)
         sd = np.sqrt(np.diag(sized[here, here]))
-        assert np.abs((own - sized[here, here]) / np.outer(sd, sd)).max() < 0.01
+        assert np.abs((own - sized[here, here]) / np.outer(sd, sd)).max() < 0.02
     free = np.flatnonzero(oracle.priors.interior_sd[0, :8])
     lens = sized[oracle.lens, oracle.lens][np.ix_(free, free)]
     sd = np.sqrt(np.diag(lens))
@@ -232,8 +249,8 @@ def test_stated_covariances_are_those_of_the_whole_system(both):
     )
 
 
-def test_another_width_of_cauchys_function_would_show(both, monkeypatch):
+def test_other_degrees_of_freedom_would_show(both, monkeypatch):
     oracle, _, covariance = both
-    monkeypatch.setitem(globals(), "CAUCHY", 2.8)
+    monkeypatch.setitem(globals(), "FREEDOM", 5.0)
     off = (oracle.solve() - oracle.of_solver())[oracle.free]
-    assert np.abs(off / np.sqrt(np.diag(covariance))[oracle.free]).max() > 0.02
+    assert np.abs(off / np.sqrt(np.diag(covariance))[oracle.free]).max() > 0.12

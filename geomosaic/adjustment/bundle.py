@@ -17,6 +17,7 @@ from geomosaic.adjustment.bundle_equations import (
     normals_of,
     observed,
     pose_sd,
+    share_shown,
     shared_miss,
     strayed_principal_points,
     trust_of,
@@ -33,7 +34,7 @@ from geomosaic.adjustment.bundle_model import (
 from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
-from geomosaic.adjustment.robust import cauchy_weight
+from geomosaic.adjustment.robust import student_weight
 from geomosaic.adjustment.swing import with_swing
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.variance import (
@@ -88,7 +89,7 @@ def solve_bundle(
     rough: bool = False,
     lens_held: bool = False,
 ) -> Bundle:
-    """Gauss-Newton on the reduced normal equations, Cauchy weights, variance components.
+    """Scoring on the reduced normal equations, Student's distribution of image errors, variance components.
 
     Minimises sum rho(|residual| / sigma_px) + the priors' squares (positions, attitudes, interior
     orientation, points). After every convergence the groups' variance factors (image, horizontal and
@@ -319,6 +320,8 @@ def _finish(
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     image = image_from_ground(*observed(tracks, camera_of, priors, state))
     residual = tracks.image_px - image
+    standardised = np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors)
+    standardised /= np.sqrt(share_shown(tracks, priors))
     cameras, mounting = state.interior.size, state.mounting.size
     solved = np.r_[0:cameras, cameras + 1 : len(shared)]
     full = np.eye(cameras + mounting) * KNOWN**2
@@ -346,9 +349,7 @@ def _finish(
         held=np.zeros(len(full), dtype=bool) if priors.held is None else priors.held,
         strayed=np.zeros(len(full), dtype=bool),
         residual_px=residual,
-        weight=np.nan_to_num(
-            cauchy_weight(np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors))
-        )
+        weight=np.nan_to_num(student_weight(standardised) / student_weight(np.zeros(1)))
         * has_say(tracks, priors),
         factors=factors,
         trust=trust_of(priors),

@@ -20,7 +20,7 @@ from geomosaic.adjustment.collinearity import (
 )
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
-from geomosaic.adjustment.robust import cauchy_cost, cauchy_weight
+from geomosaic.adjustment.robust import TELLS, student_cost, student_weight
 from geomosaic.adjustment.terrain import add_terrain, terrain_cost
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.survey.plausible import OFF_CENTRE
@@ -34,8 +34,11 @@ KNOWN = 1e-6
 
 
 def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:
-    length = lengths_px(tracks, camera_of, priors, state) / image_sd_px(tracks, priors, factors)
-    total = cauchy_cost(np.where(np.isfinite(length), length, 1e6)[has_say(tracks, priors)])
+    shown = share_shown(tracks, priors)
+    length = lengths_px(tracks, camera_of, priors, state)
+    length /= image_sd_px(tracks, priors, factors) * np.sqrt(shown)
+    cost = shown * student_cost(np.where(np.isfinite(length), length, 1e6))
+    total = float(cost[has_say(tracks, priors)].sum())
     total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
@@ -54,14 +57,17 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
 
 
 def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Normals:
-    sd_px = image_sd_px(tracks, priors, factors)
+    """Those of Fisher's scoring: weights are what image errors are expected to tell."""
+    sd_px, shown = image_sd_px(tracks, priors, factors), share_shown(tracks, priors)
 
     def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         some = Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
         image, by_pose, by_interior, by_point = project(*in_own_rows(some, camera_of, priors, state))
         residual, sd = some.image_px - image, sd_px[which]
         seen = np.isfinite(residual).all(axis=1) & has_say(some, priors)
-        weight = np.where(seen, cauchy_weight(np.linalg.norm(residual, axis=1) / sd) / sd**2, 0.0)
+        length = np.linalg.norm(residual, axis=1) / (sd * np.sqrt(shown[which]))
+        weight = np.where(seen, student_weight(length) / sd**2, 0.0)
+        residual /= TELLS
         for a in (residual, by_pose, by_interior, by_point):
             a[~seen] = 0.0
         return residual, weight, by_pose, by_interior, by_point
@@ -198,6 +204,16 @@ def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) ->
 def image_sd_px(tracks: Tracks, priors: Priors, factors: Factors) -> Floats:
     """Present deviation of each observation, (m,): hand-measured control apart from tie points."""
     return np.where(priors.control[tracks.point], factors.control_px, factors.image_px)
+
+
+def share_shown(tracks: Tracks, priors: Priors) -> Floats:
+    """The share of an error's square that residuals show, (m,).
+
+    A point's place takes three of the two numbers that each of its k images gives: residuals of a point seen
+    twice are half as long as its errors, and stand out as such only (Baarda 1968, section 4).
+    """
+    views = np.bincount(tracks.point, minlength=len(priors.control))[tracks.point]
+    return np.where(priors.control[tracks.point], 1.0, 1.0 - 1.5 / np.maximum(views, 2))
 
 
 def has_say(tracks: Tracks, priors: Priors) -> NDArray[np.bool_]:

@@ -29,7 +29,8 @@ GROUPS: dict[str, tuple[int, ...]] = {"horizontal": (0, 1), "vertical": (2,), "t
 
 @dataclass(frozen=True)
 class Factors:
-    """Variance components: deviations of tie points' and control's image coordinates, in px, and what the
+    """Variance components: deviations of normal errors that would tell as much as tie points' and control's
+    image coordinates do, in px, and what the
     stated deviations of each group of pose priors and of each function of a swing are multiplied with."""
 
     image_px: float = 0.5

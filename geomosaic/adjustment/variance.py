@@ -14,13 +14,14 @@ from geomosaic.adjustment.bundle_equations import (
     normals_of,
     pose_sd,
     present_miss,
+    share_shown,
     shared_sd,
     swing_sd_rad,
     trust_of,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import reduce_normals
-from geomosaic.adjustment.robust import cauchy_weight, lie_weight
+from geomosaic.adjustment.robust import TELLS, lie_weight, student_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
@@ -75,16 +76,17 @@ def variance_components(
     of_swing = swing_sd_rad(priors, factors)
     tied = ~control & has_say(tracks, priors)
     if tied.any():
-        length = np.nan_to_num(length_px[tied] / factors.image_px, nan=1e6)
-        robust = cauchy_weight(length)
+        shown = share_shown(tracks, priors)[tied]
+        error = np.nan_to_num(length_px[tied] / (factors.image_px * np.sqrt(shown)), nan=1e6)
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
         if state.swing is not None:
             settled += float((variances[:, 6:] / of_swing.reshape(len(variances), -1) ** 2).sum())
         unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
-        redundancy = max(2.0 * float(robust.sum()) - unknowns, 1.0)
-        image_px = factors.image_px * float(np.sqrt((robust * length**2).sum() / redundancy))
+        redundancy = max(2.0 * len(error) - unknowns, 1.0)
+        squares = float((shown * student_weight(error) * error**2).sum()) / TELLS
+        image_px = factors.image_px * float(np.sqrt(squares / redundancy))
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH))
     if image_only:

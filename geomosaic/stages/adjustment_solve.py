@@ -30,7 +30,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 17
+    version = 18
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
