@@ -27,9 +27,9 @@ LENS_SDS = {
 }
 OFF_PX = {7: [2.5, -1.0], 60: [0.0, 3.0], 131: [-1.5, 1.5]}
 """Observations with an error of 5 to 14 deviations."""
-FREEDOM = 7.0
+FREEDOM = 5.0
 """Of Student's distribution, in pairs: density (1 + s^2 / FREEDOM) ** -(FREEDOM / 2 + 1), s over its scale."""
-TELLS = 9.0 / 11.0
+TELLS = 7.0 / 9.0
 """Fisher's information of such a pair times its squared scale."""
 STEP = 1e-5
 
@@ -93,8 +93,8 @@ class Oracle:
 
     @property
     def shown(self):
-        """1 - 3 / 2k of observations of a point in k images, (m,)."""
-        return 1.0 - 1.5 / self.tracks.lengths[self.tracks.point]
+        """1 - 3 / 2k of observations of a point in k images, a half where they are two, (m,)."""
+        return np.maximum(1.0 - 1.5 / self.tracks.lengths[self.tracks.point], 0.5)
 
     def derivatives(self, x):
         """Of `image`, (m, 2, n), by central differences: an observation sees one frame, the lens, one point."""
@@ -223,12 +223,14 @@ def test_the_block_is_what_it_should_be(both, request):
 
 
 def test_poses_lens_and_points_are_those_of_the_least_cost(both):
-    """To a tenth of their deviations: the solver stops where a step gains 1e-4 of the cost, and points with an
-    image far off go on longest."""
+    """To some hundredths of their deviations: the solver stops where a step gains 1e-4 of the cost. Points that
+    have an image far off go on longest."""
     oracle, x, covariance = both
     off = (x - oracle.of_solver())[oracle.free]
     sd = np.sqrt(np.diag(covariance))[oracle.free]
-    assert np.abs(off / sd).max() < 0.1
+    shared = oracle.free < oracle.lens.stop
+    assert np.abs(off / sd)[shared].max() < 0.06
+    assert np.abs(off / sd).max() < 0.2
     assert np.abs(x[oracle.free] / sd).max() > 1.0
 
 
@@ -251,6 +253,6 @@ def test_stated_covariances_are_those_of_the_whole_system(both):
 
 def test_other_degrees_of_freedom_would_show(both, monkeypatch):
     oracle, _, covariance = both
-    monkeypatch.setitem(globals(), "FREEDOM", 5.0)
+    monkeypatch.setitem(globals(), "FREEDOM", 2.0)
     off = (oracle.solve() - oracle.of_solver())[oracle.free]
-    assert np.abs(off / np.sqrt(np.diag(covariance))[oracle.free]).max() > 0.12
+    assert np.abs(off / np.sqrt(np.diag(covariance))[oracle.free]).max() > 0.2

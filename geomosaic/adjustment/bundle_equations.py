@@ -207,13 +207,14 @@ def image_sd_px(tracks: Tracks, priors: Priors, factors: Factors) -> Floats:
 
 
 def share_shown(tracks: Tracks, priors: Priors) -> Floats:
-    """The share of an error's square that residuals show, (m,).
+    """The share of an error's square that residuals show along the directions in which they do, (m,).
 
-    A point's place takes three of the two numbers that each of its k images gives: residuals of a point seen
-    twice are half as long as its errors, and stand out as such only (Baarda 1968, section 4).
+    A point's place takes three of the two numbers that each of its k images gives: residuals are shorter than
+    errors, and stand out as such only (Baarda 1968, section 4). Those of a point seen twice have one
+    direction, across the plane of both rays, and half of the square in it.
     """
     views = np.bincount(tracks.point, minlength=len(priors.control))[tracks.point]
-    return np.where(priors.control[tracks.point], 1.0, 1.0 - 1.5 / np.maximum(views, 2))
+    return np.where(priors.control[tracks.point], 1.0, 1.0 - 1.5 / np.maximum(views, 3))
 
 
 def has_say(tracks: Tracks, priors: Priors) -> NDArray[np.bool_]:

@@ -10,10 +10,10 @@ _CAUCHY = 3.0
 LIES = 6.0
 """Deviations beyond which an observation is called wrong: of a million honest ones none is."""
 _NO_SAY = 1e-6
-_FREEDOM = 7.0
+_FREEDOM = 5.0
 """Degrees of freedom of image errors. Keypoints on what moves or looks alike leave long tails: on 14
 simulated surveys in which they do, 5 to 9 gave shapes up to a third better than Cauchy's function at 3
-deviations. Where errors are normal, squares are 6 % above those stated with 7, 16 % with 5
+deviations. Where errors are normal, squares are 3 % above those stated with 5, 8 % with 4
 (`tests/test_bundle_covariance.py`). No survey tells its own: a point seen twice takes three of four numbers,
 and whatever its errors are, its residuals look long-tailed."""
 TELLS = (_FREEDOM + 2.0) / (_FREEDOM + 4.0)
