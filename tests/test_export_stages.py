@@ -21,6 +21,7 @@ from geomosaic.stages.export_stac import ExportStac
 from geomosaic.stages.export_tiles import ExportTiles
 from geomosaic.stages.export_vrt import ExportVrt
 from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_seams import MosaicSeams
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,8 @@ def run(tmp_path_factory):
         "adjusted": Adjusted(poses, (CAMERA,) * 3, status, (), (), ground),
     }
     notes = {}
-    for stage in (MosaicCompose, ExportCog, ExportLayers, ExportVrt, ExportTiles, ExportStac):
-        params = stage.Params(**({"gsd_m": 0.25} if stage is MosaicCompose else {}))
+    for stage in (MosaicSeams, MosaicCompose, ExportCog, ExportLayers, ExportVrt, ExportTiles, ExportStac):
+        params = stage.Params(**({"gsd_m": 0.25} if stage is MosaicSeams else {}))
         inputs = {name: given[name] for name in stage.inputs}
         outputs, notes[stage.id] = run_stage(
             stage, params, RunFolder(folder / "RUN"), inputs, work_folder=folder / "work", workers=1

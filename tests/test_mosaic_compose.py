@@ -113,7 +113,7 @@ def test_weights_make_no_step_where_a_bright_frame_ends(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=2)
     for frame, level in zip(survey.frames, (80, 160), strict=True):
         paint(frame, np.full((180, 240, 3), level))
-    _, pixels, valid = composed(tmp_path, survey, poses, ground, feather_m=10.0)
+    _, pixels, valid = composed(tmp_path, survey, poses, ground, blend="feather", feather_m=10.0)
     values = pixels[..., 0].astype(int)
     assert set(np.unique(values[valid])) >= {80, 160, 120}
     inner = cv2.erode(valid.astype(np.uint8), np.ones((81, 81))) > 0  # where both frames end is no blend
@@ -126,7 +126,7 @@ def test_a_hard_seam_has_no_mixed_pixel(tmp_path):
     for frame, level in zip(survey.frames, (80, 160), strict=True):
         paint(frame, np.full((180, 240, 3), level))
     sources = tmp_path / "sources.tif"
-    _, pixels, valid = composed(tmp_path, survey, poses, ground, feather_m=0.0, sources_path=sources)
+    _, pixels, valid = composed(tmp_path, survey, poses, ground, blend="hard", sources_path=sources)
     assert set(np.unique(pixels[valid])) == {80, 160}
     with rasterio.open(sources) as tiff:
         index = tiff.read(1)
@@ -216,8 +216,8 @@ def test_progress_runs_to_its_end_and_cancel_stops(tmp_path, monkeypatch):
 
 def test_wrong_input_is_named(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=2)
-    with pytest.raises(UnknownNameError, match="did you mean 'nearest_nadir'"):
-        composed(tmp_path, survey, poses, ground, seam="nearest_nadr")
+    with pytest.raises(UnknownNameError, match="did you mean 'multi_band'"):
+        composed(tmp_path, survey, poses, ground, blend="multiband")
     with pytest.raises(UnknownNameError, match="resampling"):
         composed(tmp_path, survey, poses, ground, resampling="quintic")
     mixed = replace(survey, frames=(survey.frames[0], replace(survey.frames[1], bands=1)))

@@ -1,60 +1,178 @@
-"""Weights, the walk over the windows, and the memory of decoded frames."""
+"""Who gives which part, how frames blend, the walk over the windows, and the memory of decoded frames."""
 
 from __future__ import annotations
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
+from mosaic_scenes import CRS, GSD_M, make_survey
 
+from geomosaic.mosaic.blends import BLENDS
+from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.frames import Decoded, DecodedFrames
+from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.plan import windows
-from geomosaic.mosaic.seams import can_matter, nearest_nadir
+from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.mosaic.plan import Scene, Window, windows
+from geomosaic.mosaic.seam_cut import Glimpsed, bands, cut_seams
+from geomosaic.mosaic.views import frame_views
 
-distances = arrays(np.float32, (4, 3, 3), elements=st.floats(0.0, 100.0, width=32))
-insides = arrays(np.float32, (4, 3, 3), elements=st.floats(0.0, 1.0, width=32))
-
-
-def weights_at(distance: list[float], inside: list[float], feather_m: float) -> list[float]:
-    shape = (len(distance), 1, 1)
-    given = [np.array(a, dtype=np.float32).reshape(shape) for a in (distance, inside)]
-    return nearest_nadir(*given, feather_m).ravel().tolist()
+REACH_PX = 48.0
 
 
-def test_nearest_nadir_by_hand():
-    assert weights_at([10.0, 14.0], [1.0, 1.0], 2.0) == [1.0, 0.0]
-    assert weights_at([10.0, 10.0], [1.0, 1.0], 2.0) == [0.5, 0.5]
-    assert weights_at([10.0, 11.0], [1.0, 1.0], 2.0) == [0.75, 0.25]
-    # The nearer frame is near its edge: a quarter inside, it leaves three quarters to the next.
-    assert weights_at([10.0, 50.0], [0.25, 1.0], 2.0) == [0.25, 0.75]
-    # It has a mere rim, and nobody else is there.
-    assert weights_at([10.0, 50.0], [0.01, 0.0], 2.0) == [1.0, 0.0]
-    assert weights_at([10.0, 50.0], [0.0, 0.0], 2.0) == [0.0, 0.0]
-    assert weights_at([10.0, 10.1, 60.0], [1.0, 1.0, 1.0], 0.0) == [1.0, 0.0, 0.0]
+def halves(width: int = 192, height: int = 160) -> np.ndarray:
+    """A label that changes from 0 to 1 in the middle column."""
+    return np.repeat((np.arange(width) >= width // 2)[None], height, axis=0).astype(np.int32)
 
 
-@given(distances, insides, st.floats(0.01, 50.0))
-def test_weights_sum_to_one_where_any_frame_is_valid(distance, inside, feather_m):
-    weights = nearest_nadir(distance, inside, feather_m)
-    assert (weights >= 0.0).all()
-    assert (weights[inside == 0.0] == 0.0).all()
-    total = weights.sum(axis=0)
-    np.testing.assert_allclose(total[(inside > 1e-30).any(axis=0)], 1.0, atol=1e-5)
+def noise(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.0, 255.0, shape).astype(np.float32)
 
 
-@given(distances, insides, st.floats(0.5, 50.0), st.floats(0.0, 10.0))
-def test_a_frame_ruled_out_has_no_weight_anywhere_in_its_cell(distance, inside, feather_m, change_m):
-    """Distances within a cell differ from its middle's by up to `change_m`, either way."""
-    matters = can_matter(distance, inside > 0.0, inside == 1.0, feather_m + 2.0 * change_m + 1e-3)
-    for sign in (-1.0, 1.0):
-        moved = distance + np.float32(sign * change_m) * np.where(np.arange(4) % 2, 1, -1)[:, None, None]
-        weights = nearest_nadir(moved.astype(np.float32), inside, feather_m)
-        assert (weights[~matters] <= 1e-6).all()
+@given(st.sampled_from(sorted(BLENDS)), st.integers(0, 100))
+def test_frames_that_agree_are_left_as_they_are(name: str, seed: int) -> None:
+    picture, label = noise(seed, 160, 192, 3), halves()
+    label[:9] = -1
+    inside = np.broadcast_to(label >= 0, (2, 160, 192)).astype(np.float32)
+    mosaic = BLENDS[name].mosaic([picture, picture], inside, label, REACH_PX)
+    assert np.abs(mosaic - picture)[label >= 0].max() < 0.01
+
+
+@pytest.mark.parametrize("name, step", [("hard", 60.0), ("feather", 60.0 / 48.0), ("multi_band", 1.72)])
+def test_a_difference_in_brightness_is_spread_over_the_reach(name: str, step: float) -> None:
+    """Of 60 grey levels, from frame to frame; by `multi_band` over 16 px and more to either side."""
+    pictures = [np.full((160, 192, 1), level, np.float32) for level in (80.0, 140.0)]
+    mosaic = BLENDS[name].mosaic(pictures, np.ones((2, 160, 192), np.float32), halves(), REACH_PX)
+    row = mosaic[80, :, 0]
+    assert np.abs(np.diff(row)).max() == pytest.approx(step, rel=0.05)
+    assert row[[8, -8]].tolist() == pytest.approx([80.0, 140.0], abs=0.1)
+    assert (np.diff(row) > -0.01).all()
+
+
+def test_fine_detail_is_not_doubled_by_bands() -> None:
+    """Two frames whose lines lie two pixels apart: feathered there are four lines at the seam, by bands two."""
+    pictures = [np.full((160, 192, 1), 100.0, np.float32) for _ in range(2)]
+    for k, picture in enumerate(pictures):
+        picture[80 + 4 * k] = 200.0
+    label = halves()
+    shown = np.ones((2, 160, 192), np.float32)
+    contrast = {
+        name: np.abs(BLENDS[name].mosaic(pictures, shown, label, REACH_PX)[76:90, 84, 0] - 100.0)
+        for name in ("feather", "multi_band")
+    }
+    assert contrast["multi_band"][8] < 0.5 * contrast["feather"][8]
+    assert contrast["multi_band"][4] > 1.2 * contrast["feather"][4]
+
+
+@pytest.mark.parametrize("name", sorted(BLENDS))
+def test_what_a_frame_doesnt_show_pulls_nothing_towards_black(name: str) -> None:
+    """The left frame ends 10 px before its label does not: beyond it nothing is known; above neither is."""
+    label = halves()
+    label[:20] = -1
+    inside = np.ones((2, 160, 192), np.float32)
+    inside[:, :20] = 0.0
+    inside[0, :, 96:] = 0.0
+    inside[1, :, :96] = 0.0
+    pictures = [np.where(i[..., None] > 0.0, np.float32(120.0), np.float32(0.0)) for i in inside]
+    mosaic = BLENDS[name].mosaic(pictures, inside, label, REACH_PX)
+    assert np.abs(mosaic[label >= 0] - 120.0).max() < 0.01
+
+
+@given(st.sampled_from(sorted(BLENDS)), st.integers(0, 40))
+def test_a_blend_looks_no_farther_than_its_halo(name: str, seed: int) -> None:
+    blend, halo = BLENDS[name], BLENDS[name].halo_px(REACH_PX)
+    side = 2 * halo + 32
+    pictures = [noise(seed + k, side + 128, side + 128, 1) for k in range(2)]
+    label = (noise(seed + 2, 6, 6) > 128.0).astype(np.int32).repeat(96, 0).repeat(96, 1)
+    label = label[: side + 128, : side + 128]
+    inside = np.ones((2, *label.shape), np.float32)
+    whole = blend.mosaic(pictures, inside, label, REACH_PX)
+    at = slice(64, 64 + side)
+    part = blend.mosaic(
+        [np.ascontiguousarray(p[at, at]) for p in pictures], inside[:, at, at], label[at, at], REACH_PX
+    )
+    middle = slice(halo, halo + 32)
+    assert np.abs(part[middle, middle] - whole[at, at][middle, middle]).max() < 0.3
+
+
+def scene_of(folder: Path, **options) -> tuple:  # type: ignore[no-untyped-def,type-arg]
+    survey, poses, ground = make_survey(folder, **options)
+    cameras = [survey.camera_of(i) for i in range(len(poses))]
+    views = frame_views(survey.work_frame, CRS, poses, cameras, [True] * len(poses), ground)
+    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
+    return survey, poses, cameras, ground, Scene(survey.work_frame, ground, grid, views)
+
+
+def test_each_cell_goes_to_the_frame_that_sees_it_most_steeply(tmp_path: Path) -> None:
+    *_, scene = scene_of(tmp_path)
+    owned, distance_m = nearest_nadir(scene, [True] * 6, cell_px_of(scene))
+    assert owned.cell_px == 8
+    grid = scene.grid
+    middle = [grid.width_px // 16, grid.height_px // 16]
+    east, north = grid.map_from_pixel((np.array(middle) + 0.5) * 8)
+    away_m = [float(np.hypot(*(v.nadir_m - [east, north]))) for v in scene.views]
+    assert owned.owner[middle[1], middle[0]] == scene.views[int(np.argmin(away_m))].frame + 1
+    assert distance_m[middle[1], middle[0]] == pytest.approx(min(away_m), abs=0.01)
+    assert (owned.owner == 0).sum() > 0 and np.isinf(distance_m[owned.owner == 0]).all()
+
+
+def test_windows_anywhere_see_the_same_owners() -> None:
+    owner = np.arange(1, 13, dtype=np.int32).reshape(3, 4)
+    owned = Ownership(OutputGrid(CRS, 0.0, 0.0, 1.0, 120, 96), np.ones(12, bool), 32, owner)
+    row, col, around = owned.around(Window(40, -8, 16, 16))
+    assert (row, col, around.shape) == (-2, 0, (4, 3))
+    assert around[-1].tolist() == [5, 6, 7] and around[0].tolist() == [1, 2, 3]
+
+
+def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
+    """Two frames alike in one lane of cells only, which leads beside the line halfway between them."""
+    *_, scene = scene_of(tmp_path, lines=1, per_line=2)
+    nearest, distance_m = nearest_nadir(scene, [True] * 2, 8)
+    parts = bands(scene, nearest, distance_m)
+    shared = sorted(
+        set(range(parts[0].of_all[1].start, parts[0].of_all[1].stop))
+        & set(range(parts[1].of_all[1].start, parts[1].of_all[1].stop))
+    )
+    rows = sorted(
+        set(range(parts[0].of_all[0].start, parts[0].of_all[0].stop))
+        & set(range(parts[1].of_all[0].start, parts[1].of_all[0].stop))
+    )
+    across = len(shared) < len(rows)
+    lane = (shared if across else rows)[len(shared if across else rows) // 2 + 2]
+    seen = []
+    for k, part in enumerate(parts):
+        row, col = np.mgrid[part.of_all]
+        off = np.abs((col if across else row) - lane) > 1
+        values = np.where(off, 100.0 + 60.0 * k, 100.0).astype(np.float32)
+        seen.append(Glimpsed(values[..., None], np.ones(values.shape, dtype=bool)))
+    cut, before, after = cut_seams(nearest, parts, seen)
+    assert before.difference_mean > 30.0 > 10.0 > after.difference_mean
+    assert ((cut.owner > 0) == (nearest.owner > 0)).all(), "no gap, nothing new"
+    assert (cut.owner != nearest.owner).any()
+
+
+def test_the_mosaic_is_made_as_it_is_owned(tmp_path: Path) -> None:
+    survey, poses, cameras, ground, scene = scene_of(tmp_path / "frames", lines=1, per_line=2)
+    nearest, _ = nearest_nadir(scene, [True] * 2, 8)
+    swapped = replace(nearest, owner=np.where(nearest.owner > 0, 2, 0).astype(np.int32))
+    sources = tmp_path / "sources.tif"
+    for ownership, share in ((nearest, (0.35, 0.65)), (swapped, (0.0, 0.4))):
+        raster = tmp_path / "mosaic.tif"
+        compose(
+            survey, poses, cameras, [True] * 2, ground, scene.grid, raster, ownership=ownership,
+            blend="hard", sources_path=sources,
+        )  # fmt: skip
+        with rasterio.open(sources) as tiff:
+            index = tiff.read(1)
+        first = (index == 1).sum() / (index > 0).sum()
+        assert share[0] <= first <= share[1], "what the second frame doesn't see the first one gives"
 
 
 def test_windows_cover_the_grid_once_and_walk_from_neighbour_to_neighbour():

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 import pytest
 import rasterio
+from mosaic_scenes import CRS, make_survey
 from rasterio.warp import reproject
 from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
-from geomosaic.mosaic.tones import Places, Tones, solve_tones
+from geomosaic.errors import InputError
+from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
+from geomosaic.mosaic.views import frame_views
+from geomosaic.pipeline.stage import Context
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
+from geomosaic.stages.mosaic_tones import MosaicTones
+from geomosaic.survey.model import Band
 
 CAMERA = Camera("c", 400, 300, 350.0, 200.0, 150.0)
 
@@ -100,6 +108,35 @@ def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
     assert "tones" not in summary(as_they_are)["metrics"]
     spread = [uneven(path / "mosaic.tif", survey.ortho) for path in (run, as_they_are)]
     assert spread[0] < 0.6 * spread[1]
+
+
+def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
+    """Values beyond 249, which are too bright for a picture of eight bits only."""
+    gains = [1.0, 0.8, 0.9, 0.7, 1.0, 0.85]
+    survey, poses, ground = make_survey(tmp_path, dtype="uint16", gains=gains)
+    cameras = [survey.camera_of(i) for i in range(6)]
+    views = frame_views(survey.work_frame, CRS, poses, cameras, [True] * 6, ground)
+    places = lattice(views, CRS, survey.work_frame, ground)
+    values = np.full((len(places.frame), survey.frames[0].bands), np.nan, np.float32)
+    for i, frame in enumerate(survey.frames):
+        mine = places.frame == i
+        values[mine] = sampled(Sampling(frame, places.image_px[mine])).values
+    assert np.nanmedian(values) > 1000.0
+    tones, _ = solve_tones(places, values, [0] * 6)
+    true = np.log(gains) - np.log(gains).mean()
+    off = tones.gain - tones.gain.mean(axis=0) - true[:, None]
+    assert np.abs(off).max() < 0.03
+
+
+def test_a_rigs_bands_are_not_evened_by_one_bands_tones(tmp_path: Path) -> None:
+    survey, *_ = make_survey(tmp_path, lines=1, per_line=2)
+    with_band = replace(survey, other_bands=(Band("NIR", 790.0, survey.camera_of(0), survey.frames),))
+    stage, nobody = MosaicTones(), cast(Context, None)
+    asked = {"survey": with_band, "ground": None, "adjusted": None}
+    with pytest.raises(InputError, match=r"leave mosaic\.tones\.even at auto or never"):
+        stage.run(asked, MosaicTones.Params(even="always"), nobody)
+    tones = stage.run(asked, MosaicTones.Params(), nobody)["tones"]
+    assert not tones.gain.any() and not tones.vignette.any()
 
 
 def uneven(found: Path, true: Path) -> float:

@@ -134,11 +134,11 @@ def test_a_mosaic_too_large_is_refused_before_it_is_matched(
 ) -> None:
     """By the limit, with the mend; by a frame 10 km off, with its name."""
     told = ("--pos", flown.pos, "--camera", flown.camera, *QUICK)
-    small = ("--gsd", 0.03, "--set", "mosaic.compose.max_gigapixels=0.001")
+    small = ("--gsd", 0.03, "--set", "mosaic.seams.max_gigapixels=0.001")
     assert mosaic(flown.frames, tmp_path / "run", *told, *small) == 2
     err = capfd.readouterr().err
     assert "gigapixels at 0.03 m, more than 0.001; frame F000" in err
-    assert "--gsd coarser, or --set mosaic.compose.max_gigapixels=1" in err
+    assert "--gsd coarser, or --set mosaic.seams.max_gigapixels=1" in err
     assert "Match" not in err
 
     frames, pos = copied(flown, tmp_path, {3: 9000.0 / LAT_M + 48.1}, "lat_deg")

@@ -223,7 +223,8 @@ class Bench:
         outcome.tie_rms.append(float(np.sqrt((np.concatenate(left) ** 2).sum(axis=1).mean())))
         outcome.rounds.append([float(np.abs(r.misalignments_m).max() / UNIT_M) for r in adjusted.rounds])
         if compose:
-            self._stage("mosaic.compose", {"sources": False}, solved)
+            owned = self._stage("mosaic.seams", {"seam": "nearest_nadir"}, solved)
+            self._stage("mosaic.compose", {"sources": False, "blend": "feather"}, owned)
             mosaic = self.mosaic(name)
             (self.folder / "run" / RASTER).replace(mosaic)
             there = _on_map(survey, truth, cameras, placed["ground"])

@@ -25,6 +25,7 @@ STAGES = (
     "adjustment.solve",
     "adjustment.rig",
     "mosaic.tones",
+    "mosaic.seams",
     "mosaic.compose",
     "quality.verdict",
     "export.cog",
@@ -118,7 +119,7 @@ def mosaic(
         },
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
-        "mosaic.compose": {"gsd_m": gsd},
+        "mosaic.seams": {"gsd_m": gsd},
         "quality.compare": {"reference": reference},
     }
     stages = [

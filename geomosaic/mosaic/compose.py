@@ -6,7 +6,6 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
 from rasterio.errors import NotGeoreferencedWarning
@@ -14,20 +13,22 @@ from rasterio.errors import NotGeoreferencedWarning
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.frames import Decoded, DecodedFrames, decode, decoded_bytes, may_be_masked
 from geomosaic.mosaic.model import Mosaic, OutputGrid
-from geomosaic.mosaic.plan import Part, Scene, Window, near, parts, windows
+from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.mosaic.plan import Scene, Window, windows
 from geomosaic.mosaic.raster import writing_mosaic
 from geomosaic.mosaic.seamlines import SeamLabels
-from geomosaic.mosaic.seams import SEAMS, Seam
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import Composed, compose_window
+from geomosaic.mosaic.window import Composed, Manner, Step, compose_window, planned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
 
 WINDOW_PX = 512
+AUTO = "auto"
 AUTO_FEATHER_PX = 48
 """The feather's width where none is given, in ground pixels of the mosaic."""
 _DTYPES = ("uint8", "uint16", "int16", "float32")
@@ -42,7 +43,8 @@ def compose(
     grid: OutputGrid,
     raster_path: Path,
     *,
-    seam: str = "nearest_nadir",
+    ownership: Ownership | None = None,
+    blend: str = "auto",
     feather_m: float | None = None,
     resampling: str = "cubic",
     tones: Tones | None = None,
@@ -56,20 +58,31 @@ def compose(
 
     The same bytes come out whatever the number of threads and the memory. `check_cancelled` raises to stop.
 
-    Args: poses, cameras, used: of each of the survey's frames. tones: how brightly frames show the ground,
-    evened out; as they are if not given. memory_bytes: for decoded frames; windows in
+    Args: poses, cameras, used: of each of the survey's frames. ownership: who gives which part; the frame
+    that looks down most steeply, if not given. blend: one of BLENDS; auto: multi_band for pictures of 8 bits,
+    feather for measured values, which stay as they are where one frame shows the ground. tones: how brightly
+    frames show the ground, evened out; as they are if not given. memory_bytes: for decoded frames; windows in
     work take some 100 MB more for each thread. sources_path: where the raster of frame indices goes, if at
     all (see `raster.writing_mosaic`).
     Raises: `InputError` if frames don't go together or can't be resampled, `UnknownNameError` for a strategy.
     """
-    if seam not in SEAMS:
-        raise UnknownNameError("seam strategy", seam, SEAMS)
+    if blend not in (AUTO, *BLENDS):
+        raise UnknownNameError("blend", blend, (AUTO, *BLENDS))
     if resampling not in RESAMPLING:
         raise UnknownNameError("resampling", resampling, RESAMPLING)
     feather_m = AUTO_FEATHER_PX * grid.gsd_m if feather_m is None else feather_m
     views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
     kind = _common_kind([survey.frames[v.frame] for v in views])
-    scene = Scene(survey.work_frame, ground, grid, views, feather_m)
+    scene = Scene(survey.work_frame, ground, grid, views)
+    manner = Manner(
+        ownership or nearest_nadir(scene, used, cell_px_of(scene))[0],
+        BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"],
+        feather_m / grid.gsd_m,
+        resampling,
+        tones,
+        kind.bands,
+        kind.dtype,
+    )
     labels = SeamLabels(grid, WINDOW_PX)
     gave_pixels: set[int] = set()
     names = [frame.name for frame in survey.frames]
@@ -81,30 +94,21 @@ def compose(
     ):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
-            plan = _plan(scene, survey.frames, order, pool, check_cancelled)
+            plan = _plan(scene, manner, survey.frames, order, pool, check_cancelled)
             frames = DecodedFrames(
-                [[p.view.frame for p in step] for step in plan],
+                [[p.view.frame for p in step.parts] for step in plan],
                 {v.frame: decoded_bytes(survey.frames[v.frame]) for v in views},
                 memory_bytes,
                 pool,
                 lambda i: decode(survey.frames[i], KERNEL_RADIUS_PX[resampling]),
             )
-            work = partial(
-                _work,
-                scene,
-                dtype=kind.dtype,
-                bands=kind.bands,
-                seam=SEAMS[seam],
-                resampling=resampling,
-                tones=tones,
-            )
             done = 0
             running: deque[Future[Composed]] = deque()
-            for step, window in enumerate(order):
+            for number, step in enumerate(plan):
                 if check_cancelled is not None:
                     check_cancelled()
-                running.append(pool.submit(work, window, plan[step], frames.for_step(step)))
-                while len(running) > (threads if step + 1 < len(order) else 0):
+                running.append(pool.submit(_work, scene, manner, step, frames.for_step(number)))
+                while len(running) > (threads if number + 1 < len(plan) else 0):
                     composed = running.popleft().result()
                     raster.write(composed)
                     labels.add(composed)
@@ -129,34 +133,23 @@ def compose(
 
 def _plan(
     scene: Scene,
+    manner: Manner,
     frames: Sequence[Frame],
     order: Sequence[Window],
     pool: ThreadPoolExecutor,
     check_cancelled: Callable[[], None] | None,
-) -> list[tuple[Part, ...]]:
+) -> list[Step]:
     valid = {v.frame: None for v in scene.views if not may_be_masked(frames[v.frame])}
     plan = []
-    for found in pool.map(lambda w: parts(scene, w, near(scene, w), valid), order):
+    for found in pool.map(lambda w: planned(scene, manner, w, valid), order):
         if check_cancelled is not None:
             check_cancelled()
         plan.append(found)
     return plan
 
 
-def _work(
-    scene: Scene,
-    window: Window,
-    planned: Sequence[Part],
-    frames: dict[int, Future[Decoded]],
-    *,
-    dtype: str,
-    bands: int,
-    seam: Seam,
-    resampling: str,
-    tones: Tones | None,
-) -> Composed:
-    decoded = {frame: future.result() for frame, future in frames.items()}
-    return compose_window(scene, window, planned, decoded, dtype, bands, seam, resampling, tones)
+def _work(scene: Scene, manner: Manner, step: Step, frames: dict[int, Future[Decoded]]) -> Composed:
+    return compose_window(scene, manner, step, {i: frame.result() for i, frame in frames.items()})
 
 
 def _common_kind(frames: Sequence[Frame]) -> Frame:

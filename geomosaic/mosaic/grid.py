@@ -136,7 +136,7 @@ def _too_large(
             f"{size}, more than {max_gigapixels:g}; frame {names[views[far].frame]} lies farthest out, "
             f"{_reach_m(views)[far] / 1000.0:,.1f} km from the middle",
             mend=f"check its position, make --gsd coarser, "
-            f"or --set mosaic.compose.max_gigapixels={math.ceil(gigapixels)}",
+            f"or --set mosaic.seams.max_gigapixels={math.ceil(gigapixels)}",
         )
     return InputError(
         f"{size}, and nearly all of it empty; frame {names[views[far].frame]} lies farthest out, "

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.seams import can_matter
 from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import GroundWindow, frame_from_map, ground_window
@@ -29,6 +28,10 @@ class Window:
     row: int
     width: int
     height: int
+
+    def grown(self, px: int) -> Window:
+        """With so many pixels more on every side, past the grid's edge as well."""
+        return Window(self.col - px, self.row - px, self.width + 2 * px, self.height + 2 * px)
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,6 @@ class Scene:
     ground: GroundSurface
     grid: OutputGrid
     views: tuple[FrameView, ...]
-    feather_m: float
 
 
 def windows(grid: OutputGrid, side_px: int) -> list[Window]:
@@ -126,11 +128,15 @@ def parts(
     window: Window,
     views: Sequence[FrameView],
     mask_distances_px: Mapping[int, Floats32 | None],
+    owned: Sequence[NDArray[np.bool_]],
 ) -> tuple[Part, ...]:
-    """Which of the frames can have weight in a window, and where; in the views' order.
+    """Which of the frames can give pixels in a window, and where; in the views' order.
 
-    Works on cells of 16 px with what is certain of each, so that it never leaves out a pixel.
-    Args: mask_distances_px: of the frames whose validity is known (None: all valid).
+    A frame gives what it owns and sees. Of what an owner doesn't see, the nearest frame that does. Works on
+    cells of 16 px with what is certain of each, so that it never leaves out a pixel.
+
+    Args: mask_distances_px: of the frames whose validity is known (None: all valid). owned: of each view, the
+    cells in which it may own pixels.
     """
     if not views:
         return ()
@@ -144,12 +150,15 @@ def parts(
         slack = _change_within_a_cell(cols, rows, CELL_PX * scene.grid.gsd_m / view.gsd_m)
         somewhere[k] = margin > -slack
         if view.frame in mask_distances_px:
-            everywhere[k] = (margin - slack) * view.gsd_m > scene.feather_m
+            everywhere[k] = margin > slack
         distance[k] = distances_m(scene.grid, window, view, CELL_PX)
-    reach_m = scene.feather_m + np.sqrt(2.0) * CELL_PX * scene.grid.gsd_m
-    matters = can_matter(distance, somewhere, everywhere, reach_m)
+    own = np.stack(owned)
+    sure = own.any(axis=0) & (everywhere | ~own).all(axis=0)
+    reach_m = np.sqrt(2.0) * CELL_PX * scene.grid.gsd_m
+    surely = np.where(everywhere, distance, np.inf).min(axis=0)
+    nearest = somewhere & (distance <= surely + reach_m) & ~sure
     found = []
-    for view, where in zip(views, matters, strict=True):
+    for view, where in zip(views, (somewhere & own) | nearest, strict=True):
         if where.any():
             found.append(Part(view, _span(where.any(axis=1)), _span(where.any(axis=0))))
     return tuple(found)

@@ -57,18 +57,20 @@ class Tones:
     ) -> NDArray[Any]:
         """Pixels (..., b) that a frame shows at cols and rows (...), as all frames would; float32, within
         what integers of the pixels' type hold."""
-        gain, vignette = self.gain[frame], self.vignette[frame]
-        if not gain.any() and not vignette.any():
+        if not self.gain[frame].any() and not self.vignette[frame].any():
             return pixels
-        radius2 = np.nan_to_num(_radius2(camera, cols, rows).astype(np.float32))  # not seen: no weight there
-        out = pixels.astype(np.float32)
-        for b in range(out.shape[-1]):
-            second, fourth = vignette[b].astype(np.float32)
-            out[..., b] *= np.exp(-(np.float32(gain[b]) + radius2 * (second + fourth * radius2)))
+        out = pixels * np.exp(-self.brighter(frame, camera, cols, rows))
         if np.issubdtype(pixels.dtype, np.integer):
             limits = np.iinfo(pixels.dtype)
             np.clip(out, limits.min, limits.max, out=out)
         return out
+
+    def brighter(self, frame: int, camera: Camera, cols: Floats32, rows: Floats32) -> Floats32:
+        """How much brighter than all in the mean a frame shows the ground at cols and rows (...), as natural
+        logarithms (..., b)."""
+        radius2 = np.nan_to_num(_radius2(camera, cols, rows).astype(np.float32))[..., None]  # NaN: not seen
+        second, fourth = self.vignette[frame].astype(np.float32).T
+        return np.asarray(self.gain[frame].astype(np.float32) + radius2 * (second + fourth * radius2))
 
 
 @dataclass(frozen=True)

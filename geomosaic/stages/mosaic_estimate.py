@@ -17,6 +17,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_seams import MosaicSeams
 from geomosaic.stages.telling import params_of, tell_estimate
 from geomosaic.survey.model import Survey
 
@@ -24,7 +25,8 @@ from geomosaic.survey.model import Survey
 class MosaicEstimate(Stage):
     """Refuses a mosaic that is too large, or that the disk has no room for, and names who stretches it.
 
-    The pixel, the limit and the memory are mosaic.compose's. It runs every time: the disk's room is of today.
+    The pixel and the limit are mosaic.seams', the memory mosaic.compose's. It runs every time: the disk's
+    room is of today.
     """
 
     id = "mosaic.estimate"
@@ -39,7 +41,7 @@ class MosaicEstimate(Stage):
         """From where the frames lie by their positions."""
         survey: Survey = inputs["survey"]
         placement: Placement = inputs["placement"]
-        compose = params_of(context, MosaicCompose)
+        compose, seams = params_of(context, MosaicCompose), params_of(context, MosaicSeams)
         names = [f.name for f in survey.frames]
         cameras = [survey.camera_of(i) for i in range(len(names))]
         ground = inputs["ground"]
@@ -49,8 +51,8 @@ class MosaicEstimate(Stage):
         views = frame_views(
             survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground
         )
-        gsd_m = auto_gsd_m(placement.ground_pixel_m) if compose.gsd_m == "auto" else compose.gsd_m
-        grid = output_grid(survey.map_crs, views, gsd_m, names, compose.max_gigapixels)
+        gsd_m = auto_gsd_m(placement.ground_pixel_m) if seams.gsd_m == "auto" else seams.gsd_m
+        grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels)
         outlines = [footprint(v.pose, v.camera, ground)[:, :2] for v in views]
         seen = shapely.union_all(
             [shapely.convex_hull(shapely.MultiPoint(o[np.isfinite(o).all(axis=1)])) for o in outlines]

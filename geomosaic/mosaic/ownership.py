@@ -1,0 +1,140 @@
+"""Who gives which part of the mosaic: a frame for every cell, before the first pixel is resampled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.plan import CELL_PX, Scene, Window, distances_m, ground_of, margin_px
+from geomosaic.mosaic.views import FrameView
+from geomosaic.projection.warp import frame_from_map
+
+Floats32 = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+_LEAST_CELL_PX: Final = 8
+"""Of the mosaic. Finer cells would follow single leaves, and take as long as the composition."""
+_MOST_CELL_PX: Final = 512
+_CELLS_ACROSS: Final = 250
+"""A frame's longer side: fine enough for seams to keep to roads and around crowns, and cut in a tenth of the
+time of the composition."""
+_MOST_CELLS: Final = 16_000_000
+"""Of a mosaic, so that 128 MB always hold them: larger mosaics have larger cells."""
+
+
+@dataclass(frozen=True)
+class Ownership:
+    """The frame that gives each cell of cell_px x cell_px pixels, from the grid's upper left corner on.
+
+    used (n,): which of the survey's frames may give pixels: what an owner doesn't see, another one gives.
+    owner (rows, cols): index into `Survey.frames`, plus 1; 0 where no frame sees the ground.
+    """
+
+    grid: OutputGrid
+    used: Bools
+    cell_px: int
+    owner: NDArray[np.int32]
+
+    def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
+        """The owners of all cells that a window touches, and one more on every side: row and col of the
+        first, and the owners. What is outside the grid is as its edge."""
+        side, (height, width) = self.cell_px, self.owner.shape
+        rows = np.arange(window.row // side - 1, (window.row + window.height - 1) // side + 2)
+        cols = np.arange(window.col // side - 1, (window.col + window.width - 1) // side + 2)
+        owner = self.owner[np.ix_(rows.clip(0, height - 1), cols.clip(0, width - 1))]
+        return int(rows[0]), int(cols[0]), owner
+
+
+@dataclass(frozen=True)
+class FrameCells:
+    """What a frame sees, by the mosaic's cells from `row` and `col` on: where their middles lie in the frame,
+    how far inside it (margin_px, not above 0 outside), and how far from its nadir point, (h, w) each."""
+
+    view: FrameView
+    row: int
+    col: int
+    cols_px: Floats32
+    rows_px: Floats32
+    margin_px: Floats32
+    distance_m: Floats32
+
+    @property
+    def of_all(self) -> tuple[slice, slice]:
+        """Their place among all cells."""
+        height, width = self.margin_px.shape
+        return slice(self.row, self.row + height), slice(self.col, self.col + width)
+
+
+def cell_px_of(scene: Scene) -> int:
+    """The side of a mosaic's cells: a power of two."""
+    grid = scene.grid
+    across_px = [v.gsd_m / grid.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in scene.views]
+    longest_px, side = float(np.median(across_px)) if across_px else 0.0, _LEAST_CELL_PX
+    while side < _MOST_CELL_PX and (
+        longest_px >= 2 * side * _CELLS_ACROSS or grid.width_px * grid.height_px > _MOST_CELLS * side**2
+    ):
+        side *= 2
+    return side
+
+
+def frame_cells(scene: Scene, view: FrameView, cell_px: int) -> FrameCells:
+    """The cells of a frame's bounds."""
+    grid, cell_m = scene.grid, cell_px * scene.grid.gsd_m
+    west, south, east, north = view.bounds_m
+    first = max(int((grid.north_m - north) / cell_m) - 1, 0), max(int((west - grid.west_m) / cell_m) - 1, 0)
+    last_row = min(int((grid.north_m - south) / cell_m) + 2, -(-grid.height_px // cell_px))
+    last_col = min(int((east - grid.west_m) / cell_m) + 2, -(-grid.width_px // cell_px))
+    size = max(last_col - first[1], 1) * cell_px, max(last_row - first[0], 1) * cell_px
+    window = Window(first[1] * cell_px, first[0] * cell_px, *size)
+    cols, rows = frame_from_map(ground_of(scene, window, cell_px), view.pose, view.camera)
+    margin = margin_px(cols, rows, view.camera, None)
+    return FrameCells(view, *first, cols, rows, margin, distances_m(grid, window, view, cell_px))
+
+
+def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:
+    """Each cell goes to the frame that sees it and whose nadir point is nearest: it looks down most steeply.
+
+    Returns: the ownership, and the distance to that point in m, infinite where no frame sees the ground.
+    """
+    grid = scene.grid
+    shape = -(-grid.height_px // cell_px), -(-grid.width_px // cell_px)
+    nearest, owner = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.int32)
+    for view in scene.views:
+        cells = frame_cells(scene, view, cell_px)
+        mine = (cells.margin_px > 0.0) & (cells.distance_m < nearest[cells.of_all])
+        nearest[cells.of_all][mine] = cells.distance_m[mine]
+        owner[cells.of_all][mine] = view.frame + 1
+    return Ownership(grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+
+
+def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]) -> list[Bools]:
+    """Of each view, in which of the window's planning cells it may own pixels."""
+    row, col, around = ownership.around(window)
+    side = ownership.cell_px
+    first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
+    first_col = window.col + np.arange(-(-window.width // CELL_PX)) * CELL_PX
+    last_row, last_col = first_row + CELL_PX - 1, first_col + CELL_PX - 1
+    rows = [np.minimum(a // side - row, around.shape[0] - 1) for a in (first_row, last_row)]
+    cols = [np.minimum(a // side - col, around.shape[1] - 1) for a in (first_col, last_col)]
+    found = []
+    for view in views:
+        near = cv2.dilate((around == view.frame + 1).astype(np.uint8), np.ones((3, 3), np.uint8))
+        found.append(np.any([near[np.ix_(r, c)] > 0 for r in rows for c in cols], axis=0))
+    return found
+
+
+def owner_share(ownership: Ownership, window: Window, frame: int) -> Floats32:
+    """How far each pixel of a window belongs to a frame: 1 in the middle of its own cells, 0 in that of
+    others', linear between."""
+    row, col, around = ownership.around(window)
+    side = ownership.cell_px
+    rows = (window.row + np.arange(window.height) + 0.5) / side - 0.5 - row
+    cols = (window.col + np.arange(window.width) + 0.5) / side - 0.5 - col
+    x, y = (np.ascontiguousarray(a, dtype=np.float32) for a in np.meshgrid(cols, rows))
+    mine = (around == frame + 1).astype(np.float32)
+    return np.asarray(cv2.remap(mine, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

@@ -1,0 +1,117 @@
+"""Settles the mosaic's grid, and which frame gives which part of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
+from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.mosaic.plan import Scene
+from geomosaic.mosaic.seam_cut import Glimpse, bands, cut_seams, glimpsed
+from geomosaic.mosaic.tones import Tones
+from geomosaic.mosaic.views import frame_views
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.placement.model import Placement
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
+
+_SEAMS = ("least_difference", "nearest_nadir")
+
+
+class MosaicSeams(Stage):
+    """Gives every part of the mosaic to a frame, with seams where frames show the ground alike."""
+
+    id = "mosaic.seams"
+    display_name = "Lay the seams"
+    group = "Mosaic"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey,
+        "ground": GroundSurface,
+        "placement": Placement,
+        "adjusted": Adjusted,
+    }
+    optional_inputs: ClassVar[dict[str, type]] = {"tones": Tones}
+    outputs: ClassVar[dict[str, type]] = {"ownership": Ownership}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        gsd_m: float | Literal["auto"] = param(
+            "auto",
+            help="ground pixel; auto: the frames' median by POS, the same for every method; where none has a "
+            "position, that of the adjusted frames",
+            unit="m",
+            ge=0.0005,
+            le=1000.0,
+        )
+        seam: str = param(
+            "least_difference",
+            help="who gives a pixel where frames overlap: the one that looks down most steeply, or near the "
+            "line between two of these, cut where both differ least in colour",
+            choices=_SEAMS,
+        )
+        max_gigapixels: float = param(
+            MAX_GIGAPIXELS,
+            help="largest mosaic; a larger one is refused before the frames are matched",
+            unit="gigapixels",
+            ge=0.001,
+            le=1e6,
+        )
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Settles the grid by the adjusted frames, and who gives what of it."""
+        survey: Survey = inputs["survey"]
+        adjusted: Adjusted = inputs["adjusted"]
+        ground, names = inputs["ground"], [f.name for f in survey.frames]
+        used = [s != "rejected" for s in adjusted.status]
+        views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
+        for i in sorted({i for i, use in enumerate(used) if use} - {v.frame for v in views}):
+            context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
+        ground_pixel_m = inputs["placement"].ground_pixel_m
+        if not any(survey.located):
+            ground_pixel_m = float(np.median([v.gsd_m for v in views])) if views else np.nan
+        gsd_m = auto_gsd_m(ground_pixel_m) if params.gsd_m == "auto" else params.gsd_m
+        views, flung = without_flung(views, gsd_m, params.max_gigapixels)
+        for view in flung:
+            used[view.frame] = False
+            moved = adjusted.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
+            away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
+            context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
+        grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
+        scene = Scene(survey.work_frame, ground, grid, views)
+        ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
+        if params.seam == "least_difference":
+            ownership = self._cut(scene, ownership, nearest_m, survey, inputs.get("tones"), context)
+        return {"ownership": ownership}
+
+    @staticmethod
+    def _cut(
+        scene: Scene,
+        nearest: Ownership,
+        nearest_m: np.ndarray[Any, Any],
+        survey: Survey,
+        tones: Tones | None,
+        context: Context,
+    ) -> Ownership:
+        parts = bands(scene, nearest, nearest_m)
+        jobs = []
+        for part in parts:
+            view = part.view
+            frame = survey.frames[view.frame]
+            brighter = np.zeros((*part.cols_px.shape, frame.bands), dtype=np.float32)
+            if tones is not None:
+                brighter += tones.brighter(view.frame, view.camera, part.cols_px, part.rows_px)
+            finer = nearest.cell_px * scene.grid.gsd_m / view.gsd_m
+            reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
+            jobs.append(Glimpse(frame, reduction, part.cols_px, part.rows_px, brighter))
+        seen = context.map("seams", glimpsed, jobs, keys=[p.view.frame for p in parts])
+        ownership, before, after = cut_seams(nearest, parts, seen)
+        context.metric("seams.nearest_nadir", asdict(before))
+        context.metric("seams.least_difference", asdict(after))
+        return ownership
