@@ -42,6 +42,9 @@ unit: setup ## pytest, two workers
 bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)
 	$(PY) tools/bench_paper.py --out out/bench-paper
 
+bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
+	$(PY) tools/bench_composition.py --out out/bench-composition
+
 bench-accuracy: bench-monte-carlo bench-speed ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
 
@@ -83,4 +86,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-accuracy bench-monte-carlo bench-start bench-dirty bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean

@@ -75,6 +75,21 @@ def test_the_page_is_whole_and_says_what_a_surveyor_asks(html):
     assert links and all(link.startswith("#") and link[1:] in targets for link in links)
 
 
+def test_light_and_seams_are_told_before_and_after(run):
+    grey = {"before_median": 11.53, "before_90": 33.32, "after_median": 9.32, "after_90": 29.33}
+    seams = {
+        "nearest_nadir": {"length_m": 3972.5, "difference_mean": 14.47, "difference_90": 32.48},
+        "least_difference": {"length_m": 2974.3, "difference_mean": 7.29, "difference_90": 15.52},
+        "median_px": 0.4,
+    }
+    metrics = {**run["summary"]["metrics"], "tones": {"difference_grey": grey}, "seams": seams}
+    words = Page(render_report(**{**run, "summary": {**run["summary"], "metrics": metrics}})).words
+    words = " ".join(words.split())
+    for wanted in ("light11.5 (33.3)9.32 (29.3)", "seams14.5 (32.5)7.29 (15.5)", "3 972 m2 974 m"):
+        assert wanted in words, wanted
+    assert "halfway between frames" not in Page(render_report(**run)).words
+
+
 def test_nothing_is_fetched_and_nothing_foreign_is_run(html):
     page = Page(html)
     assert "default-src 'none'" in html

@@ -37,7 +37,7 @@ def write_layers(
     scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
     vector in pixels; these three show at most 200,000, as their description says. control: where points were
     surveyed; control_residuals: lines to there from where the pictures put them, true to scale. seamlines:
-    where each frame is the heaviest in the mosaic.
+    where each frame gives the mosaic.
     Raises: `OSError` if the file can't be written.
     """
     adjusted_orientation = orientations(survey, placement.poses, adjusted)
@@ -128,7 +128,7 @@ class _Layers:
             "area_m2": np.array([s.area for s in shapes], dtype=float),
         }
         self.package.add_layer(
-            "seamlines", "Where each frame is the heaviest", "MultiPolygon", shapes, fields
+            "seamlines", "Where each frame gives the mosaic", "MultiPolygon", shapes, fields
         )
 
     def _frame_fields(self) -> dict[str, Any]:

@@ -94,6 +94,7 @@ def render_report(
         warnings=grouped_warnings(summary),
         overview=svg(drawn),
         crowded=len(names) > 60,
+        composition_rows=parts.composition_rows(summary.get("metrics", {})),
         comparison=comparison,
         comparison_rows=parts.comparison_rows(comparison) if comparison else [],
         comparison_maps=_comparison_maps(comparison) if comparison else [],

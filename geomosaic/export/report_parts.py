@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -223,6 +225,43 @@ def ssim_picture(comparison: Comparison) -> str:
         coloured = cv2.resize(coloured, None, fx=reduce, fy=reduce, interpolation=cv2.INTER_AREA)
     data = cv2.imencode(".png", coloured)[1]
     return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """How frames were evened and where their seams lie: name, before, after, what it means. None where frames
+    stayed as they are."""
+    out = []
+    if (grey := metrics.get("tones", {}).get("difference_grey")) is not None:
+        out.append(
+            (
+                "light",
+                f"{short(grey['before_median'])} ({short(grey['before_90'])})",
+                f"{short(grey['after_median'])} ({short(grey['after_90'])})",
+                "grey levels by which two frames differ where they show the same ground: median (and 90 %), "
+                "before and after exposure, white balance and dark corners are evened out",
+            )
+        )
+    seams = metrics.get("seams", {})
+    if (cut := seams.get("least_difference")) is not None:
+        nearest = seams["nearest_nadir"]
+        out.append(
+            (
+                "seams",
+                f"{short(nearest['difference_mean'])} ({short(nearest['difference_90'])})",
+                f"{short(cut['difference_mean'])} ({short(cut['difference_90'])})",
+                "grey levels by which both frames differ along the seams: mean (and 90 %), on lines halfway "
+                "between frames and where they were cut instead",
+            )
+        )
+        out.append(
+            (
+                "length of seams",
+                short(nearest["length_m"], "m"),
+                short(cut["length_m"], "m"),
+                "in steps of the cells they are cut in",
+            )
+        )
+    return out
 
 
 def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:

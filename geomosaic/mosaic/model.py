@@ -47,7 +47,7 @@ class OutputGrid:
 
 @dataclass(frozen=True)
 class Seamline:
-    """Where one frame (an index into `Survey.frames`) is the heaviest.
+    """Where one frame (an index into `Survey.frames`) gives the mosaic.
 
     polygons: each a tuple of closed rings (n, 2) of easting and northing, the outer one first.
     """

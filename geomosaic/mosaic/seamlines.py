@@ -1,4 +1,4 @@
-"""Seamlines as polygons: where each frame is the heaviest, at reduced resolution."""
+"""Seamlines as polygons: where each frame gives the mosaic, at reduced resolution."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SIMPLIFY_LABELS = 1.0
 
 
 class SeamLabels:
-    """Collects, window by window, which frame is the heaviest at every n-th pixel; n keeps it small."""
+    """Collects, window by window, which frame gives every n-th pixel; n keeps it small."""
 
     def __init__(self, grid: OutputGrid, window_px: int) -> None:
         self._grid = grid
@@ -37,7 +37,7 @@ class SeamLabels:
         self._labels[row : row + rows.size, col : col + cols.size] = composed.source[np.ix_(rows, cols)]
 
     def seamlines(self) -> tuple[Seamline, ...]:
-        """One for each frame that is the heaviest somewhere, in the frames' order.
+        """One for each frame that gives pixels, in the frames' order.
 
         Lines between frames are simplified once for both sides, so that neighbours share them.
         """
