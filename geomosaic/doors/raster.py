@@ -75,6 +75,15 @@ REFERENCE: Final = Purpose(
 )
 
 
+@contextmanager
+def unreferenced_is_fine() -> Iterator[None]:
+    """Frames lie nowhere until they are placed. To be entered also around threads that open some: warnings
+    are caught for the whole process, and what one thread puts back another one may still need."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
 def open_raster(path: Path, purpose: Purpose) -> Raster:
     """A raster as rasterio's dataset; that it has no place on the map is no cause for a warning.
 
@@ -91,8 +100,7 @@ def open_raster(path: Path, purpose: Purpose) -> Raster:
     else:
         options = NO_SIDECARS
     try:
-        with warnings.catch_warnings(), rasterio.Env(**options):
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with unreferenced_is_fine(), rasterio.Env(**options):
             raster = Raster(path, driver=[*purpose.drivers], sharing=False)
     except (*_FAILURES, ValueError) as error:
         raise FileError(purpose.problem, file=path, mend=purpose.mend) from error

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from rasterio.errors import NotGeoreferencedWarning
-
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.frames import Decoded, DecodedFrames, decode, decoded_bytes, may_be_masked
@@ -88,11 +86,10 @@ def compose(
     names = [frame.name for frame in survey.frames]
     order = windows(grid, WINDOW_PX)
     with (
-        warnings.catch_warnings(),  # once here: it isn't safe in the threads that decode
+        unreferenced_is_fine(),
         ThreadPoolExecutor(threads) as pool,
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
             plan = _plan(scene, manner, survey.frames, order, pool, check_cancelled)
             frames = DecodedFrames(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -13,11 +12,10 @@ from typing import Any
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.doors.raster import STRIP, open_raster
+from geomosaic.doors.raster import STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.mosaic.strip_blends import BLENDS, REACH_ROWS, Blend
 from geomosaic.mosaic.strip_lines import StripLines
@@ -77,12 +75,11 @@ def compose_strips(
         raise UnknownNameError("resampling", resampling, RESAMPLING)
     height, width = layout.height_px, layout.width_px
     with (
-        warnings.catch_warnings(),  # once here: it isn't safe in threads
+        unreferenced_is_fine(),
         rasterio.Env(GDAL_CACHEMAX=_CACHE_MB),
         ExitStack() as files,
         ThreadPoolExecutor(threads) as pool,
     ):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
         sources = _sources(geometry, layout, radiometry, resampling, files)
         dtype = sources[0].dtype
         with writing_scene(raster_path, width, height, dtype, geometry.bit_depth, rpc) as raster:

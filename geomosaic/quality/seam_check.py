@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
@@ -111,7 +112,7 @@ def check_seams(
         return count, np.median(found.displacement_px, axis=0) if count >= LEAST_PATCHES else none
 
     results = []
-    with ThreadPoolExecutor(threads) as pool:
+    with unreferenced_is_fine(), ThreadPoolExecutor(threads) as pool:
         try:
             for done, result in enumerate(pool.map(measured, places), 1):
                 results.append(result)
