@@ -20,8 +20,8 @@ import shapely
 from numpy.typing import NDArray
 from osgeo import gdal, ogr, osr
 
+from geomosaic.doors.gdal_failures import gdal_failures, gdal_options
 from geomosaic.export.rtree import fill_rtree
-from geomosaic.mosaic.gdal_failures import gdal_failures, gdal_options
 
 _TYPES = {"i": ogr.OFTInteger64, "u": ogr.OFTInteger64, "f": ogr.OFTReal, "U": ogr.OFTString}
 _GEOMETRIES = {

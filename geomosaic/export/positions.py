@@ -37,7 +37,7 @@ _DECIMALS = (9, 9, 4, 4, 4, *[6] * 6, *[4] * 3, *[5] * 3, 4, 5)
 
 
 def write_positions(path: Path, orientations: Orientations, left_out: Sequence[str] = ()) -> None:
-    """Writes the table; what is unknown is an empty cell. Pictures that were left out come last."""
+    """Writes the table; what is unknown is an empty cell. Images that were left out come last."""
     o = orientations
     numbers = np.column_stack(
         [

@@ -1,4 +1,4 @@
-"""What the adjustment leaves, as layers: of tie points on the ground and in pictures, of control points."""
+"""What the adjustment leaves, as layers: of tie points on the ground and in images, of control points."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class _ResidualLayers:
         self.package.add_layer("image_residuals", text, "Point", points, fields)
 
     def control(self) -> None:
-        """The surveyed places, and lines from where the pictures put them: the way a residual points."""
+        """The surveyed places, and lines from where the images put them: the way a residual points."""
         points = self.survey.control
         found = {(c.name, c.check): c for c in self.adjusted.control}
         residuals = [found.get((p.name, p.check)) or found.get((p.name, True)) for p in points]
@@ -139,7 +139,7 @@ class _ResidualLayers:
         seen = np.isfinite(residual).all(axis=1)
         self.package.add_layer(
             "control_residuals",
-            "From where the pictures put control and check points to where they were surveyed",
+            "From where the images put control and check points to where they were surveyed",
             "LineString",
             _lines(found_map[seen], surveyed_map[seen]),
             {name: values[seen] for name, values in fields.items()},

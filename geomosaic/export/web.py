@@ -17,10 +17,10 @@ import numpy as np
 from osgeo import gdal
 from rasterio.warp import transform_bounds
 
+from geomosaic.doors.gdal_failures import gdal_failures
 from geomosaic.doors.raster import NO_SIDECARS, OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import check_on_earth
-from geomosaic.mosaic.gdal_failures import gdal_failures
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geomosaic.export.svg import COLOURS, document, nice_ticks, number, points, tag, text
+from geomosaic.report.svg import COLOURS, document, nice_ticks, number, points, tag, text
 
 Floats = NDArray[np.float64]
 

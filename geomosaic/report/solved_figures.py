@@ -47,7 +47,7 @@ class UnknownRow:
 
 @dataclass(frozen=True)
 class ResidualField:
-    """Mean image residuals over one camera's picture, as the sensor lay: what is not mean zero is no noise.
+    """Mean image residuals over one camera's image, as the sensor lay: what is not mean zero is no noise.
 
     at_px, mean_px (k, 2): cells' centres and weighted means. scatter_px: root mean square length that a
     mean would have by chance. observations: of all cells.
@@ -68,7 +68,7 @@ def ground_reason(adjusted: Adjusted, asked: str = "auto") -> str:
     if asked != "auto":
         return "chosen by parameter"
     if relief_px is None:
-        return "no DEM was given; pictures and attitudes agree with level ground"
+        return "no DEM was given; images and attitudes agree with level ground"
     moves = f"relief moves points by {relief_px:.2g} px at the mosaic's resolution"
     if kind == "tie_surface" and relief_px > _HALF_PIXEL:
         return f"{moves}, more than half a pixel"
@@ -127,9 +127,9 @@ def strong_correlations(names: Sequence[str], correlation: Floats) -> list[tuple
 def residual_fields(
     survey: Survey, turned: Sequence[int], residuals: ImageResiduals, sigma_px: float
 ) -> list[ResidualField]:
-    """For each camera the mean image residual in cells of its picture.
+    """For each camera the mean image residual in cells of its image.
 
-    A lens belongs to the sensor: half-turned pictures (turned[i] of 2 quarters) are turned back.
+    A lens belongs to the sensor: half-turned images (turned[i] of 2 quarters) are turned back.
     """
     camera_of = np.array([f.camera for f in survey.frames])[residuals.frame]
     half = np.array([q == 2 for q in turned] or [False] * len(survey.frames))[residuals.frame][:, None]

@@ -1,4 +1,4 @@
-"""Pictures of what was solved as SVG text: correlations, residuals over a picture, error ellipses."""
+"""Pictures of what was solved as SVG text: correlations, residuals over an image, error ellipses."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.export.map_plots import MapArea, arrow, arrow_px
-from geomosaic.export.svg import COLOURS, document, nice_ticks, number, points, tag, text
+from geomosaic.report.map_plots import MapArea, arrow, arrow_px
+from geomosaic.report.svg import COLOURS, document, nice_ticks, number, points, tag, text
 
 Floats = NDArray[np.float64]
 _MOST_UNKNOWNS = 40
@@ -32,11 +32,11 @@ def correlation_map(names: Sequence[str], correlation: Floats, *, label: str, wi
         for j in range(n):
             r = float(np.nan_to_num(correlation[i, j]))
             x = left + cell * j
-            told = tag("title", f"{i + 1}, {j + 1}: {r:+.2f}")
+            title = tag("title", f"{i + 1}, {j + 1}: {r:+.2f}")
             fill = COLOURS[1] if r > 0.0 else COLOURS[0]
             place = {"x": x + 0.5, "y": y + 0.5, "width": cell - 1.0, "height": cell - 1.0}
             out.append(tag("rect", None, **place, fill="currentColor", fill_opacity=0.05))
-            out.append(tag("rect", told, **place, fill=fill, fill_opacity=round(abs(r), 3)))
+            out.append(tag("rect", title, **place, fill=fill, fill_opacity=round(abs(r), 3)))
             if cell >= 30.0 and i != j and abs(r) >= 0.005:
                 ink = "fill:#fff" if abs(r) > 0.6 else None
                 digits = f"{r:.2f}".replace("0.", ".")
@@ -57,17 +57,17 @@ def correlation_map(names: Sequence[str], correlation: Floats, *, label: str, wi
     return document(width, height, [*out, text(left, height - 8, words)], label)
 
 
-def picture_vectors(
+def image_vectors(
     size_px: tuple[int, int],
     at_px: Floats,
     vector_px: Floats,
     *,
     label: str,
-    principal_px: tuple[float, float],
-    scatter_px: float,
+    principal_px: tuple[float, float] | None = None,
+    scatter_px: float = np.nan,
     width: float = 720,
 ) -> str:
-    """Arrows over a picture, its top up, with the principal point as a cross.
+    """Arrows over an image, its top up, with the principal point as a cross.
 
     Args: size_px width and height; at_px, vector_px (k, 2) cols and rows; scatter_px: the usual
     length of an arrow by chance, drawn as a bar.
@@ -83,13 +83,16 @@ def picture_vectors(
     px_per_unit = arrow_px(start) / longest if longest > 0.0 else 1.0
     legend = max((t for t in nice_ticks(0.0, longest, 4) if t <= longest), default=0.0) or 1.0
     frame = {"x": left, "y": top, "width": scale * cols, "height": scale * rows}
-    col, row = principal_px[0] * scale + left, principal_px[1] * scale + top
-    cross = f"M{number(col - 7)},{number(row)}h14M{number(col)},{number(row - 7)}v14"
-    out = [tag("rect", None, **frame, class_="axis"), tag("path", d=cross, class_="axis")]
+    out = [tag("rect", None, **frame, class_="axis")]
     out += [arrow(a, v * px_per_unit, COLOURS[0]) for a, v in zip(start, vector_px, strict=True)]
     out.append(arrow(np.array([left, foot]), np.array([legend * px_per_unit, 0.0]), COLOURS[0]))
     factor = px_per_unit / scale
-    words = f"arrow: {legend:g} px (drawn {factor:,.0f} times larger); cross: principal point"
+    words = f"arrow: {legend:g} px (drawn {factor:,.0f} times larger)"
+    if principal_px is not None:
+        col, row = principal_px[0] * scale + left, principal_px[1] * scale + top
+        cross = f"M{number(col - 7)},{number(row)}h14M{number(col)},{number(row - 7)}v14"
+        out.append(tag("path", d=cross, class_="axis"))
+        words += "; cross: principal point"
     out.append(text(left, foot + 20, words))
     if np.isfinite(scatter_px):
         long, right = scatter_px * px_per_unit, left + scale * cols

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.orientation import Orientations
-from geomosaic.export.plots import Axis, histogram
-from geomosaic.export.solved import (
+from geomosaic.placement.model import Placement
+from geomosaic.report.plots import Axis, histogram
+from geomosaic.report.solved_figures import (
     STRONG,
     UnknownRow,
     residual_fields,
@@ -20,8 +21,7 @@ from geomosaic.export.solved import (
     strong_correlations,
     unknown_tables,
 )
-from geomosaic.export.solved_plots import correlation_map, ellipse_map, picture_vectors
-from geomosaic.placement.model import Placement
+from geomosaic.report.solved_plots import correlation_map, ellipse_map, image_vectors
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ _MOST_OUTLINES = 400
 
 @dataclass(frozen=True)
 class SolvedSection:
-    """Texts, tables and pictures (SVG); empty where a method doesn't tell.
+    """Texts, tables and pictures (SVG); empty where a method doesn't say.
 
     unknowns: title and rows of each camera and of the platform. correlations: pairs that can hardly be told
     apart. fields: title and picture of each camera's mean residuals.
@@ -84,7 +84,7 @@ def _fields(survey: Survey, placement: Placement, adjusted: Adjusted) -> list[tu
     fields = residual_fields(survey, placement.turned, adjusted.image_residuals, _sigma_px(adjusted))
     out = []
     for f in fields[:_MOST_CAMERAS]:
-        drawn = picture_vectors(
+        drawn = image_vectors(
             (f.camera.width_px, f.camera.height_px),
             f.at_px,
             f.mean_px,

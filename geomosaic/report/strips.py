@@ -8,28 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from markupsafe import Markup
 
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.export.report_page import (
-    duration,
-    grouped_warnings,
-    length,
-    markup,
-    part,
-    plural,
-    template,
-    timings_plot,
-)
-from geomosaic.export.strip_pictures import Place, scene_glance, scene_overview, seam_crops, seam_places
-from geomosaic.export.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
-from geomosaic.export.svg import short
 from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import PairQuality, StripQuality
+from geomosaic.report.page import Fact, length, markup, plural, render
+from geomosaic.report.strip_pictures import Place, scene_glance, scene_overview, seam_crops, seam_places
+from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
+from geomosaic.report.svg import short
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -74,13 +64,13 @@ def render_strips_report(
         places = seam_places(geometry, checked, by_pair[checked.pair])
         crops = seam_crops(mosaic_file, geometry, checked.pair, places, mosaic.first_line)
         seams.append((name, [(_crop_words(place), markup(crop)) for place, crop in crops]))
-    return template("report_strips.html").render(
-        css=part("report.css"),
+    return render(
+        "strips.html",
+        summary,
+        _facts(geometry, offsets, quality, mosaic),
         title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
         verdict=strips_verdict(quality),
         misplaced=quality.misplaced,
-        facts=_facts(geometry, offsets, quality, mosaic, summary),
-        warnings=grouped_warnings(summary),
         gaps=_gaps(geometry, mosaic),
         overview=markup(scene_overview(picture, geometry, quality, mosaic.first_line)),
         limit=LIMIT_PX,
@@ -92,9 +82,6 @@ def render_strips_report(
         spectrum=markup(spectrum_plot(found, left, label="spectrum of the offsets found and left")),
         separation_s=geometry.row_separation_lines / geometry.line_rate_hz,
         ccds=_ccd_rows(geometry, radiometry),
-        timings=markup(timings_plot(summary)),
-        recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
-        versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
     )
 
 
@@ -168,13 +155,12 @@ def _facts(
     offsets: StripOffsets,
     quality: StripQuality,
     mosaic: StripMosaic,
-    summary: Mapping[str, Any],
-) -> list[tuple[str, str, str]]:
-    """What the head of the page says: name, value, a note."""
+) -> list[Fact]:
+    """What the head of the page says."""
     f, living = quality.figures, sum(map(bool, geometry.lines))
     n = max(quality.lines, 1)
     size = f"{mosaic.width_px} × {mosaic.height_px}"
-    facts = [
+    return [
         (
             "strips",
             f"{living} of {len(geometry.ccds)}",
@@ -192,11 +178,6 @@ def _facts(
         ("checked", _percent(f.lines / n), f"of {quality.lines:,} lines of the overlaps"),
         ("not measured", _percent(quality.other_lines / n), "bridged or unreliable"),
     ]
-    timings, memory = summary.get("timings_s", {}), summary.get("peak_memory_mb")
-    if timings:
-        note = f"peak memory {memory:.0f} MB" if memory else ""
-        facts.append(("time taken", duration(sum(map(float, timings.values()))), note))
-    return facts
 
 
 def _gaps(geometry: StripGeometry, mosaic: StripMosaic) -> list[str]:

@@ -8,14 +8,13 @@ import numpy as np
 from markupsafe import Markup
 
 from geomosaic.adjustment.residual_pattern import CELLS, ResidualPattern
-from geomosaic.export.report_page import markup
-from geomosaic.export.svg import COLOURS, document, number, short, tag, text
 from geomosaic.quality.verdict import Verdict
+from geomosaic.report.page import markup
+from geomosaic.report.solved_plots import image_vectors
+from geomosaic.report.svg import short
 from geomosaic.survey.model import Survey
 
 _WORST_SEAMS = 12
-_ARROW_PX = 40.0
-_CELL_PX = 70.0
 _LEADS = {
     "good": "Good: nothing that was measured speaks against this mosaic.",
     "doubtful": "Doubtful:",
@@ -62,23 +61,17 @@ def verdict_section(survey: Survey, verdict: Verdict | None) -> VerdictSection:
             for i in worst
         ],
         measured=f"{int(np.isfinite(length).sum())} of {len(length)}",
-        patterns=[(p.camera, markup(_pattern(p))) for p in verdict.patterns],
+        patterns=[_pattern(survey, p) for p in verdict.patterns],
     )
 
 
-def _pattern(pattern: ResidualPattern) -> str:
-    """Mean residuals as arrows over the frame; the longest is `_ARROW_PX` long in the picture."""
-    cols, rows = CELLS
-    width, height = cols * _CELL_PX, rows * _CELL_PX
-    length = np.linalg.norm(pattern.mean_px, axis=-1)
-    longest = float(np.nanmax(length)) if np.isfinite(length).any() else 0.0
-    drawn = [tag("rect", x=0.5, y=0.5, width=width - 1.0, height=height - 1.0, class_="axis")]
-    for row, col in np.argwhere(np.isfinite(length) & (length > 0.0)):
-        x, y = (col + 0.5) * _CELL_PX, (row + 0.5) * _CELL_PX
-        dx, dy = pattern.mean_px[row, col] * _ARROW_PX / longest
-        path = f"M{number(x)},{number(y)}l{number(dx)},{number(dy)}"
-        drawn.append(tag("path", d=path, stroke=COLOURS[0], stroke_width=2.0, fill="none"))
-        drawn.append(tag("circle", cx=float(x), cy=float(y), r=2.5, fill=COLOURS[0]))
-    words = f"longest {short(longest, 'px')}; beyond chance {short(pattern.systematic_px, 'px')}"
-    drawn.append(text(0.0, height + 20.0, words))
-    return document(width, height + 28.0, drawn, f"mean residuals by place in the frame, {pattern.camera}")
+def _pattern(survey: Survey, pattern: ResidualPattern) -> tuple[str, Markup]:
+    """Mean residuals over the camera's image, and a caption."""
+    (camera,) = (c for c in survey.cameras if c.name == pattern.camera)
+    size = camera.width_px, camera.height_px
+    known = np.isfinite(pattern.mean_px).all(axis=-1)
+    row, col = np.nonzero(known)
+    at_px = (np.column_stack([col, row]) + 0.5) / CELLS * size
+    label = f"mean residuals by place in the image, {pattern.camera}"
+    drawn = image_vectors(size, at_px, pattern.mean_px[known], label=label)
+    return f"{pattern.camera}: beyond chance {short(pattern.systematic_px, 'px')}", markup(drawn)

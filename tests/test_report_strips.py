@@ -15,12 +15,12 @@ from strip_scenes import ComposedScene, composed
 
 from geomosaic.ccd.model import PairOffsets
 from geomosaic.errors import GeomosaicError
-from geomosaic.export.report_strips import render_strips_report, strips_verdict
-from geomosaic.export.strip_pictures import Place, seam_col, seam_crops, seam_places
-from geomosaic.export.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
 from geomosaic.quality.jitter import Spectrum
 from geomosaic.quality.strip_figures import strip_figures
 from geomosaic.quality.strips import PairQuality, StripQuality
+from geomosaic.report.strip_pictures import Place, seam_col, seam_crops, seam_places
+from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
+from geomosaic.report.strips import render_strips_report, strips_verdict
 from geomosaic.simulate.strip_plan import StripPlan
 
 SUMMARY = {

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
@@ -15,10 +13,10 @@ from rasterio.windows import Window
 
 from geomosaic.ccd.model import MEASURED, Floats, PairOffsets
 from geomosaic.doors.raster import OWN, open_raster, reading
-from geomosaic.export.overview import Glance, glance
-from geomosaic.export.svg import COLOURS, number, tag
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES, common_lines
 from geomosaic.quality.strips import BLOCK_LINES, PairQuality, StripQuality
+from geomosaic.report.glance import Glance, drawn_over, glance, stretched, webp
+from geomosaic.report.svg import COLOURS, number, tag
 from geomosaic.survey.strips import StripGeometry
 
 CROP_PX = (300, 220)
@@ -67,28 +65,24 @@ def scene_overview(picture: Glance, geometry: StripGeometry, quality: StripQuali
             if value > LIMIT_PX:
                 ends = k * SEGMENT_LINES, min((k + 1) * SEGMENT_LINES, pair.lines)
                 y0, y1 = (scene_row(geometry, pair.pair, end, first_line) * to_px[1] for end in ends)
-                told = tag("title", f"{value:.1f} px")
+                title = tag("title", f"{value:.1f} px")
                 place = {"x": x - 3 * unit, "y": y0, "width": 6 * unit, "height": y1 - y0}
-                seams.append(tag("rect", told, **place, class_="odd"))
+                seams.append(tag("rect", title, **place, class_="odd"))
     step = geometry.width_px - geometry.overlap_px
     for k, lines in enumerate(geometry.lines):
         x = (k * step + geometry.width_px / 2) * to_px[0]
-        told = tag("title", f"CCD {k + 1}" if lines else f"CCD {k + 1}, dead")
+        title = tag("title", f"CCD {k + 1}" if lines else f"CCD {k + 1}, dead")
         size, odd = min(20.0 * unit, 0.5 * step * to_px[0]), "" if lines else "odd"
         head = {"x": float(x), "y": float(26 * unit), "font_size": float(size), "text_anchor": "middle"}
-        names.append(tag("text", told + str(k + 1), **head, class_=odd))
+        names.append(tag("text", title + str(k + 1), **head, class_=odd))
     style = (
         f".over .seams line{{stroke:{COLOURS[5]};stroke-width:{number(1.2 * unit)};stroke-dasharray:"
         f"{number(6 * unit)} {number(5 * unit)}}}.over .seams .odd{{fill:{COLOURS[1]};fill-opacity:.8}}"
         f".over .names text{{fill:#fff;stroke:#000;stroke-width:{number(3 * unit)};paint-order:stroke}}"
         f".over .names .odd{{fill:{COLOURS[1]}}}"
     )
-    image = tag("image", href=picture.uri, width=wide, height=high)
-    groups = tag("g", "".join(seams), class_="seams") + tag("g", "".join(names), class_="names")
-    box = f"0 0 {wide} {high}"
-    told = "the scene with the seams of its strips"
-    head = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": box, "class_": "over", "role": "img"}
-    return tag("svg", tag("style", style) + image + groups, **head, aria_label=told)
+    groups, label = {"seams": seams, "names": names}, "the scene with the seams of its strips"
+    return drawn_over(picture, groups, style=style, box=f"0 0 {wide} {high}", label=label)
 
 
 def seam_places(geometry: StripGeometry, quality: PairQuality, offsets: PairOffsets) -> list[Place]:
@@ -138,16 +132,12 @@ def seam_crops(
 
 
 def _crop(values: Floats, valid: NDArray[np.bool_], seam_px: float, place: Place) -> str:
-    low, high = np.percentile(values[valid], [1.0, 99.0]) if valid.any() else (0.0, 1.0)
-    grey = np.clip((values - low) * (255.0 / max(high - low, 1e-9)), 0.0, 255.0).astype(np.uint8)
-    drawn = np.dstack([grey, grey, grey, np.where(valid, 255, 0).astype(np.uint8)])
-    data = cv2.imencode(".webp", drawn, [cv2.IMWRITE_WEBP_QUALITY, 92])[1]
-    uri = "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+    uri = webp(np.dstack([stretched(values, valid)] * 3), valid, 92)
     rows, cols = values.shape
     total = rows + 2 * _TICK_PX
     mark = f"M{number(seam_px)},0v{_TICK_PX - 2}M{number(seam_px)},{total}v{2 - _TICK_PX}"
     content = tag("image", href=uri, x=0, y=_TICK_PX, width=cols, height=rows)
     content += tag("path", d=mark, stroke=COLOURS[1], stroke_width=2)
-    told = f"the seam, {place.why}"
+    label = f"the seam, {place.why}"
     size = {"viewBox": f"0 0 {cols} {total}", "width": cols, "height": total, "class_": "seam"}
-    return tag("svg", content, xmlns="http://www.w3.org/2000/svg", role="img", aria_label=told, **size)
+    return tag("svg", content, xmlns="http://www.w3.org/2000/svg", role="img", aria_label=label, **size)

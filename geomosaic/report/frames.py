@@ -7,29 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
 from markupsafe import Markup
 from pyproj import CRS
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.export import report_parts as parts
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import orientations
-from geomosaic.export.overview import glance, overview
-from geomosaic.export.report_page import (
-    duration,
-    grouped_warnings,
-    length,
-    markup,
-    part,
-    plural,
-    template,
-    timings_plot,
-)
-from geomosaic.export.report_solved import solved_section
-from geomosaic.export.report_verdict import verdict_section
-from geomosaic.export.solved import ground_reason
-from geomosaic.export.svg import short
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.placement.model import Placement
@@ -37,6 +20,15 @@ from geomosaic.quality.compare import Comparison
 from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
 from geomosaic.quality.verdict import Verdict
+from geomosaic.report import parts
+from geomosaic.report.comparison import comparison_map, comparison_rows, ssim_image
+from geomosaic.report.glance import glance
+from geomosaic.report.overview import overview
+from geomosaic.report.page import Fact, length, markup, part, plural, render
+from geomosaic.report.solved import solved_section
+from geomosaic.report.solved_figures import ground_reason
+from geomosaic.report.svg import short
+from geomosaic.report.verdict import verdict_section
 from geomosaic.survey.model import Survey
 
 _MOST_ROWS = 3000
@@ -63,7 +55,7 @@ def render_report(
 ) -> str:
     """The page's HTML.
 
-    Names of files and texts of warnings are strangers' data: the template escapes all it isn't told is
+    Names of files and texts of warnings are strangers' data: the template escapes all that is not
     markup, and the page forbids itself any network by its content security policy.
 
     Args:
@@ -84,21 +76,21 @@ def render_report(
     ground = _ground(adjusted, summary)
     svg = markup
     judged = verdict_section(survey, verdict)
-    return template("report.html").render(
-        css=part("report.css"),
+    return render(
+        "frames.html",
+        summary,
+        _facts(survey, placement, ties, adjusted, mosaic, summary, picture.covered_m2),
         form_script=part("score_form.js"),
         title="Mosaic of " + plural(len(names), "frame"),
-        facts=_facts(survey, placement, ties, adjusted, mosaic, summary, picture.covered_m2),
         verdict=judged.lead,
         judged=judged,
-        warnings=grouped_warnings(summary),
         overview=svg(drawn),
         crowded=len(names) > 60,
         composition_rows=parts.composition_rows(summary.get("metrics", {})),
         comparison=comparison,
-        comparison_rows=parts.comparison_rows(comparison) if comparison else [],
+        comparison_rows=comparison_rows(comparison) if comparison else [],
         comparison_maps=_comparison_maps(comparison) if comparison else [],
-        ssim_uri=parts.ssim_picture(comparison) if comparison else "",
+        ssim_uri=ssim_image(comparison) if comparison else "",
         ssim_width_px=_heat_width_px(comparison) if comparison else 0,
         before=parts.misaligned_px(adjusted, 0, placement.ground_pixel_m) if adjusted.rounds else None,
         rounds=svg(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
@@ -112,9 +104,6 @@ def render_report(
         control=parts.control_tables(adjusted),
         solved=solved_section(survey, placement, adjusted, orientation, footprints_m, ground),
         cameras=parts.camera_rows(survey, adjusted),
-        timings=svg(timings_plot(summary)),
-        recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
-        versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
         levels=CCIR_500_1,
         criteria=CRITERIA,
     )
@@ -124,7 +113,7 @@ def _comparison_maps(comparison: Comparison) -> list[tuple[str, Markup]]:
     if not len(comparison.vectors_m):
         return []
     titles = (("As measured", False), ("After the best shift, turn and scale", True))
-    return [(title, markup(parts.comparison_map(comparison, after))) for title, after in titles]
+    return [(title, markup(comparison_map(comparison, after))) for title, after in titles]
 
 
 def _heat_width_px(comparison: Comparison) -> int:
@@ -140,17 +129,15 @@ def _facts(
     mosaic: Mosaic,
     summary: Mapping[str, Any],
     covered_m2: float,
-) -> list[tuple[str, str, str]]:
-    """What the head of the page says: name, value, a note."""
+) -> list[Fact]:
+    """What the head of the page says."""
     crs = CRS.from_user_input(mosaic.grid.crs)
     code = crs.to_authority()
     count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
-    timings = summary.get("timings_s", {})
-    memory = summary.get("peak_memory_mb")
     area = (covered_m2 / 1e4, "ha") if covered_m2 < 1e7 else (covered_m2 / 1e6, "km²")
     method = str(summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
     rejected = f"{count['placed']} placed by POS alone, {count['rejected']} rejected"
-    facts = [
+    return [
         ("frames tied", f"{count['tied']} of {len(survey.frames)}", rejected),
         ("taken", *_taken(survey)),
         ("ground pixel", length(mosaic.grid.gsd_m), f"{mosaic.grid.width_px} × {mosaic.grid.height_px} px"),
@@ -159,10 +146,6 @@ def _facts(
         ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
     ]
-    if timings:
-        note = f"peak memory {memory:.0f} MB" if memory else ""
-        facts.append(("time taken", duration(sum(map(float, timings.values()))), note))
-    return facts
 
 
 def _adjustment_note(adjusted: Adjusted) -> str:
@@ -171,9 +154,9 @@ def _adjustment_note(adjusted: Adjusted) -> str:
 
 
 def _ground(adjusted: Adjusted, summary: Mapping[str, Any]) -> str:
-    """Which surface, and why, as the run told it."""
-    told = summary.get("metrics", {}).get("ground", {}).get("reason") or ground_reason(adjusted)
-    return f"{_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)} ({told})"
+    """Which surface, and why, as the run reports it."""
+    reason = summary.get("metrics", {}).get("ground", {}).get("reason") or ground_reason(adjusted)
+    return f"{_GROUND.get(adjusted.ground.kind, adjusted.ground.kind)} ({reason})"
 
 
 def _taken(survey: Survey) -> tuple[str, str]:

@@ -80,6 +80,20 @@ def nice_ticks(low: float, high: float, about: int = 6, least_step: float = 0.0)
     return [i * step for i in range(first, last + 1)]
 
 
+def power_ticks(low: float, high: float) -> list[float]:
+    """1, 2 and 5 times powers of ten from at or below low to at or above high; the powers alone beyond two
+    decades and a half, at most four decades of them below high."""
+    if not 0.0 < high < math.inf:
+        low, high = 0.1, 1.0
+    low = min(max(low, high * 1e-4), 0.5 * high)
+    steps = (1.0, 2.0, 5.0) if high <= 10**2.8 * low else (1.0,)
+    first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
+    ticks = [m * 10.0**power for power in range(first, last + 1) for m in steps]
+    inside = [t for t in ticks if low * (1 + 1e-9) < t < high * (1 - 1e-9)]
+    below = max(t for t in ticks if t <= low * (1 + 1e-9))
+    return [below, *inside, min(t for t in ticks if t >= high * (1 - 1e-9))]
+
+
 def tick_texts(ticks: Sequence[float]) -> list[str]:
     """Labels of one form for all: as many decimals as the step needs, or powers for extreme values."""
     step = min((b - a for a, b in itertools.pairwise(ticks)), default=1.0)

@@ -1,0 +1,98 @@
+"""A mosaic reduced to what a page can hold, as a picture that lines and points are drawn over."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp, Resampling
+
+from geomosaic.doors.raster import OWN, open_raster, reading
+from geomosaic.report.svg import tag
+
+Floats = NDArray[np.float64]
+
+_LONGER_SIDE_PX = 1400
+
+
+@dataclass(frozen=True)
+class Glance:
+    """A reduced mosaic: a data URI, its size, and what of the full mosaic is covered.
+
+    px_from_map: (2, 3) takes easting, northing, 1 to col and row of the reduced picture.
+    """
+
+    uri: str
+    width_px: int
+    height_px: int
+    px_from_map: Floats
+    covered_m2: float
+
+    def at(self, map_m: Floats) -> Floats:
+        """Col and row (n, 2) of map coordinates (n, 2)."""
+        return np.asarray(map_m @ self.px_from_map[:, :2].T + self.px_from_map[:, 2])
+
+
+def glance(path: Path) -> Glance:
+    """A reduced read of mosaic.tif as a WebP picture whose invalid pixels are transparent.
+
+    Values of other than 8 bits are stretched between their 1st and 99th percentile.
+    """
+    with open_raster(path, OWN) as dataset, reading(path, OWN.problem, OWN.mend):
+        scale = max(1.0, max(dataset.shape) / _LONGER_SIDE_PX)
+        shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
+        colours = [
+            i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha
+        ]
+        colours = colours[:3] if len(colours) >= 3 else colours[:1] * 3
+        bands = dataset.read(colours, out_shape=(3, *shape), resampling=Resampling.average)
+        valid = dataset.dataset_mask(out_shape=shape) > 127
+        t = dataset.transform
+        full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
+        size = dataset.width, dataset.height
+    drawn = np.moveaxis(bands if bands.dtype == np.uint8 else stretched(bands, valid), 0, -1)
+    reduce = np.diag([shape[1] / size[0], shape[0] / size[1], 1.0])
+    pixel_m2 = abs(np.linalg.det(full[:2, :2])) * size[0] * size[1] / (shape[0] * shape[1])
+    return Glance(
+        webp(drawn, valid, 82),
+        shape[1],
+        shape[0],
+        (reduce @ np.linalg.inv(full))[:2],
+        float(valid.sum() * pixel_m2),
+    )
+
+
+def stretched(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Values (..., rows, cols) in 8 bits: 0 at the 1st percentile of the valid ones (rows, cols), 255 at the
+    99th."""
+    full = values.astype(np.float64)
+    low, high = np.nanpercentile(full[..., valid], [1.0, 99.0]) if valid.any() else (0.0, 1.0)
+    grey = (full - low) * (255.0 / max(high - low, 1e-9))
+    return np.nan_to_num(np.clip(grey, 0.0, 255.0)).astype(np.uint8)
+
+
+def webp(colours: NDArray[np.uint8], valid: NDArray[np.bool_], quality: int) -> str:
+    """A data URI of red, green, blue (rows, cols, 3), transparent where nothing is valid (rows, cols)."""
+    drawn = np.dstack([colours[..., ::-1], np.where(valid, 255, 0).astype(np.uint8)])
+    return data_uri("webp", drawn, [cv2.IMWRITE_WEBP_QUALITY, quality])
+
+
+def data_uri(kind: str, picture: NDArray[np.uint8], settings: Sequence[int] = ()) -> str:
+    """An encoded picture (blue, green, red, opacity) that a page can hold."""
+    data = cv2.imencode(f".{kind}", picture, list(settings))[1]
+    return f"data:image/{kind};base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+def drawn_over(
+    picture: Glance, groups: Mapping[str, Sequence[str]], *, style: str, box: str, label: str
+) -> str:
+    """An inline SVG of a picture and groups of elements over it, by the classes that a page can switch."""
+    image = tag("image", href=picture.uri, width=picture.width_px, height=picture.height_px)
+    layers = "".join(tag("g", "".join(content), class_=name) for name, content in groups.items())
+    head = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": box, "class_": "over", "role": "img"}
+    return tag("svg", tag("style", style) + image + layers, **head, aria_label=label)
