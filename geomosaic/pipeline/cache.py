@@ -94,10 +94,11 @@ def lineage_of(manifest: Manifest, inputs: Iterable[Held] = ()) -> Lineage:
     return frozenset(own).union(*(held.lineage for held in inputs))
 
 
-def stage_key(step: Step, inputs: Mapping[str, Held], seed: int, lineage: Lineage) -> str:
-    """The fingerprint of a stage's work: whatever it depends on, and nothing else."""
+def stage_key(step: Step, inputs: Mapping[str, Held], seed: int, lineage: Lineage, code: str) -> str:
+    """The fingerprint of a stage's work: whatever it depends on, and nothing else. code: `plugin.code_of`."""
     return fingerprint_of_json(
         {
+            **({"code": code} if code else {}),
             "stage": step.stage.id,
             "version": step.stage.version,
             "params": output_values(step.params),

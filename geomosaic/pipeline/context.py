@@ -108,6 +108,7 @@ class Context:
         *,
         stage_id: str = "stage",
         version: int = 1,
+        code: str = "",
         work_folder: Path | None = None,
         recorder: StageRecorder | None = None,
         workers: Workers | None = None,
@@ -133,6 +134,7 @@ class Context:
         self.kept: list[Path] = []
         self.lasting_items: list[Path] = []
         self._version = version
+        self._code = code
         self._workers = workers or Workers()
         self._hashes = hashes or FileHashes()
         self.seed = seed
@@ -286,7 +288,7 @@ class Context:
     ) -> list[Path | None]:
         if not self._key:
             return [None] * len(items)
-        base = [self.stage_id, self._version, name]
+        base = [self.stage_id, self._version, name, *([self._code] if self._code else [])]
         if reads is None:
             base.append(self._key)
         elif isinstance(function, functools.partial):

@@ -72,7 +72,13 @@ def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
     record = next(
         (s for s in recording.stages if s.index == index and s.stage_id == stage.id and s.finished), None
     )
-    entries = {a.name: a for a in recording.artefacts if a.stage_index == index}
+    recorded = {a.name: a for a in recording.artefacts if a.stage_index == index}
+    entries = {
+        name: recorded[old]
+        for name in stage.outputs
+        for old in (name, stage.formerly.get(name))
+        if old in recorded
+    }
     if record is None or not entries.keys() >= stage.outputs.keys():
         problem = f"the recording has no whole outcome of stage {stage.id}"
         raise FileError(problem, file=recording.path, mend=mend)
@@ -122,8 +128,7 @@ def _named_files(artefact: Any) -> list[str]:
     return [n for item in artefact for n in _named_files(item)] if isinstance(artefact, tuple) else []
 
 
-def frame_folders(given: Iterable[Given]) -> list[Path]:
-    """The folders of the frames of a given survey."""
-    surveys = [stage.outputs["survey"] for stage in given if "survey" in stage.outputs]
-    paths = [Path(frame.path) for survey in surveys for frame in getattr(survey, "frames", ())]
-    return list(dict.fromkeys(path.parent for path in paths))
+def missing_inputs(given: Iterable[Given]) -> list[Path]:
+    """Files and folders that given stages read and that are no longer where they were."""
+    paths = [Path(str(entry["path"])) for stage in given for entry in stage.manifest().values()]
+    return [path for path in dict.fromkeys(paths) if not path.exists()]

@@ -23,6 +23,7 @@ from geomosaic.doors.files import check_name, printable
 from geomosaic.doors.plain import plain_yaml, read_yaml, shown
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.pipeline.params import StageParams, accepts, check_params, file_values
+from geomosaic.pipeline.plugin import blamed
 from geomosaic.pipeline.registry import Registry
 from geomosaic.pipeline.stage import Stage
 
@@ -75,9 +76,11 @@ class Recipe:
                 if run_folder is not None:
                     self._check_apart(path, run_folder)
         for step in steps:
-            step.stage.check(step.params)
+            with blamed(step.stage):
+                step.stage.check(step.params)
+                named = {} if run_folder is None else step.stage.files(step.params)
             if run_folder is not None:
-                for path in step.stage.files(step.params).values():
+                for path in named.values():
                     self._check_apart(path, run_folder)
 
     def results(self) -> frozenset[str]:
@@ -234,6 +237,11 @@ def check_wiring(stages: Sequence[type[Stage]], given: Mapping[str, type], file:
                     f"stage {stage.id} wants '{name}' as {_name(wanted)}, but {source} gives {_name(kind)}",
                     file=file,
                 )
+        taken = {*stage.inputs, *stage.optional_inputs}
+        for name in stage.outputs:
+            if name in there and name not in taken:
+                problem = f"gives '{name}', which {there[name][1]} has given and it doesn't take"
+                raise InputError(f"stage {stage.id} {problem}", file=file, mend="leave one of them out")
         there.update({name: (kind, stage.id) for name, kind in stage.outputs.items()})
 
 

@@ -18,6 +18,7 @@ from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes
 from geomosaic.pipeline.given import Given, bring_files
 from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.plugin import blamed, code_of
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, Recipe, Step
 from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.pipeline.reporter import Reporter, Silent, Source, warning_lines
@@ -153,7 +154,8 @@ class _Run:
                 self._lineages.append(lineage_of({name: entry["files"] for name, entry in recorded.items()}))
                 manifest |= {f"{step.stage.id}.{name}": entry for name, entry in recorded.items()}
                 continue
-            named = step.stage.files(step.params)
+            with blamed(step.stage):
+                named = step.stage.files(step.params)
             content = file_manifest(named, self._hashes, self._hashing)
             self._lineages.append(lineage_of(content))
             for name, hashes in content.items():
@@ -208,7 +210,8 @@ class _Run:
             for message in given.messages():
                 self._recorder.copy(*message)
             return self._cache.keep_given(step.stage, given, lineage), "recording"
-        key = stage_key(step, inputs, self._recipe.seed, lineage)
+        code = code_of(step.stage, step.stage.plugged(step.params))
+        key = stage_key(step, inputs, self._recipe.seed, lineage, code)
         finished = self._cache.find(step.stage, key, lineage) if step.stage.cached else None
         if finished is not None and finished.calls is not None:
             record_again(finished.calls, self._recorder)
@@ -219,6 +222,7 @@ class _Run:
             self._folder,
             stage_id=step.stage.id,
             version=step.stage.version,
+            code=code,
             recorder=recorder,
             workers=self._workers,
             hashes=self._hashes,
@@ -232,7 +236,9 @@ class _Run:
         )
         try:
             context.check_cancelled()
-            values = step.stage().run({name: h.value() for name, h in inputs.items()}, step.params, context)
+            values = {name: held.value() for name, held in inputs.items()}
+            with blamed(step.stage):
+                values = step.stage().run(values, step.params, context)
             check_outputs(step.stage, values)
             self._hashes.check_unchanged()
         except BaseException as error:

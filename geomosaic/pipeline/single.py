@@ -11,6 +11,7 @@ from geomosaic.errors import PluginError
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.params import StageParams
+from geomosaic.pipeline.plugin import blamed
 from geomosaic.pipeline.recipe import Recipe, Step
 from geomosaic.pipeline.reporter import Reporter, Silent, warning_lines
 from geomosaic.pipeline.run_folder import RunFolder
@@ -62,7 +63,8 @@ def run_stage(
             summary=summary,
         )
         try:
-            values = stage().run(inputs or {}, params, context)
+            with blamed(stage):
+                values = stage().run(inputs or {}, params, context)
         finally:
             for line in warning_lines(context.notes.warnings):
                 reporter.warning(line)

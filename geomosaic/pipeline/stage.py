@@ -39,8 +39,9 @@ class Stage(ABC):
 
     inputs, outputs, optional_inputs: artefact types by name. Artefacts are frozen dataclasses of
     numbers, strings, tuples, dicts and numpy arrays (also nested), or `RunFile`s; they pass from stage
-    to stage by name, and a later stage that gives the same name replaces it. An optional input is
-    missing from `inputs` if no earlier stage gives it.
+    to stage by name. A name is given once, but a stage may give anew what it takes: later stages get
+    what it made of it. An optional input is missing from `inputs` if no earlier stage gives it.
+    formerly: by output, the name it had in recordings of earlier versions.
     cached: False for a stage that reads more than its inputs (the report reads the run's summary);
     it runs every time.
     results: names of the files and folders it may write beside RUN/work. A run is refused before any work
@@ -54,6 +55,7 @@ class Stage(ABC):
     inputs: ClassVar[dict[str, type]] = {}
     optional_inputs: ClassVar[dict[str, type]] = {}
     outputs: ClassVar[dict[str, type]] = {}
+    formerly: ClassVar[dict[str, str]] = {}
     cached: ClassVar[bool] = True
     results: ClassVar[tuple[str, ...]] = ()
     Params: ClassVar[type[StageParams]] = StageParams
@@ -73,6 +75,16 @@ class Stage(ABC):
         Those that `params` names; a stage adds what these name in turn. `check` has passed when it is asked.
         """
         return file_values(params)
+
+    @classmethod
+    def plugged(cls, params: Any) -> list[tuple[str, str]]:
+        """What `params` name that other distributions may bring: groups of entry points, names in them."""
+        return []
+
+    @classmethod
+    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """What a command says of the stage at the end of a run: a word and its text, out of run.json."""
+        return []
 
     @abstractmethod
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
