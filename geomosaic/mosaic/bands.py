@@ -67,4 +67,4 @@ def stack_bands(
             if valid.any():
                 pixels = np.stack([band.read(1, window=at) for band in bands], axis=-1)
                 pixels[~valid] = 0
-                out.write(Composed(window, pixels, valid, valid.astype(np.int32), ()))
+                out.write(Composed(window, pixels, valid, valid.astype(np.int16) - 1, (0,), ()))

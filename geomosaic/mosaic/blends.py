@@ -1,142 +1,205 @@
-"""How frames pass into each other at seams.
+"""How what shows the ground passes into each other at seams: frames, or CCD strips.
 
-A blend takes, for k frames over one window of h x w pixels and as much around it as its reach asks for,
+A blend takes, for a box of h x w pixels,
 
-    pictures: k arrays (h, w, bands), float32; what a frame doesn't show is anything finite;
-    inside (k, h, w): 0 where the frame has no valid pixel, rising to 1 over half the reach from its edge and
-        from its invalid pixels inwards;
-    label (h, w): the frame (from 0) that gives each pixel, -1 where none does;
+    pieces: what of it each source shows, see `Piece`;
+    label (h, w): the piece (from 0) that gives each pixel, -1 where none does;
     reach_px: how wide the transition is;
 
-and gives the mosaic (h, w, bands), float32; anything where no frame has a valid pixel. Pixels farther from
-the window's edge than `halo_px` of the reach are the same whatever else a window holds.
+and gives the mosaic (h, w, bands), float32; anything where no piece has a valid pixel. h and w are multiples
+of `STEP_PX`. A pixel depends on nothing farther away than `halo_px` of the reach, and is its own piece's
+where no other one gives a pixel within that: there a blend need not be asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
+
 Floats32 = NDArray[np.float32]
-Labels = NDArray[np.int32]
+Labels = NDArray[np.int16]
+Bytes = NDArray[np.uint8]
 _LEVELS: Final = 4
 """Differences of colour are spread over 2^4 px and more either side, detail over a pixel or two (Burt and
 Adelson 1983, ACM Transactions on Graphics 2)."""
-_STEP_PX: Final = 1 << _LEVELS
+STEP_PX: Final = 1 << _LEVELS
+_HALO_PX: Final = 4 * STEP_PX
+"""Two pixels to either side at each level, down and up again: 2 (1 + 2 + 4 + 8) twice, and rounded up."""
+_LEAST_WEIGHT: Final = np.float32(1e-4)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What a source shows of a box, in its rows and cols.
+
+    picture (.., .., bands) float32: finite anywhere. inside (.., ..): 0 where it has no valid pixel; where it
+    has one, above that and rising to 1 over half the reach from its edge and from invalid pixels inwards.
+    """
+
+    rows: slice
+    cols: slice
+    picture: Floats32
+    inside: Floats32
+
+    @property
+    def at(self) -> tuple[slice, slice]:
+        """Its place in the box."""
+        return self.rows, self.cols
 
 
 @dataclass(frozen=True)
 class Blend:
-    """A way to blend, and how much around a window it looks at: halo_px of a reach in px."""
+    """A way to blend, and how much around a seam it looks at: halo_px of a reach in px, whole STEP_PX."""
 
-    mosaic: Callable[[Sequence[Floats32], Floats32, Labels, float], Floats32]
+    mosaic: Callable[[Sequence[Piece], Labels, float], Floats32]
     halo_px: Callable[[float], int]
 
 
-def hard(pictures: Sequence[Floats32], inside: Floats32, label: Labels, reach_px: float) -> Floats32:
-    """Every pixel is one frame's."""
-    out = np.zeros_like(pictures[0])
-    for k, picture in enumerate(pictures):
-        np.copyto(out, picture, where=(label == k)[..., None])
+def hard(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Floats32:
+    """Every pixel is one source's."""
+    out = np.zeros((*label.shape, pieces[0].picture.shape[-1]), dtype=np.float32)
+    for k, piece in enumerate(pieces):
+        _copy(piece.picture, label[piece.at] == k, out[piece.at])
     return out
 
 
-def feather(pictures: Sequence[Floats32], inside: Floats32, label: Labels, reach_px: float) -> Floats32:
-    """Straight from one frame to the other over the reach, and to nothing where a frame ends."""
+def feather(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Floats32:
+    """Straight from one source to the other over the reach, and to nothing where a source ends."""
     side = 2 * round(reach_px / 2.0) + 1
-    total, weights = np.zeros_like(pictures[0]), np.zeros(label.shape, dtype=np.float32)
-    for k, picture in enumerate(pictures):
+    bands = pieces[0].picture.shape[-1]
+    total, weights = _sums(label.shape, bands), np.zeros(label.shape, dtype=np.float32)
+    for k, piece in enumerate(pieces):
         mine = (label == k).astype(np.float32)
-        weight = cv2.blur(mine, (side, side), borderType=cv2.BORDER_REPLICATE) * inside[k]
-        weight += mine * np.float32(1e-4)
-        total += picture * weight[..., None]
-        weights += weight
-    np.divide(total, weights[..., None], out=total, where=weights[..., None] > 0.0)
-    return total
+        weight = cv2.blur(mine, (side, side), borderType=cv2.BORDER_REPLICATE)[piece.at] * piece.inside
+        weight += mine[piece.at] * _LEAST_WEIGHT
+        _add(total, piece.picture, weight, piece.at)
+        weights[piece.at] += weight
+    np.maximum(weights, np.float32(1e-12), out=weights)
+    total /= _widened(weights, bands)
+    return total.reshape(*label.shape, bands)
 
 
-def multi_band(pictures: Sequence[Floats32], inside: Floats32, label: Labels, reach_px: float) -> Floats32:
+def multi_band(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Floats32:
     """Each band of frequencies over its own wavelength: no step of brightness, and nothing doubled.
 
-    What a frame doesn't show is taken from the mosaic, so that it pulls nothing towards black.
+    What a source doesn't show is taken from the mosaic, so that it pulls nothing towards black.
     """
-    plain = hard(pictures, inside, label, reach_px)
-    _fill(plain, label >= 0)
-    height, width, bands = plain.shape
-    whole = _STEP_PX * -(-height // _STEP_PX), _STEP_PX * -(-width // _STEP_PX)
-    sums = [np.zeros((whole[0] >> n, whole[1] >> n, bands), dtype=np.float32) for n in range(_LEVELS + 1)]
-    weights = [np.zeros(s.shape[:2], dtype=np.float32) for s in sums]
-    plain = _padded(plain, whole)
-    for k, picture in enumerate(pictures):
-        at = _reached(label == k, whole)
+    plain = hard(pieces, label, reach_px)
+    label = _filled(plain, label)
+    bands = plain.shape[-1]
+    sums = [_sums((label.shape[0] >> n, label.shape[1] >> n), bands) for n in range(_LEVELS + 1)]
+    for k, piece in enumerate(pieces):
+        at = _reached(label == k)
         if at is None:
             continue
-        full = at[0], at[1]
-        mask = _padded((label == k).astype(np.float32), whole)[full]
-        shown = _padded(inside[k] > 0.0, whole)[full][..., None]
-        own = np.where(shown, _padded(picture, whole)[full], plain[full])
-        for n in range(_LEVELS + 1):
-            here = tuple(slice(s.start >> n, s.stop >> n) for s in at)
-            if n < _LEVELS:
-                smaller = cv2.pyrDown(own)
-                detail = own - cv2.pyrUp(smaller, dstsize=own.shape[1::-1]).reshape(own.shape)
-            else:
-                smaller, detail = own, own
-            sums[n][here] += detail.reshape(*own.shape) * mask[..., None]
-            weights[n][here] += mask
-            if n < _LEVELS:
-                own = smaller.reshape(*smaller.shape[:2], bands)
-                mask = cv2.pyrDown(mask)
-    out = np.zeros_like(sums[-1])
-    for total, weight in zip(reversed(sums), reversed(weights), strict=True):
-        if out.shape != total.shape:
-            out = cv2.pyrUp(out, dstsize=total.shape[1::-1]).reshape(total.shape)
-        out += total / np.maximum(weight, np.float32(1e-12))[..., None]
-    return out[:height, :width]
+        own, mask = plain[at].copy(), (label[at] == k).astype(np.float32)
+        here, there = _common(piece.at, at)
+        _copy(piece.picture[here], piece.inside[here] > 0.0, own[there])
+        for n, (detail, weight) in enumerate(_bands(own, mask)):
+            _add(sums[n], detail, weight, tuple(slice(s.start >> n, s.stop >> n) for s in at))
+    for smaller, total in zip(sums[:0:-1], sums[-2::-1], strict=True):
+        up = cv2.pyrUp(smaller.reshape(len(smaller), -1, bands))
+        total += up.reshape(total.shape)
+    return sums[0].reshape(*label.shape, bands)
 
 
-def _reached(mine: NDArray[np.bool_], whole: tuple[int, int]) -> tuple[slice, slice] | None:
-    """Whole steps about the pixels of a frame, as far as its weights reach at the coarsest level."""
-    rows, cols = np.flatnonzero(mine.any(axis=1)), np.flatnonzero(mine.any(axis=0))
-    if not rows.size:
-        return None
-    reach = 4 * _STEP_PX
-    return (
-        slice(
-            max(rows[0] // _STEP_PX * _STEP_PX - reach, 0),
-            min(rows[-1] // _STEP_PX * _STEP_PX + reach + _STEP_PX, whole[0]),
-        ),
-        slice(
-            max(cols[0] // _STEP_PX * _STEP_PX - reach, 0),
-            min(cols[-1] // _STEP_PX * _STEP_PX + reach + _STEP_PX, whole[1]),
-        ),
+def _bands(picture: Floats32, mask: Floats32) -> Iterator[tuple[Floats32, Floats32]]:
+    """What of a picture, which is used up, each band of frequencies holds, the highest first, and the mask as
+    smooth."""
+    for _ in range(_LEVELS):
+        smaller = np.asarray(cv2.pyrDown(picture), dtype=np.float32)
+        picture -= np.asarray(cv2.pyrUp(smaller)).reshape(picture.shape)
+        yield picture, mask
+        picture = smaller.reshape(*smaller.shape[:2], picture.shape[-1])
+        mask = np.asarray(cv2.pyrDown(mask), dtype=np.float32)
+    yield picture, mask
+
+
+def _reached(mine: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """Whole steps about the pixels of a piece, as far as its weights reach at the coarsest level."""
+    found = []
+    for axis, length in ((1, mine.shape[0]), (0, mine.shape[1])):
+        used = np.flatnonzero(mine.any(axis=axis))
+        if not used.size:
+            return None
+        first, last = used[0] // STEP_PX * STEP_PX, used[-1] // STEP_PX * STEP_PX + STEP_PX
+        found.append(slice(max(int(first) - _HALO_PX, 0), min(int(last) + _HALO_PX, length)))
+    return found[0], found[1]
+
+
+def _common(
+    one: tuple[slice, slice], other: tuple[slice, slice]
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """What two parts of a box have in common, counted from the first of one and of the other."""
+    both = [
+        (max(a.start, b.start), max(min(a.stop, b.stop), a.start, b.start))
+        for a, b in zip(one, other, strict=True)
+    ]
+    (rows, end_rows), (cols, end_cols) = both
+    here, there = (
+        (slice(rows - r.start, end_rows - r.start), slice(cols - c.start, end_cols - c.start))
+        for r, c in (one, other)
     )
+    return here, there
 
 
-def _padded(a: NDArray[Any], whole: tuple[int, int]) -> NDArray[Any]:
-    more = [(0, whole[0] - a.shape[0]), (0, whole[1] - a.shape[1])] + [(0, 0)] * (a.ndim - 2)
-    return np.pad(a, more, mode="edge") if any(m[1] for m in more) else a
-
-
-def _fill(picture: Floats32, valid: NDArray[np.bool_]) -> None:
-    """Puts into what isn't valid the nearest that is."""
+def _filled(picture: Floats32, label: Labels) -> Labels:
+    """Labels everywhere: where there is none, the nearest pixel's that has one; and its picture, in place."""
+    valid = label >= 0
     if valid.all() or not valid.any():
-        return
+        return label
     _, nearest = cv2.distanceTransformWithLabels(
-        (~valid).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+        (~valid).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    value = np.zeros((nearest.max() + 1, picture.shape[-1]), dtype=np.float32)
-    value[nearest[valid]] = picture[valid]
-    picture[~valid] = value[nearest[~valid]]
+    place = np.zeros(int(nearest.max()) + 1, dtype=np.intp)
+    place[nearest[valid]] = np.flatnonzero(valid)
+    taken = place[nearest[~valid]]
+    picture[~valid] = picture.reshape(-1, picture.shape[-1])[taken]
+    whole = label.copy()
+    whole[~valid] = label.ravel()[taken]
+    return whole
 
 
-BLENDS: dict[str, Blend] = {
-    "multi_band": Blend(multi_band, lambda reach_px: 4 * _STEP_PX),
-    "feather": Blend(feather, lambda reach_px: _STEP_PX * -(-(round(reach_px / 2.0) + 1) // _STEP_PX)),
-    "hard": Blend(hard, lambda reach_px: 0),
-}
+def _copy(picture: Floats32, where: NDArray[np.bool_], into: Floats32) -> None:
+    """In place, whatever OpenCV makes of empty arrays and single bands."""
+    if where.size:
+        cv2.copyTo(picture, where.view(np.uint8), into)
+
+
+def _sums(shape: tuple[int, ...], bands: int) -> Floats32:
+    """(h, w x bands) of nothing yet: OpenCV takes that for one band, however many there are."""
+    return np.zeros((shape[0], shape[1] * bands), dtype=np.float32)
+
+
+def _widened(weight: Floats32, bands: int) -> Floats32:
+    """(h, w) once for each band, (h, w x bands)."""
+    wide = weight if bands == 1 else np.asarray(cv2.merge([weight] * bands), dtype=np.float32)
+    return wide.reshape(len(weight), -1)
+
+
+def _add(sums: Floats32, values: Floats32, weight: Floats32, at: tuple[slice, ...]) -> None:
+    """Adds values times weight (h, w) to part of sums."""
+    bands = values.size // weight.size if weight.size else 0
+    if bands:
+        rows, cols = at
+        into = sums[rows, cols.start * bands : cols.stop * bands]
+        cv2.accumulateProduct(values.reshape(len(weight), -1), _widened(weight, bands), into)
+
+
+BLENDS: Final[Mapping[str, Blend]] = Named(
+    {
+        "multi_band": Blend(multi_band, lambda reach_px: _HALO_PX),
+        "feather": Blend(feather, lambda reach_px: STEP_PX * -(-(round(reach_px / 2.0) + 1) // STEP_PX)),
+        "hard": Blend(hard, lambda reach_px: 0),
+    },
+    BLENDS_GROUP,
+    lambda found: isinstance(found, Blend),
+)
+"""And what other distributions bring, see `plugins`."""

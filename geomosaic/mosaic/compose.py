@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from geomosaic.camera.exterior import Poses
@@ -12,15 +12,18 @@ from geomosaic.camera.interior import Camera
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.mosaic.blends import BLENDS
+from geomosaic.mosaic.driver import composed
+from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.frames import Decoded, DecodedFrames, decode, decoded_bytes, may_be_masked
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Scene, Window, windows
+from geomosaic.mosaic.plan import Planning, windows
 from geomosaic.mosaic.raster import writing_mosaic
+from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seamlines import SeamLabels
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import Composed, Manner, Step, compose_window, planned
+from geomosaic.mosaic.window import DTYPES, Composed, Manner, Step, Window, compose_window
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
@@ -29,7 +32,6 @@ WINDOW_PX = 512
 AUTO = "auto"
 AUTO_FEATHER_PX = 48
 """The feather's width where none is given, in ground pixels of the mosaic."""
-_DTYPES = ("uint8", "uint16", "int16", "float32")
 
 
 def compose(
@@ -72,15 +74,11 @@ def compose(
     views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
     kind = _common_kind([survey.frames[v.frame] for v in views])
     scene = Scene(survey.work_frame, ground, grid, views)
-    manner = Manner(
-        ownership or nearest_nadir(scene, used, cell_px_of(scene))[0],
-        BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"],
-        feather_m / grid.gsd_m,
-        resampling,
-        tones,
-        kind.bands,
-        kind.dtype,
-    )
+    ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]
+    how = BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"]
+    manner = Manner(how, kind.bands, kind.dtype, scene.lattice)
+    sources = {v.frame: FrameSource(scene, ownership, v, resampling, tones) for v in views}
+    planning = Planning(sources, how.halo_px(feather_m / grid.gsd_m), feather_m / grid.gsd_m)
     labels = SeamLabels(grid, WINDOW_PX)
     gave_pixels: set[int] = set()
     names = [frame.name for frame in survey.frames]
@@ -91,28 +89,21 @@ def compose(
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
         try:
-            plan = _plan(scene, manner, survey.frames, order, pool, check_cancelled)
+            plan = _plan(planning, survey.frames, order, pool, check_cancelled)
             frames = DecodedFrames(
-                [[p.view.frame for p in step.parts] for step in plan],
+                [[p.source.number for p in step.parts] for step in plan],
                 {v.frame: decoded_bytes(survey.frames[v.frame]) for v in views},
                 memory_bytes,
                 pool,
                 lambda i: decode(survey.frames[i], KERNEL_RADIUS_PX[resampling]),
             )
-            done = 0
-            running: deque[Future[Composed]] = deque()
-            for number, step in enumerate(plan):
-                if check_cancelled is not None:
-                    check_cancelled()
-                running.append(pool.submit(_work, scene, manner, step, frames.for_step(number)))
-                while len(running) > (threads if number + 1 < len(plan) else 0):
-                    composed = running.popleft().result()
-                    raster.write(composed)
-                    labels.add(composed)
-                    gave_pixels.update(composed.frames)
-                    done += 1
-                    if progress is not None:
-                        progress(done, len(order))
+            work = partial(_composed, manner, planning)
+            for done, window in enumerate(composed(plan, work, frames, pool, threads, check_cancelled)):
+                raster.write(window)
+                labels.add(window)
+                gave_pixels.update(window.gave)
+                if progress is not None:
+                    progress(done + 1, len(order))
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
@@ -125,28 +116,32 @@ def compose(
         seamlines=labels.seamlines(),
         frames_used=tuple(sorted(gave_pixels)),
         decodes=frames.decodes,
+        holes=labels.holes(),
     )
 
 
 def _plan(
-    scene: Scene,
-    manner: Manner,
+    planning: Planning,
     frames: Sequence[Frame],
     order: Sequence[Window],
     pool: ThreadPoolExecutor,
     check_cancelled: Callable[[], None] | None,
 ) -> list[Step]:
-    valid = {v.frame: None for v in scene.views if not may_be_masked(frames[v.frame])}
+    valid = {number: None for number in planning.sources if not may_be_masked(frames[number])}
     plan = []
-    for found in pool.map(lambda w: planned(scene, manner, w, valid), order):
+    for found in pool.map(lambda w: planning.step(w, valid), order):
         if check_cancelled is not None:
             check_cancelled()
         plan.append(found)
     return plan
 
 
-def _work(scene: Scene, manner: Manner, step: Step, frames: dict[int, Future[Decoded]]) -> Composed:
-    return compose_window(scene, manner, step, {i: frame.result() for i, frame in frames.items()})
+def _composed(manner: Manner, planning: Planning, step: Step, decoded: Mapping[int, Decoded]) -> Composed:
+    """A window, planned again where frames turn out to have masks."""
+    masks = {frame: d.mask_distance_px for frame, d in decoded.items()}
+    if any(mask is not None for mask in masks.values()):
+        step = planning.step(step.window, masks, [p.source.number for p in step.parts])
+    return compose_window(manner, step, decoded)
 
 
 def _common_kind(frames: Sequence[Frame]) -> Frame:
@@ -161,10 +156,10 @@ def _common_kind(frames: Sequence[Frame]) -> Frame:
                 file=frame.path,
                 mend="mosaic frames of one kind at a time",
             )
-    if first.dtype not in _DTYPES:
+    if first.dtype not in DTYPES:
         raise InputError(
             f"pixels of type {first.dtype} can't be resampled",
             file=first.path,
-            mend=f"convert the frames to one of {', '.join(_DTYPES)}",
+            mend=f"convert the frames to one of {', '.join(DTYPES)}",
         )
     return first

@@ -57,12 +57,30 @@ class Seamline:
 
 
 @dataclass(frozen=True)
+class Hole:
+    """Ground inside the mosaic that no frame shows: its area, and easting and northing of a place in it."""
+
+    area_m2: float
+    easting_m: float
+    northing_m: float
+
+
+@dataclass(frozen=True)
+class Holes:
+    """How many there are, their area together, and the largest of them, by area."""
+
+    number: int = 0
+    area_m2: float = 0.0
+    largest: tuple[Hole, ...] = ()
+
+
+@dataclass(frozen=True)
 class Mosaic:
     """The composed mosaic, as an uncompressed raster with an internal mask.
 
     raster: the raster's name inside the run folder. frames_used: indices of frames that gave pixels.
     decodes: how often a frame was decoded; the number of frames where memory sufficed. band_names: of a rig's
-    bands, in the raster's order.
+    bands, in the raster's order. holes: none smaller than a cell of the seamlines is seen.
     """
 
     grid: OutputGrid
@@ -74,3 +92,4 @@ class Mosaic:
     frames_used: tuple[int, ...]
     decodes: int
     band_names: tuple[str, ...] = ()
+    holes: Holes = Holes()

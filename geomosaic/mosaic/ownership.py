@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.plan import CELL_PX, Scene, Window, distances_m, ground_of, margin_px
+from geomosaic.mosaic.scene import CELL_PX, Scene, distances_m, ground_of, margin_px
 from geomosaic.mosaic.views import FrameView
+from geomosaic.mosaic.window import Window
 from geomosaic.projection.warp import frame_from_map
 
 Floats32 = NDArray[np.float32]
@@ -128,13 +129,19 @@ def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]
     return found
 
 
-def owner_share(ownership: Ownership, window: Window, frame: int) -> Floats32:
-    """How far each pixel of a window belongs to a frame: 1 in the middle of its own cells, 0 in that of
+def owner_share(ownership: Ownership, window: Window, rows: slice, cols: slice, frame: int) -> Floats32:
+    """How far pixels of part of a window belong to a frame: 1 in the middle of its own cells, 0 in that of
     others', linear between."""
-    row, col, around = ownership.around(window)
+    part = Window(window.col + cols.start, window.row + rows.start, _length(cols), _length(rows))
+    row, col, around = ownership.around(part)
     side = ownership.cell_px
-    rows = (window.row + np.arange(window.height) + 0.5) / side - 0.5 - row
-    cols = (window.col + np.arange(window.width) + 0.5) / side - 0.5 - col
-    x, y = (np.ascontiguousarray(a, dtype=np.float32) for a in np.meshgrid(cols, rows))
     mine = (around == frame + 1).astype(np.float32)
-    return np.asarray(cv2.remap(mine, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    if (mine == mine[0, 0]).all():
+        return np.broadcast_to(mine[0, 0], (part.height, part.width))
+    share = cv2.resize(mine, None, fx=side, fy=side, interpolation=cv2.INTER_LINEAR)
+    top, left = part.row - row * side, part.col - col * side
+    return np.asarray(share[top : top + part.height, left : left + part.width])
+
+
+def _length(part: slice) -> int:
+    return int(part.stop - part.start)

@@ -1,52 +1,113 @@
-"""The composed raster on disk, written by windows: tiled, uncompressed, with an internal mask."""
+"""A composed raster on disk, written by windows: tiled, uncompressed, with an internal mask, and if asked for
+with overviews, of which each block of rows brings its part."""
 
 from __future__ import annotations
 
-import errno
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import cv2
 import numpy as np
-import rasterio
-from rasterio.enums import ColorInterp
-from rasterio.errors import RasterioError
-from rasterio.windows import Window as RasterWindow
+from numpy.typing import NDArray
+from osgeo import gdal, gdal_array, osr
 
+from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.plan import Window
 from geomosaic.mosaic.window import Composed
 
-TILE_PX = 512
-_LITTLE_BYTES = 1 << 20
-_SHARED: dict[str, Any] = {
-    "driver": "GTiff",
-    "tiled": True,
-    "blockxsize": TILE_PX,
-    "blockysize": TILE_PX,
-    "BIGTIFF": "IF_SAFER",
-    "SPARSE_OK": True,
+TILE_PX: Final = 512
+BLOCK_ROWS: Final = TILE_PX
+_MOST_OVERVIEWS: Final = 7
+"""A block's rows are halved so often; its part of the smallest overview is four rows."""
+_OPTIONS: Final = (
+    "TILED=YES",
+    f"BLOCKXSIZE={TILE_PX}",
+    f"BLOCKYSIZE={TILE_PX}",
+    "BIGTIFF=IF_SAFER",
+    "SPARSE_OK=YES",
+    "INTERLEAVE=PIXEL",
+)
+_SETTINGS: Final = {"GDAL_TIFF_INTERNAL_MASK": "YES", "GDAL_TIFF_OVR_BLOCKSIZE": str(TILE_PX)}
+_COLOURS: Final = {
+    1: (gdal.GCI_GrayIndex,),
+    3: (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand),
 }
+Flags = NDArray[np.bool_]
 
 
-class MosaicRaster:
-    """Open files of a composition: the mosaic, and if asked for the index of which frame made each pixel."""
+class Raster:
+    """An open GeoTIFF. Tiles lie in the file as they were written, so that equal mosaics are equal bytes."""
 
-    def __init__(self, mosaic: Any, sources: Any | None) -> None:
-        self._mosaic = mosaic
-        self._sources = sources
+    def __init__(
+        self, dataset: Any, *, by_blocks: bool = False, overviews: int = 0, sources: Any | None = None
+    ) -> None:
+        bands = [dataset.GetRasterBand(k + 1) for k in range(dataset.RasterCount)]
+        self._levels = [bands, *([b.GetOverview(k) for b in bands] for k in range(overviews))]
+        self._sources, self._width, self._by_blocks = sources, dataset.RasterXSize, by_blocks
+        self._block: tuple[int, NDArray[Any], Flags] | None = None
 
-    def write(self, composed: Composed) -> None:
-        """One window. Those without any valid pixel take no room in the files."""
-        if not composed.valid.any():
+    def write(self, composed: Composed) -> bool:
+        """One window, and whether something was written: by blocks of rows a window waits, with those to its
+        left, for the block's last one. Without any valid pixel they take no room."""
+        window = composed.window
+        if not self._by_blocks:
+            self._write(window.col, window.row, composed.pixels, composed.valid)
+            if self._sources is not None and composed.valid.any():
+                source = composed.source.astype(
+                    gdal_array.GDALTypeCodeToNumericTypeCode(self._sources.DataType)
+                )
+                self._sources.WriteArray(source, window.col, window.row)
+                self._sources.FlushCache()
+            return True
+        if self._block is None or self._block[0] != window.row:
+            shape = window.height, self._width
+            pixels = np.zeros((*shape, composed.pixels.shape[-1]), composed.pixels.dtype)
+            self._block = window.row, pixels, np.zeros(shape, bool)
+        cols = slice(window.col, window.col + window.width)
+        self._block[1][:, cols], self._block[2][:, cols] = composed.pixels, composed.valid
+        if cols.stop < self._width:
+            return False
+        self._write(0, *self._block)
+        return True
+
+    def _write(self, col: int, row: int, pixels: NDArray[Any], valid: Flags) -> None:
+        if not valid.any():
             return
-        at = _raster_window(composed.window)
-        self._mosaic.write(np.moveaxis(composed.pixels, -1, 0), window=at)
-        self._mosaic.write_mask(composed.valid.astype(np.uint8) * 255, window=at)
-        if self._sources is not None:
-            self._sources.write(composed.source.astype(self._sources.dtypes[0]), 1, window=at)
+        for level, bands in enumerate(self._levels):
+            if level:
+                pixels, valid = halved(pixels, valid)
+            at = col >> level, row >> level
+            for k, band in enumerate(bands):
+                band.WriteArray(pixels[..., k], *at)
+            bands[0].FlushCache()
+            mask = bands[0].GetMaskBand()
+            mask.WriteArray(valid.view(np.uint8) * np.uint8(255), *at)
+            mask.FlushCache()
+
+
+def halved(pixels: NDArray[Any], valid: Flags) -> tuple[NDArray[Any], Flags]:
+    """Means of 2 x 2 pixels (h, w, bands), of the valid ones among them; what is left over at an edge stands
+    for itself."""
+    rows, cols = valid.shape
+    if rows % 2 or cols % 2:
+        wider = ((0, rows % 2), (0, cols % 2))
+        pixels, valid = np.pad(pixels, (*wider, (0, 0))), np.pad(valid, wider)
+    bands = pixels.shape[-1]
+    size = pixels.shape[1] // 2, pixels.shape[0] // 2
+    means = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
+    means = means.reshape(size[1], size[0], bands)
+    if valid.all():
+        return means, np.ones(means.shape[:2], dtype=bool)
+    count = valid.reshape(size[1], 2, size[0], 2).sum(axis=(1, 3), dtype=np.uint8)
+    some = (count > 0) & (count < 4)
+    four = np.where(valid[..., None], pixels, 0).reshape(size[1], 2, size[0], 2, bands)
+    of_valid = four.sum(axis=(1, 3), dtype=np.float64 if pixels.dtype.kind == "f" else np.int64)
+    found = of_valid[some] / count[some][:, None]
+    means[some] = (found if pixels.dtype.kind == "f" else np.rint(found)).astype(means.dtype)
+    means[count == 0] = 0
+    return means, count > 0
 
 
 @contextmanager
@@ -58,48 +119,76 @@ def writing_mosaic(
     sources: Path | None,
     frames: Sequence[str],
     band_names: Sequence[str] = (),
-) -> Iterator[MosaicRaster]:
-    """Files to write windows into; complete when the block ends.
+) -> Iterator[Raster]:
+    """Files on the map to write windows into; complete when the block ends.
 
     band_names: of each band, as a rig's have; then none is a colour. sources: where the frame index raster
     goes: 0 where there is no frame, else the frame's index + 1; its tags name the frames.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
-    shape = {
-        "width": grid.width_px,
-        "height": grid.height_px,
-        "crs": rasterio.CRS.from_user_input(grid.crs),
-        "transform": rasterio.Affine.from_gdal(*grid.geotransform),
-    }
-    colours = {1: [ColorInterp.gray], 3: [ColorInterp.red, ColorInterp.green, ColorInterp.blue]}
-    with _full_disk_told(path), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
-        mosaic = rasterio.open(path, "w", count=bands, dtype=dtype, interleave="pixel", **shape, **_SHARED)
-        with mosaic:
-            if band_names:
-                mosaic.colorinterp = [ColorInterp.gray, *[ColorInterp.undefined] * (bands - 1)]
-                mosaic.descriptions = tuple(band_names)
-            elif bands in colours:
-                mosaic.colorinterp = colours[bands]
-            if sources is None:
-                yield MosaicRaster(mosaic, None)
-                return
-            index_dtype = "uint16" if len(frames) < 65535 else "uint32"
-            with rasterio.open(
-                sources, "w", count=1, dtype=index_dtype, nodata=0, compress="deflate", **shape, **_SHARED
-            ) as index:
-                index.update_tags(**{f"FRAME_{i + 1}": name for i, name in enumerate(frames)})
-                index.set_band_description(1, "index of the frame that made the pixel, from 1")
-                yield MosaicRaster(mosaic, index)
+    with ExitStack() as files:
+        mosaic = files.enter_context(_created(path, grid.width_px, grid.height_px, bands, dtype, grid))
+        colours = _COLOURS.get(bands, ())
+        if band_names:
+            colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (bands - 1))
+        for k, colour in enumerate(colours):
+            mosaic.GetRasterBand(k + 1).SetColorInterpretation(colour)
+        for k, name in enumerate(band_names):
+            mosaic.GetRasterBand(k + 1).SetDescription(name)
+        mosaic.CreateMaskBand(gdal.GMF_PER_DATASET)
+        index = None
+        if sources is not None:
+            kind = "uint16" if len(frames) < 65535 else "uint32"
+            more = ("COMPRESS=DEFLATE",)
+            made = files.enter_context(_created(sources, grid.width_px, grid.height_px, 1, kind, grid, more))
+            made.SetMetadata({f"FRAME_{i + 1}": name for i, name in enumerate(frames)})
+            index = made.GetRasterBand(1)
+            index.SetNoDataValue(0)
+            index.SetDescription("index of the frame that made the pixel, from 1")
+        yield Raster(mosaic, sources=index)
 
 
 @contextmanager
-def _full_disk_told(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except RasterioError as error:
-        full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
-        raise OSError(errno.ENOSPC if full else errno.EIO, str(error.__cause__ or error)) from error
+def writing_scene(
+    path: Path, width: int, height: int, dtype: str, bit_depth: int, rpc: Mapping[str, str] | None
+) -> Iterator[Raster]:
+    """A raster of one band without a map, with overviews, to write blocks of rows into.
+
+    Raises: `OSError` (with `ENOSPC` where the disk is full) if it can't be written.
+    """
+    overviews = 0
+    while overviews < _MOST_OVERVIEWS and max(width, height) > TILE_PX << overviews:
+        overviews += 1
+    with _created(path, width, height, 1, dtype) as dataset:
+        if rpc is not None:
+            dataset.SetMetadata(dict(rpc), "RPC")
+        dataset.GetRasterBand(1).SetMetadataItem("NBITS", str(bit_depth))
+        dataset.CreateMaskBand(gdal.GMF_PER_DATASET)
+        if overviews:
+            dataset.BuildOverviews("NONE", [2 << k for k in range(overviews)])
+        yield Raster(dataset, by_blocks=True, overviews=overviews)
 
 
-def _raster_window(window: Window) -> RasterWindow:
-    return RasterWindow(window.col, window.row, window.width, window.height)
+@contextmanager
+def _created(
+    path: Path,
+    width: int,
+    height: int,
+    bands: int,
+    dtype: str,
+    grid: OutputGrid | None = None,
+    options: Sequence[str] = (),
+) -> Iterator[Any]:
+    with gdal_failures(path), gdal_options(_SETTINGS):
+        kind = gdal_array.NumericTypeCodeToGDALTypeCode(np.dtype(dtype))
+        driver = gdal.GetDriverByName("GTiff")
+        dataset = driver.Create(str(path), width, height, bands, kind, [*_OPTIONS, *options])
+        try:
+            if grid is not None:
+                crs = osr.SpatialReference()
+                crs.SetFromUserInput(grid.crs)
+                dataset.SetSpatialRef(crs)
+                dataset.SetGeoTransform(grid.geotransform)
+            yield dataset
+        finally:
+            close(dataset)

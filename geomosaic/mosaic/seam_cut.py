@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.mosaic.ownership import FrameCells, Ownership, frame_cells
-from geomosaic.mosaic.plan import Scene
+from geomosaic.mosaic.plugins import SEAMS_GROUP, Named
+from geomosaic.mosaic.scene import Scene
 from geomosaic.projection.resample import resample
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
@@ -104,19 +105,19 @@ def _cropped(cells: FrameCells) -> FrameCells:
     )
 
 
-def cut_seams(
-    nearest: Ownership, parts: Sequence[FrameCells], seen: Sequence[Glimpsed]
-) -> tuple[Ownership, SeamFigures, SeamFigures]:
+Seam = Callable[[Ownership, Sequence[FrameCells], Sequence[Glimpsed]], Ownership]
+"""Who owns what, by the ownership of the nearest nadir points, and of each frame that may give something its
+`bands` and what it shows there. What may go to a frame is where its margin is above 0 and it is valid."""
+
+
+def cut_seams(nearest: Ownership, parts: Sequence[FrameCells], seen: Sequence[Glimpsed]) -> Ownership:
     """Pair by pair, what both frames may give is cut where they differ least: Kwatra et al. 2003, Graphcut
     textures, section 3, by OpenCV's GraphCutSeamFinder.
 
     Args: parts, seen: of each frame its `bands` and what it shows there.
-    Returns: the ownership, and figures of the seams of `nearest` and of its own.
     """
-    white = max((float(np.quantile(s.values[s.valid], 0.99)) for s in seen if s.valid.any()), default=_WHITE)
-    scale = 1.0 if white <= _WHITE and white > 1.0 else _WHITE / max(white, _LEAST_WHITE)
     masks = [(c.margin_px > 0.0) & s.valid for c, s in zip(parts, seen, strict=True)]
-    pictures = [_colours(s.values * np.float32(scale)) for s in seen]
+    pictures = _pictures(seen)
     corners = [(c.col, c.row) for c in parts]
     finder = _cv2.detail_GraphCutSeamFinder("COST_COLOR")
     for i, j in _meeting(parts):
@@ -129,8 +130,14 @@ def cut_seams(
     owner = nearest.owner.copy()
     for cells, mask in zip(parts, masks, strict=True):
         owner[cells.of_all][mask] = cells.view.frame + 1
-    found = replace(nearest, owner=owner)
-    return found, _figures(nearest, parts, pictures), _figures(found, parts, pictures)
+    return replace(nearest, owner=owner)
+
+
+def _pictures(seen: Sequence[Glimpsed]) -> list[Floats32]:
+    """Colours on a scale of 8 bits."""
+    white = max((float(np.quantile(s.values[s.valid], 0.99)) for s in seen if s.valid.any()), default=_WHITE)
+    scale = 1.0 if white <= _WHITE and white > 1.0 else _WHITE / max(white, _LEAST_WHITE)
+    return [_colours(s.values * np.float32(scale)) for s in seen]
 
 
 def _colours(values: Floats32) -> Floats32:
@@ -166,8 +173,9 @@ def _both_may(parts: Sequence[FrameCells], masks: Sequence[Bools], i: int, j: in
     return bool((a & b).any())
 
 
-def _figures(of: Ownership, parts: Sequence[FrameCells], pictures: Sequence[Floats32]) -> SeamFigures:
+def seam_figures(of: Ownership, parts: Sequence[FrameCells], seen: Sequence[Glimpsed]) -> SeamFigures:
     """Both cells of every step from one frame's to another's, as both frames show them."""
+    pictures = _pictures(seen)
     number = {c.view.frame + 1: k for k, c in enumerate(parts)}
     differences, steps = [], 0
     for axis in (0, 1):
@@ -200,3 +208,12 @@ def _at(cells: FrameCells, picture: Floats32, row: NDArray[Any], col: NDArray[An
     row, col = np.where(there, row, 0), np.where(there, col, 0)
     there &= cells.margin_px[row, col] > 0.0
     return np.where(there[:, None], picture[row, col], np.float32(np.nan))
+
+
+NEAREST_NADIR: Final = "nearest_nadir"
+SEAMS: Final[Mapping[str, Seam]] = Named(
+    {"least_difference": cut_seams, NEAREST_NADIR: lambda nearest, parts, seen: nearest},
+    SEAMS_GROUP,
+    callable,
+)
+"""And what other distributions bring, see `plugins`."""

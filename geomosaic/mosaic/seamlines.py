@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+import cv2
 import numpy as np
 import rasterio
 import shapely
 from numpy.typing import NDArray
 from rasterio.features import shapes
 
-from geomosaic.mosaic.model import OutputGrid, Seamline
+from geomosaic.mosaic.model import Hole, Holes, OutputGrid, Seamline
 from geomosaic.mosaic.window import Composed
 
 _MOST_LABELS = 4_000_000
 _SIMPLIFY_LABELS = 1.0
+_MOST_LISTED: Final = 20
+"""Of holes: what a person looks at."""
 
 
 class SeamLabels:
@@ -61,6 +66,26 @@ class SeamLabels:
             Seamline(frame, tuple(_rings(p) for p in sorted(by_frame[frame], key=lambda p: p.bounds)))
             for frame in sorted(by_frame)
         )
+
+    def holes(self) -> Holes:
+        """Parts without a frame that don't reach the mosaic's outside."""
+        empty = np.pad((self._labels == 0).view(np.uint8), 1, constant_values=1)
+        _, of, stats, _ = cv2.connectedComponentsWithStats(empty, connectivity=4)
+        inside = [k for k in range(1, len(stats)) if k != of[0, 0]]
+        inside.sort(key=lambda k: (-int(stats[k, cv2.CC_STAT_AREA]), k))
+        cell_m = self.step_px * self._grid.gsd_m
+        found = []
+        for k in inside[:_MOST_LISTED]:
+            left, top, width, height, cells = (int(v) for v in stats[k])
+            part = (of[top : top + height, left : left + width] == k).view(np.uint8)
+            depth = cv2.distanceTransform(np.pad(part, 1), cv2.DIST_L2, cv2.DIST_MASK_3)
+            row, col = np.unravel_index(int(depth.argmax()), depth.shape)
+            # Two rims: one about all labels, one about the part.
+            place = np.array([left + int(col) - 1.5, top + int(row) - 1.5]) * self.step_px
+            east_m, north_m = self._grid.map_from_pixel(place)
+            found.append(Hole(cells * cell_m**2, float(east_m), float(north_m)))
+        area = sum(int(stats[k, cv2.CC_STAT_AREA]) for k in inside)
+        return Holes(len(inside), area * cell_m**2, tuple(found))
 
     def _label_at(self, point: shapely.Point) -> int:
         cell_m = self.step_px * self._grid.gsd_m

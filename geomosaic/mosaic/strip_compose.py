@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.doors.raster import STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
-from geomosaic.mosaic.strip_blends import BLENDS, REACH_ROWS, Blend
+from geomosaic.mosaic.blends import BLENDS, STEP_PX, Blend
+from geomosaic.mosaic.driver import composed
+from geomosaic.mosaic.raster import BLOCK_ROWS, writing_scene
 from geomosaic.mosaic.strip_lines import StripLines
-from geomosaic.mosaic.strip_raster import BLOCK_ROWS, writing_scene
-from geomosaic.mosaic.strip_window import Part, part_of_strip
+from geomosaic.mosaic.strip_source import StripBlocks, StripSource
+from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.strips import StripGeometry
 
 _CACHE_MB = 64
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def compose_strips(
     radiometry: Radiometry | None,
     raster_path: Path,
     *,
-    blend: str = "smooth",
+    blend: str = "feather",
     resampling: str = "lanczos",
     rpc: Mapping[str, str] | None = None,
     threads: int = 2,
@@ -62,7 +64,8 @@ def compose_strips(
 ) -> StripMosaic:
     """Every strip's own pixels resampled once into one raster of the strips' type; in overlaps a blend.
 
-    Where one strip alone has a valid pixel that one is used. Greys are cut to the strips' bits; saturated
+    Where one strip alone has a valid pixel that one is used; `multi_band` spreads a difference of brightness
+    that lies at its end over some pixels more. Greys are cut to the strips' bits; saturated
     pixels stay saturated. The same bytes come out whatever the number of threads. `rpc` is GDAL's metadata
     of that name. `progress` is told rows, `check_cancelled` raises to stop.
 
@@ -80,31 +83,22 @@ def compose_strips(
         ExitStack() as files,
         ThreadPoolExecutor(threads) as pool,
     ):
-        sources = _sources(geometry, layout, radiometry, resampling, files)
-        dtype = sources[0].dtype
+        sources, dtype = _sources(geometry, layout, radiometry, resampling, files)
+        columns = _columns(geometry, layout, sources, BLENDS[blend])
+        steps, rows = _steps(columns, sources, layout, BLENDS[blend])
+        manner = Manner(BLENDS[blend], 1, dtype, highest=2**geometry.bit_depth - 1)
         with writing_scene(raster_path, width, height, dtype, geometry.bit_depth, rpc) as raster:
-            seams = _seams(geometry, layout, sources, BLENDS[blend])
-            blocks = [(top, min(top + BLOCK_ROWS, height)) for top in range(0, height, BLOCK_ROWS)]
-            waiting: tuple[_Block, list[_Edges]] | None = None
+            blocks = StripBlocks(sources, steps, rows, pool)
+            work = partial(compose_window, manner)
+            ahead = len(columns) + threads
             try:
-                for rows in [*blocks, None]:
-                    if check_cancelled is not None:
-                        check_cancelled()
-                    running = []
-                    if rows is not None:
-                        block = _Block.empty(*rows, width, dtype, geometry.bit_depth)
-                        running = [pool.submit(source.fill, block, height) for source in sources]
-                    if waiting is not None:
-                        _finish(*waiting, seams)
-                        raster.write(waiting[0].top, waiting[0].pixels, waiting[0].valid)
-                        if progress is not None:
-                            progress(waiting[0].bottom, height)
-                    # Strips are read in order, so a block begins when the one before is through.
-                    waiting = (block, [f.result() for f in running]) if running else None
+                for window in composed(steps, work, blocks, pool, ahead, check_cancelled):
+                    if raster.write(window) and progress is not None:
+                        progress(window.window.row + window.window.height, height)
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
-    read = dict.fromkeys(range(len(geometry.ccds)), 0) | {s.ccd: s.lines.lines_read for s in sources}
+    read = dict.fromkeys(range(len(geometry.ccds)), 0) | {s.ccd: s.strip.lines_read for s in sources}
     return StripMosaic(
         raster=raster_path.name,
         width_px=width,
@@ -118,89 +112,22 @@ def compose_strips(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Rows of the scene: what will be written of them."""
-
-    top: int
-    bottom: int
-    pixels: NDArray[Any]
-    valid: Flags
-    lowest: int
-    highest: int
-
-    @classmethod
-    def empty(cls, top: int, bottom: int, width: int, dtype: str, bit_depth: int) -> _Block:
-        shape = bottom - top, width
-        lowest = min(int(np.iinfo(dtype).min), 0)
-        return cls(top, bottom, np.zeros(shape, dtype), np.zeros(shape, bool), lowest, 2**bit_depth - 1)
-
-    def put(self, part: Part) -> None:
-        """Takes a part's rows; the part's pixels are used up."""
-        at = slice(part.left, part.left + part.pixels.shape[1])
-        own = slice(self.top - part.top, self.bottom - part.top)
-        greys = part.pixels[own]
-        np.rint(greys, out=greys)
-        np.clip(greys, self.lowest, self.highest, out=greys)
-        valid = part.valid[own]
-        if not valid.all():
-            greys[~valid] = 0.0
-        self.pixels[:, at] = greys
-        self.valid[:, at] = valid
-
-
-_Edges = tuple[Part | None, Part | None]
-"""What a strip has of its left and of its right overlap, with some rows above and below the block."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Source:
-    """A living CCD: its strip, and the raster cols that are its own and those shared with its neighbours."""
-
-    ccd: int
-    lines: StripLines
-    dtype: str
-    layout: SceneLayout
-    resampling: str
-    left: tuple[int, int] | None
-    own: tuple[int, int]
-    right: tuple[int, int] | None
-
-    def fill(self, block: _Block, height: int) -> _Edges:
-        """Puts the strip's own columns into a block and gives its overlaps; blocks come in their order."""
-        begin, end = max(block.top - REACH_ROWS, 0), min(block.bottom + REACH_ROWS, height)
-        places = self.layout.places(self.ccd, begin, end)
-        line = places.image_px[1]
-        line = line[np.isfinite(line)]
-        lines = self.lines.between(float(line.min()), float(line.max())) if line.size else None
-
-        def part(cols: tuple[int, int], top: int, bottom: int) -> Part:
-            rows = begin, top, bottom
-            return part_of_strip(lines, self.lines.count, places, rows, cols, self.resampling)
-
-        block.put(part(self.own, block.top, block.bottom))
-        left, right = (None if cols is None else part(cols, begin, end) for cols in (self.left, self.right))
-        return left, right
-
-
 def _sources(
     geometry: StripGeometry,
     layout: SceneLayout,
     radiometry: Radiometry | None,
     resampling: str,
     files: ExitStack,
-) -> list[_Source]:
+) -> tuple[list[StripSource], str]:
+    """The living CCDs, and the type of their pixels."""
     living = [k for k, ccd in enumerate(geometry.ccds) if ccd.path is not None]
-    shared: dict[int, tuple[int, int]] = {}
-    for k in living:
-        if k + 1 in living:
-            first, last = layout.cols(k + 1)[0], layout.cols(k)[1]
-            shared[k] = first, max(first, last)
-    found = []
+    found: list[StripSource] = []
+    dtype = ""
     for k in living:
         path = geometry.ccds[k].path
         assert path is not None
         strip = files.enter_context(open_raster(path, STRIP))
+        dtype = dtype or strip.dtypes[0]
         lines = StripLines(
             strip,
             path,
@@ -210,53 +137,75 @@ def _sources(
             highest=2**geometry.bit_depth - 1,
             radius_px=KERNEL_RADIUS_PX[resampling],
         )
-        left, right = shared.get(k - 1), shared.get(k)
-        first, last = layout.cols(k)
-        own = first if left is None else left[1], last if right is None else right[0]
-        found.append(_Source(k, lines, strip.dtypes[0], layout, resampling, left, own, right))
-    return found
+        left = layout.seams_px[k - 1] if k - 1 in living else -np.inf
+        right = layout.seams_px[k] if k + 1 in living else np.inf
+        found.append(StripSource(len(found), k, layout, lines, resampling, left, right))
+    return found, dtype
 
 
-@dataclass(frozen=True, eq=False)
-class _Joint:
-    """Two neighbours by their places in the list of sources, and how they are joined."""
+@dataclass(frozen=True)
+class _Column:
+    """Raster cols of the scene that are composed together, and the reach of their seam, 0 without one."""
 
-    left: int
-    right: int
-    distance_px: NDArray[np.float32]
-    half_px: float
-    blend: Blend
+    first: int
+    last: int
+    reach_px: float
 
 
-def _seams(
-    geometry: StripGeometry, layout: SceneLayout, sources: Sequence[_Source], blend: Blend
-) -> list[_Joint]:
+def _columns(
+    geometry: StripGeometry, layout: SceneLayout, sources: Sequence[StripSource], blend: Blend
+) -> list[_Column]:
+    """The scene's width: where one strip is alone, and the overlaps with what a blend changes beside them."""
     spare = geometry.read_px - geometry.overlap_px  # by so much offsets may make the overlap narrower
     joints = []
-    for i, source in enumerate(sources):
-        if source.right is None:
-            continue
-        first, last = source.right
-        seam = layout.seams_px[source.ccd]
-        half = max(min(seam - first, last - seam), 0.0)
-        half -= min(spare, 0.5 * half)
-        distance = (np.arange(first, last) + 0.5 - seam).astype(np.float32)
-        joints.append(_Joint(i, i + 1, distance, half, blend))
-    return joints
+    for left, right in pairwise(sources):
+        if right.ccd == left.ccd + 1:
+            first, last, seam = layout.cols(right.ccd)[0], layout.cols(left.ccd)[1], left.right_px
+            half = max(min(seam - first, last - seam), 0.0)
+            reach = 2.0 * (half - min(spare, 0.5 * half))
+            halo = blend.halo_px(reach)
+            joints.append(
+                (seam, min(first, math.floor(seam)) - halo, max(last, math.ceil(seam)) + halo, reach)
+            )
+    columns, done = [], 0
+    for k, (seam, first, last, reach) in enumerate(joints):
+        if k + 1 < len(joints):
+            last = min(last, round((seam + joints[k + 1][0]) / 2.0))
+        if first > done:
+            columns.append(_Column(done, first, 0.0))
+        columns.append(_Column(max(first, done), min(last, layout.width_px), reach))
+        done = columns[-1].last
+    if done < layout.width_px:
+        columns.append(_Column(done, layout.width_px, 0.0))
+    return columns
 
 
-def _finish(block: _Block, edges: Sequence[_Edges], joints: Sequence[_Joint]) -> None:
-    """Joins the strips' overlaps and puts them into the block."""
-    for joint in joints:
-        left, right = edges[joint.left][1], edges[joint.right][0]
-        assert left is not None
-        assert right is not None
-        both = left.valid & right.valid
-        pixels = np.where(left.valid, left.pixels, right.pixels)
-        if both.any():
-            mixed = joint.blend(left.pixels, right.pixels, both, joint.distance_px, joint.half_px)
-            pixels = np.where(both, mixed, pixels)
-        block.put(Part(left.top, left.left, pixels, left.valid | right.valid))
+def _steps(
+    columns: Sequence[_Column], sources: Sequence[StripSource], layout: SceneLayout, blend: Blend
+) -> tuple[list[Step], list[tuple[int, int]]]:
+    """All windows, blocks of rows from the top and columns from the left; and the rows that blocks need."""
+    steps, rows = [], []
+    halo = max((blend.halo_px(c.reach_px) for c in columns), default=0)
+    for top in range(0, layout.height_px, BLOCK_ROWS):
+        bottom = min(top + BLOCK_ROWS, layout.height_px)
+        for column in columns:
+            window = Window(column.first, top, column.last - column.first, bottom - top)
+            alone = sum(_cols(source, window) is not None for source in sources) < 2
+            around = window if alone else window.grown(halo)
+            parts = [
+                Part(source, slice(0, around.height), cols)
+                for source in sources
+                if (cols := _cols(source, around)) is not None
+            ]
+            steps.append(Step(window, around, column.reach_px, tuple(parts)))
+            rows.append((top - halo, bottom + halo + STEP_PX))
+    return steps, rows
+
+
+def _cols(source: StripSource, window: Window) -> slice | None:
+    """The cols of a window that a strip may fill, if any."""
+    first, last = (min(max(col - window.col, 0), window.width) for col in source.layout.cols(source.ccd))
+    return slice(first, last) if last > first else None
 
 
 def _gaps(covered: Sequence[tuple[int, int]], width: int) -> tuple[tuple[int, int], ...]:

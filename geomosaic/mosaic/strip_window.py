@@ -19,11 +19,9 @@ _ROWS, _COLS = 64, 4096
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Raster rows from `top` on, cols from `left` on: pixels and which of them are valid, (rows, cols)."""
+class StripPart:
+    """Pixels and which of them are valid, (rows, cols)."""
 
-    top: int
-    left: int
     pixels: Floats32
     valid: Flags
 
@@ -35,14 +33,14 @@ def part_of_strip(
     rows: tuple[int, int, int],
     cols: tuple[int, int],
     resampling: str,
-) -> Part:
+) -> StripPart:
     """Raster cols (first, one beyond the last) of a strip of `count` lines.
 
     rows: the raster row at which `places` begin, the first row wanted, and one beyond the last.
     """
     begin, top, bottom = rows
     shape = bottom - top, cols[1] - cols[0]
-    part = Part(top, cols[0], np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool))
+    part = StripPart(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool))
     if lines is None:
         return part
     for row in range(top, bottom, _ROWS):

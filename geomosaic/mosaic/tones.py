@@ -1,4 +1,4 @@
-"""How brightly each frame shows the ground: gains and vignettes, found where frames overlap."""
+"""How brightly each frame shows the ground: gains, slopes and vignettes, found where frames overlap."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
 from geomosaic.adjustment.robust import cauchy_weight
@@ -32,9 +32,10 @@ _LEAST_SIDE_PX: Final = 64
 _TELLING: Final = (6.0, 249.0)
 """Grey levels of 8 bits between which a camera tells how bright the ground is; of other types all but nothing
 and the most they hold."""
-_GAIN_SD, _VIGNETTE_SD = 0.2, 0.5
-"""Natural logarithms, before the pictures speak: half a stop of exposure either way, and corners at most half
-as bright. What weakly holds each gain to nothing holds a block from growing darker from end to end."""
+_GAIN_SD, _SLOPE_SD, _VIGNETTE_SD = 0.2, 0.1, 0.5
+"""Natural logarithms, before the pictures speak: half a stop of exposure either way, a tenth from a frame's
+middle to its corner (land looks brighter with the sun behind the camera), and corners at most half as bright.
+What weakly holds each gain to nothing holds a block from growing darker from end to end."""
 _INDEPENDENT: Final = 25.0
 """Places of a frame that tell something of their own: light changes over a field, not from place to place."""
 _LEAST_SD: Final = 0.005
@@ -45,32 +46,44 @@ _ROUNDS: Final = 8
 class Tones:
     """Natural logarithms of how much brighter frames show the ground than all do in the mean.
 
-    gain (n, b): of each frame and band. vignette (n, b, 2): times the squared and the fourth power of the
-    distance from the frame's middle, in half diagonals.
+    gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
+    middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
+    distance from there.
     """
 
     gain: Floats
+    slope: Floats
     vignette: Floats
 
-    def evened(
-        self, pixels: NDArray[Any], frame: int, camera: Camera, cols: Floats32, rows: Floats32
-    ) -> NDArray[Any]:
-        """Pixels (..., b) that a frame shows at cols and rows (...), as all frames would; float32, within
-        what integers of the pixels' type hold."""
-        if not self.gain[frame].any() and not self.vignette[frame].any():
-            return pixels
-        out = pixels * np.exp(-self.brighter(frame, camera, cols, rows))
-        if np.issubdtype(pixels.dtype, np.integer):
-            limits = np.iinfo(pixels.dtype)
-            np.clip(out, limits.min, limits.max, out=out)
-        return out
+    def flat(self, frame: int) -> bool:
+        """Whether a frame shows the ground as bright as all do."""
+        return not any(of[frame].any() for of in (self.gain, self.slope, self.vignette))
 
     def brighter(self, frame: int, camera: Camera, cols: Floats32, rows: Floats32) -> Floats32:
         """How much brighter than all in the mean a frame shows the ground at cols and rows (...), as natural
         logarithms (..., b)."""
-        radius2 = np.nan_to_num(_radius2(camera, cols, rows).astype(np.float32))[..., None]  # NaN: not seen
+        right, below = (
+            np.nan_to_num(a)[..., None] for a in _from_middle(camera, cols, rows)
+        )  # NaN: not seen
+        across, along = self.slope[frame].astype(np.float32).T
         second, fourth = self.vignette[frame].astype(np.float32).T
-        return np.asarray(self.gain[frame].astype(np.float32) + radius2 * (second + fourth * radius2))
+        radius2 = right * right + below * below
+        out = radius2 * (second + fourth * radius2)
+        out += self.gain[frame].astype(np.float32)
+        if across.any() or along.any():
+            out += right * across + below * along
+        return np.asarray(out)
+
+
+def evened(pixels: NDArray[Any], brighter: Floats32) -> NDArray[Any]:
+    """Pixels (..., b) that a frame shows brighter than all do, see `Tones.brighter`, as all would: float32,
+    within what integers of the pixels' type hold."""
+    out = np.exp(-brighter)
+    out *= pixels
+    if np.issubdtype(pixels.dtype, np.integer):
+        limits = np.iinfo(pixels.dtype)
+        np.clip(out, limits.min, limits.max, out=out)
+    return out
 
 
 @dataclass(frozen=True)
@@ -90,12 +103,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class Places:
-    """m sightings: number of the place, the frame, and the squared distance from its middle in half
-    diagonals, (m,) each; image_px (m, 2)."""
+    """m sightings: number of the place and the frame, (m,) each; offset (m, 2) to the right of the frame's
+    middle and below it, in half diagonals; image_px (m, 2)."""
 
     place: Ints
     frame: Ints
-    radius2: Floats
+    offset: Floats
     image_px: Floats
 
 
@@ -114,7 +127,7 @@ def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground
     """Where each frame sees the nodes of a lattice on the map that at least two see."""
     spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
     spacing_m /= _ACROSS
-    place, frame, radius2, image = [], [], [], []
+    place, frame, offset, image = [], [], [], []
     for view in views:
         west, south, east, north = view.bounds_m / spacing_m
         first, last = (int(np.floor(west)), int(np.floor(-north))), (int(np.ceil(east)), int(np.ceil(-south)))
@@ -128,7 +141,7 @@ def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground
         j, i = np.nonzero(seen)
         place.append(np.column_stack([j + first[1], i + first[0]]))
         frame.append(np.full(len(i), view.frame))
-        radius2.append(_radius2(view.camera, cols[seen], rows[seen]))
+        offset.append(np.column_stack(_from_middle(view.camera, cols[seen], rows[seen])))
         image.append(np.column_stack([cols[seen], rows[seen]]))
     _, number, often = np.unique(np.concatenate(place), axis=0, return_inverse=True, return_counts=True)
     twice = often[number] > 1
@@ -136,7 +149,7 @@ def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground
     return Places(
         numbers,
         np.concatenate(frame)[twice],
-        np.concatenate(radius2)[twice].astype(np.float64),
+        np.concatenate(offset)[twice].astype(np.float64),
         np.concatenate(image)[twice].astype(np.float64),
     )
 
@@ -162,7 +175,7 @@ def _most(dtype: np.dtype[Any]) -> float:
 
 
 def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> tuple[Tones, Evenness]:
-    """Gains and vignettes by which all frames show each place alike, band by band.
+    """Gains, slopes and vignettes by which all frames show each place alike, band by band.
 
     Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
     cars drive off and water shines from one side; weak priors at nothing.
@@ -171,26 +184,36 @@ def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> t
     """
     n, bands = len(camera_of), values.shape[1]
     known = np.isfinite(values).all(axis=1)
-    place, frame, radius2 = (a[known] for a in (places.place, places.frame, places.radius2))
+    place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
     logs = np.log(values[known].astype(np.float64))
     camera = np.asarray(camera_of, dtype=np.intp)[frame]
     seen = np.bincount(frame, minlength=n)
     share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
-    unknowns = n + 2 * (max(camera_of, default=0) + 1)
-    at, rows = np.arange(len(frame)), np.tile(np.arange(len(frame)), 3)
-    columns = np.concatenate([frame, n + 2 * camera, n + 2 * camera + 1])
-    entries = np.concatenate([np.ones(len(frame)), radius2, radius2**2])
-    design = coo_matrix((entries, (rows, columns)), shape=(len(frame), unknowns)).tocsr()
+    cameras, radius2 = max(camera_of, default=0) + 1, (offset**2).sum(axis=1)
+    terms = (
+        (frame, np.ones(len(frame)), n, _GAIN_SD),
+        (frame, offset[:, 0], n, _SLOPE_SD),
+        (frame, offset[:, 1], n, _SLOPE_SD),
+        (camera, radius2, cameras, _VIGNETTE_SD),
+        (camera, radius2**2, cameras, _VIGNETTE_SD),
+    )
+    at = np.arange(len(frame))
+    design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
     of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.place))).tocsr()
-    prior = np.concatenate([np.full(n, _GAIN_SD**-2), np.full(unknowns - n, _VIGNETTE_SD**-2)])
-    gain, vignette = np.zeros((n, bands)), np.zeros((n, bands, 2))
-    left = np.zeros_like(logs)
+    prior = np.concatenate([np.full(count, sd**-2) for _, _, count, sd in terms])
+    found, left = np.zeros((bands, len(prior))), np.zeros_like(logs)
     for b in range(bands if len(at) else 0):
-        found, left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
-        gain[:, b] = np.where(seen > 0, found[:n], 0.0)
-        vignette[:, b] = found[n:].reshape(-1, 2)[np.asarray(camera_of)]
+        found[b], left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
+    gain, across, along, second, fourth = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
+    told = (seen > 0)[:, None]
+    of_frame = np.asarray(camera_of, dtype=np.intp)
+    tones = Tones(
+        np.where(told, gain, 0.0),
+        np.where(told[..., None], np.stack([across, along], axis=-1), 0.0),
+        np.stack([second[of_frame], fourth[of_frame]], axis=-1),
+    )
     before = logs - _means(of_place, np.ones(len(at)), logs)
-    return Tones(gain, vignette), _evenness(np.exp(logs), before, left)
+    return tones, _evenness(np.exp(logs), before, left)
 
 
 def _solved(
@@ -232,9 +255,14 @@ def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:
     return Evenness(*figures)
 
 
-def _radius2(camera: Camera, cols: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
-    middle_col, middle_row = camera.width_px / 2.0, camera.height_px / 2.0
-    return np.asarray(((cols - middle_col) ** 2 + (rows - middle_row) ** 2) / (middle_col**2 + middle_row**2))
+def _from_middle(camera: Camera, cols: NDArray[Any], rows: NDArray[Any]) -> tuple[Floats32, Floats32]:
+    """How far places lie to the right of a frame's middle and below it, in half diagonals."""
+    half = np.array([camera.width_px, camera.height_px]) / 2.0
+    unit = float(np.hypot(*half))
+    right, below = (
+        np.asarray((a - h) / unit, dtype=np.float32) for a, h in zip((cols, rows), half, strict=True)
+    )
+    return right, below
 
 
 def _reduction(width_px: int, height_px: int) -> int:

@@ -1,132 +1,234 @@
-"""One window of the mosaic: its frames warped once and blended into each other."""
+"""One window of a mosaic, whatever shows its ground: every source resampled once, blended along seams."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.mosaic.blends import Blend
-from geomosaic.mosaic.frames import Decoded
-from geomosaic.mosaic.ownership import Ownership, owned_cells, owner_share
-from geomosaic.mosaic.plan import Part, Scene, Window, distances_m, ground_of, margin_px, near, parts
-from geomosaic.mosaic.tones import Tones
-from geomosaic.projection.resample import resample
-from geomosaic.projection.warp import frame_from_map
+from geomosaic.mosaic.blends import STEP_PX, Blend, Piece
 
 Floats32 = NDArray[np.float32]
-_NEARER_PER_M = np.float32(1e-7)
-"""What a metre to the nadir point counts beside a pixel's share in an owner: nothing, unless none sees it."""
+Bools = NDArray[np.bool_]
+_DEPTHS: Final = {"uint8": cv2.CV_8U, "uint16": cv2.CV_16U, "int16": cv2.CV_16S, "float32": cv2.CV_32F}
+DTYPES: Final = tuple(_DEPTHS)
+"""Of pixels that can be resampled."""
 
 
 @dataclass(frozen=True)
-class Composed:
-    """A finished window: pixels (h, w, bands), valid (h, w), per pixel the index + 1 of the frame that gives
-    it, and the frames that gave pixels."""
+class Window:
+    """A part of the output grid: its first col and row, width and height."""
 
-    window: Window
+    col: int
+    row: int
+    width: int
+    height: int
+
+    def grown(self, px: int) -> Window:
+        """With so many pixels more on every side, past the grid's edge as well, and in whole steps."""
+        width, height = (STEP_PX * -(-n // STEP_PX) + 2 * px for n in (self.width, self.height))
+        return Window(self.col - px, self.row - px, width, height)
+
+    def within(self, other: Window) -> tuple[slice, slice]:
+        """Its rows and cols in another window that holds it."""
+        row, col = self.row - other.row, self.col - other.col
+        return slice(row, row + self.height), slice(col, col + self.width)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Part of a window as one source shows it.
+
+    pixels (h, w, bands): finite anywhere. margin_px (h, w): how far inside the source's valid pixels each one
+    lies, in pixels of the mosaic; not above 0 where it isn't valid; None where all are, far inside.
+    """
+
     pixels: NDArray[Any]
-    valid: NDArray[np.bool_]
-    source: NDArray[np.int32]
-    frames: tuple[int, ...]
+    margin_px: Floats32 | None
+
+
+class Source(Protocol):
+    """What shows ground and may give the mosaic's pixels: a frame, a CCD strip.
+
+    number: from 0, of all of the mosaic's. `place` is what all sources of a window share (the ground under
+    it), `material` what a source has to be given to show its part: decoded pixels, lines.
+    """
+
+    @property
+    def number(self) -> int: ...
+
+    def share(self, window: Window, rows: slice, cols: slice) -> Floats32:
+        """How far pixels of part of a window belong to it, broadcasting to (h, w): the largest share gives a
+        pixel, of those that are valid there."""
+
+    def shown(self, place: Any, window: Window, rows: slice, cols: slice, material: Any) -> Shown:
+        """Part of a window, resampled once."""
 
 
 @dataclass(frozen=True)
-class Manner:
-    """How windows are composed: who owns what, how frames blend and over which reach, how they are resampled
-    and how bright they show the ground, the mosaic's bands and type."""
+class Part:
+    """The part of a step's surroundings that a source is asked for."""
 
-    ownership: Ownership
-    blend: Blend
-    reach_px: float
-    resampling: str
-    tones: Tones | None
-    bands: int
-    dtype: str
+    source: Source
+    rows: slice
+    cols: slice
 
 
 @dataclass(frozen=True)
 class Step:
-    """A window, as much around it as its seams need (`window` itself where there are none), and the frames'
-    parts in that."""
+    """A window, it in whole steps and as much around it as its seams need, how wide their transition is, and
+    the sources' parts in that."""
 
     window: Window
     around: Window
+    reach_px: float
     parts: tuple[Part, ...]
 
 
-def planned(scene: Scene, manner: Manner, window: Window, masks: Mapping[int, Floats32 | None]) -> Step:
-    """What a window takes; masks: of the frames whose validity is known, see `parts`."""
-    around = window.grown(manner.blend.halo_px(manner.reach_px))
-    views = near(scene, around)
-    found = parts(scene, around, views, masks, owned_cells(manner.ownership, around, views))
-    if len(found) > 1 or around == window:
-        return Step(window, around, found)
-    views = [p.view for p in found]
-    return Step(
-        window, window, parts(scene, window, views, masks, owned_cells(manner.ownership, window, views))
-    )
+@dataclass(frozen=True)
+class Manner:
+    """What all windows of a mosaic have in common: its blend, bands and type, what sources share, and the
+    highest value where that is less than the type holds."""
+
+    blend: Blend
+    bands: int
+    dtype: str
+    place: Callable[[Window], Any] = lambda window: None
+    highest: int | None = None
+
+    def as_type(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """Pixels of the mosaic's type: rounded (halves to even), cut to what it holds."""
+        if pixels.dtype == self.dtype:
+            return pixels
+        flat = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
+        out = np.asarray(cv2.addWeighted(flat, 1.0, flat, 0.0, 0.0, dtype=_DEPTHS[self.dtype]))
+        if self.highest is not None:
+            np.minimum(out, self.highest, out=out)
+        return out.reshape(pixels.shape)
 
 
-def compose_window(scene: Scene, manner: Manner, step: Step, decoded: Mapping[int, Decoded]) -> Composed:
-    """All the window's pixels; those no frame sees are 0 and not valid."""
-    masks = {frame: d.mask_distance_px for frame, d in decoded.items()}
-    if any(mask is not None for mask in masks.values()):
-        views = [p.view for p in step.parts]
-        owned = owned_cells(manner.ownership, step.around, views)
-        step = Step(step.window, step.around, parts(scene, step.around, views, masks, owned))
+@dataclass(frozen=True)
+class Composed:
+    """A finished window: pixels (h, w, bands), 0 where not valid (h, w); label (h, w), the place in `numbers`
+    of the source that gives a pixel, -1 where none does; and the numbers of the sources that gave pixels."""
+
+    window: Window
+    pixels: NDArray[Any]
+    valid: Bools
+    label: NDArray[np.int16]
+    numbers: tuple[int, ...]
+    gave: tuple[int, ...]
+
+    @property
+    def source(self) -> NDArray[np.int32]:
+        """Of every pixel the source's number plus 1, 0 where there is none."""
+        return np.asarray(np.array([*self.numbers, -1], dtype=np.int32) + 1)[self.label]
+
+
+def compose_window(manner: Manner, step: Step, materials: Mapping[int, Any]) -> Composed:
+    """All the window's pixels; those no source shows are 0 and not valid."""
     window, around = step.window, step.around
+    numbers = tuple(p.source.number for p in step.parts)
+    pixels = np.zeros((window.height, window.width, manner.bands), dtype=manner.dtype)
     if not step.parts:
         shape = window.height, window.width
-        nothing = np.zeros((*shape, manner.bands), dtype=manner.dtype)
-        return Composed(window, nothing, np.zeros(shape, bool), np.zeros(shape, np.int32), ())
-    ground = ground_of(scene, around)
-    shape = around.height, around.width
-    margin = np.full((len(step.parts), *shape), -np.inf, dtype=np.float32)
-    share = np.full_like(margin, -np.inf)
-    maps = []
-    for k, part in enumerate(step.parts):
-        view = part.view
-        cols, rows = frame_from_map(ground, view.pose, view.camera, part.rows, part.cols)
-        inside = margin_px(cols, rows, view.camera, masks[view.frame])
-        margin[k, part.rows, part.cols] = inside * np.float32(view.gsd_m / scene.grid.gsd_m)
-        maps.append((cols, rows))
-    for k, part in enumerate(step.parts):
-        nearer = distances_m(scene.grid, around, part.view) * _NEARER_PER_M
-        own = owner_share(manner.ownership, around, part.view.frame)
-        np.copyto(share[k], own - nearer, where=margin[k] > 0.0)
-    label = np.where((margin > 0.0).any(axis=0), share.argmax(axis=0), -1).astype(np.int32)
-    half = max(manner.reach_px / 2.0, 1e-6)
-    shown = np.clip(margin / np.float32(half), 0.0, 1.0)
-    pictures = []
-    for part, (cols, rows) in zip(step.parts, maps, strict=True):
-        picture = np.zeros((*shape, manner.bands), dtype=np.float32)
-        seen = resample(decoded[part.view.frame].pixels, cols, rows, manner.resampling)
-        if manner.tones is not None:
-            seen = manner.tones.evened(seen, part.view.frame, part.view.camera, cols, rows)
-        picture[part.rows, part.cols] = seen
-        pictures.append(picture)
-    one = (label[0, 0] >= 0) & (label == label[0, 0]).all()
-    total = pictures[label[0, 0]] if one else manner.blend.mosaic(pictures, shown, label, manner.reach_px)
-    inner = (
-        slice(window.row - around.row, window.row - around.row + window.height),
-        slice(window.col - around.col, window.col - around.col + window.width),
+        return Composed(window, pixels, np.zeros(shape, bool), np.full(shape, -1, np.int16), (), ())
+    place = manner.place(around)
+    shown = [p.source.shown(place, around, p.rows, p.cols, materials[p.source.number]) for p in step.parts]
+    whole = step.around == window and shown[0].pixels.shape == pixels.shape
+    if len(shown) == 1 and shown[0].margin_px is None and whole:
+        every = np.ones(pixels.shape[:2], dtype=bool)
+        return Composed(window, manner.as_type(shown[0].pixels), every, every - np.int16(1), numbers, numbers)
+    label = _label(step, shown)
+    inner = window.within(around)
+    gave = []
+    for k, (part, what) in enumerate(zip(step.parts, shown, strict=True)):
+        here, there = _overlap(part, inner)
+        mask = label[inner][there] == k
+        if mask.any():
+            gave.append(numbers[k])
+            cv2.copyTo(manner.as_type(what.pixels[here]), mask.view(np.uint8), pixels[there])
+    if len(step.parts) > 1:
+        _blend(manner, step, shown, label, pixels)
+    label = label[inner]
+    return Composed(window, pixels, label >= 0, label, numbers, tuple(sorted(gave)))
+
+
+def _label(step: Step, shown: Sequence[Shown]) -> NDArray[np.int16]:
+    """The part that gives each pixel of the surroundings, -1 where none does."""
+    shape = step.around.height, step.around.width
+    label, best = np.full(shape, -1, np.int16), np.full(shape, -np.inf, np.float32)
+    for k, (part, what) in enumerate(zip(step.parts, shown, strict=True)):
+        at = part.rows, part.cols
+        mine = np.ones(what.pixels.shape[:2], bool) if what.margin_px is None else what.margin_px > 0.0
+        if len(step.parts) > 1:
+            share = np.broadcast_to(part.source.share(step.around, *at), mine.shape)
+            mine &= share > best[at]
+            np.copyto(best[at], share, where=mine)
+        np.copyto(label[at], np.int16(k), where=mine)
+    return label
+
+
+def _overlap(part: Part, inner: tuple[slice, slice]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """What of a part lies in the window: counted from the part's first pixel, and from the window's."""
+    here, there = [], []
+    for own, all_ in zip((part.rows, part.cols), inner, strict=True):
+        first, last = max(own.start, all_.start), max(min(own.stop, all_.stop), own.start, all_.start)
+        here.append(slice(first - own.start, last - own.start))
+        there.append(slice(first - all_.start, last - all_.start))
+    return (here[0], here[1]), (there[0], there[1])
+
+
+def _blend(
+    manner: Manner, step: Step, shown: Sequence[Shown], label: NDArray[np.int16], pixels: NDArray[Any]
+) -> None:
+    """Blends what lies near seams: a box about the steps in whose reach more than one source gives pixels."""
+    mixed = _mixed(label, len(shown), manner.blend.halo_px(step.reach_px))
+    inner = step.window.within(step.around)
+    wanted = np.repeat(np.repeat(mixed, STEP_PX, axis=0), STEP_PX, axis=1)
+    wanted = wanted[: label.shape[0], : label.shape[1]] & (label >= 0)
+    if not wanted[inner].any():
+        return
+    rows, cols = (np.flatnonzero(mixed.any(axis=a)) * STEP_PX for a in (1, 0))
+    box = slice(int(rows[0]), int(rows[-1]) + STEP_PX), slice(int(cols[0]), int(cols[-1]) + STEP_PX)
+    half = np.float32(max(step.reach_px / 2.0, 1e-6))
+    pieces = []
+    for part, what in zip(step.parts, shown, strict=True):
+        here, there = _overlap(part, box)
+        pieces.append(
+            Piece(
+                *there,
+                np.ascontiguousarray(what.pixels[here], dtype=np.float32),
+                _inside(what, here, half),
+            )
+        )
+    total = manner.as_type(manner.blend.mosaic(pieces, label[box], step.reach_px))
+    (top, left), (row, col) = ((s.start for s in box), (s.start for s in inner))
+    first, left_first = max(top, row), max(left, col)
+    last, right = min(box[0].stop, inner[0].stop), min(box[1].stop, inner[1].stop)
+    cv2.copyTo(
+        np.ascontiguousarray(total[first - top : last - top, left_first - left : right - left]),
+        wanted[first:last, left_first:right].view(np.uint8),
+        pixels[first - row : last - row, left_first - col : right - col],
     )
-    total, label = total[inner], label[inner]
-    return _finished(window, total, label, [p.view.frame for p in step.parts], manner.dtype)
 
 
-def _finished(
-    window: Window, total: Floats32, label: NDArray[np.int32], frames: list[int], dtype: str
-) -> Composed:
-    valid = label >= 0
-    source = np.append(np.asarray(frames, dtype=np.int32) + 1, np.int32(0))[label]
-    if np.issubdtype(np.dtype(dtype), np.integer):
-        limits = np.iinfo(dtype)
-        total = np.clip(np.rint(total), limits.min, limits.max)
-    pixels = np.where(valid[..., None], total, 0.0).astype(dtype)
-    gave = tuple(int(f) - 1 for f in np.unique(source[valid]))
-    return Composed(window, pixels, np.asarray(valid), np.asarray(source), gave)
+def _inside(what: Shown, here: tuple[slice, slice], half_px: np.float32) -> Floats32:
+    if what.margin_px is None:
+        return np.ones([s.stop - s.start for s in here], dtype=np.float32)
+    return np.asarray(np.clip(what.margin_px[here] / half_px, 0.0, 1.0))
+
+
+def _mixed(label: NDArray[np.int16], parts: int, halo_px: int) -> Bools:
+    """Steps of STEP_PX within whose reach more than one part gives pixels."""
+    side = 2 * (halo_px // STEP_PX) + 1
+    down, across = (n // STEP_PX for n in label.shape)
+    count = np.zeros((down, across), dtype=np.int16)
+    for k in range(parts):
+        mine = (label == k).reshape(down, STEP_PX, across, STEP_PX).any(axis=(1, 3))
+        count += cv2.dilate(mine.view(np.uint8), np.ones((side, side), np.uint8))
+    return np.asarray(count > 1)

@@ -26,7 +26,8 @@ class GroundSurface:
     """Up as a function of east and north in the work frame: a regular grid, bilinear between nodes.
 
     `up_m[i, j]` is the height at east `east_0_m + j * spacing_m`, north `north_0_m + i * spacing_m`.
-    Outside the grid the nearest edge goes on. `kind` is `flat`, `dem` or `tie_surface`.
+    Outside the grid the nearest edge goes on. `kind` is `flat`, `dem` or `tie_surface`. `sd_m`, of the shape
+    of `up_m`: deviations of the heights, where they are known.
     """
 
     kind: str
@@ -34,17 +35,33 @@ class GroundSurface:
     north_0_m: float
     spacing_m: float
     up_m: Floats
+    sd_m: Floats | None = None
+
+    def nodes_m(self) -> Floats:
+        """East and north of the nodes, (rows, cols, 2)."""
+        rows, cols = self.up_m.shape
+        east = self.east_0_m + self.spacing_m * np.arange(cols)
+        north = self.north_0_m + self.spacing_m * np.arange(rows)
+        return np.stack(np.meshgrid(east, north), axis=-1)
 
     def up_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
         """Up (m) under points of any shape."""
+        return self._between_nodes(self.up_m, east_m, north_m)
+
+    def sd_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
+        """Deviation (m) of the height under points of any shape; NaN where none is known."""
+        sd_m = np.full((1, 1), np.nan) if self.sd_m is None else self.sd_m
+        return self._between_nodes(sd_m, east_m, north_m)
+
+    def _between_nodes(self, values: Floats, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
         east = np.asarray(east_m, dtype=np.float64)
         north = np.asarray(north_m, dtype=np.float64)
-        if self.up_m.size == 1:
-            return np.full(np.broadcast(east, north).shape, self.up_m.item())
+        if values.size == 1:
+            return np.full(np.broadcast(east, north).shape, values.item())
         at = [(north - self.north_0_m) / self.spacing_m, (east - self.east_0_m) / self.spacing_m]
         shape = np.broadcast(*at).shape
         flat = np.stack([np.broadcast_to(a, shape).ravel() for a in at])
-        return np.asarray(map_coordinates(self.up_m, flat, order=1, mode="nearest")).reshape(shape)
+        return np.asarray(map_coordinates(values, flat, order=1, mode="nearest")).reshape(shape)
 
     def intersect(self, origin_m: ArrayLike, ray: ArrayLike) -> Floats:
         """Where rays first meet the ground, shape (..., 3); NaN where a ray doesn't come down to it.

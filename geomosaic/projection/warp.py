@@ -7,7 +7,7 @@ and the collinearity equations itself, so neither tilt, distortion nor a rough D
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,10 +25,7 @@ Floats32 = NDArray[np.float32]
 _NODES = 5
 _HEIGHT_ROUNDS = 3
 _ROWS_AT_ONCE = 64
-_MOVING_ROUNDS, _TURNING_ROUNDS = 2, 5
-_TIMES_A_ROW = (
-    4  # turns are looked up, not interpolated: vibration turns a camera by some tenths of a pixel a row
-)
+_MOVING_ROUNDS, _TURNING_ROUNDS, _STARTED_ROUNDS = 2, 5, 3
 
 
 @dataclass(frozen=True)
@@ -54,8 +51,17 @@ class GroundWindow:
         return np.asarray(points)
 
     def _base_m(self) -> list[Floats]:
-        u, v = _axis(self.width_px), _axis(self.height_px)
+        u, v = middles(self.width_px), middles(self.height_px)[:, None]
         return [_surface(self.polynomial[:, k], u, v) for k in range(3)]
+
+    def relief_on(self, ground: GroundSurface, gsd_m: float, u: Floats, v: Floats) -> Floats32:
+        """The ground over the polynomial along `vertical` at u and v, which broadcast; gsd_m: a pixel."""
+        east, north, up = (_surface(self.polynomial[:, k], u, v) for k in range(3))
+        lean = self.vertical[:2] / self.vertical[2]
+        rise = ground.up_at(east, north) - up
+        if float(np.abs(rise).max(initial=0.0)) * float(np.hypot(*lean)) > 1e-2 * gsd_m:
+            rise = ground.up_at(east + rise * lean[0], north + rise * lean[1]) - up
+        return np.asarray(rise / self.vertical[2], dtype=np.float32)
 
 
 def ground_window(
@@ -74,6 +80,24 @@ def ground_window(
     vertical there is all but parallel to the work frame's up, so a round gains three to four digits. The
     polynomial leaves out (window / Earth radius)² of the window: 1e-6 m at 300 m, 3 cm at 10 km.
     """
+    bare = bare_window(crs, work_frame, ground, west_m, north_m, gsd_m, width_px, height_px)
+    if ground.kind == "flat":
+        return bare
+    relief_m = bare.relief_on(ground, gsd_m, middles(width_px), middles(height_px)[:, None])
+    return replace(bare, relief_m=relief_m)
+
+
+def bare_window(
+    crs: str,
+    work_frame: LocalFrame,
+    ground: GroundSurface,
+    west_m: float,
+    north_m: float,
+    gsd_m: float,
+    width_px: int,
+    height_px: int,
+) -> GroundWindow:
+    """The same without its relief: of flat ground all there is, else the ground's mean level there."""
     u, v = np.meshgrid(np.linspace(-1.0, 1.0, _NODES), np.linspace(-1.0, 1.0, _NODES))
     easting = west_m + (u + 1.0) / 2.0 * width_px * gsd_m
     northing = north_m - (v + 1.0) / 2.0 * height_px * gsd_m
@@ -83,8 +107,7 @@ def ground_window(
     for _ in range(_HEIGHT_ROUNDS):
         enu = work_frame.enu_from_geodetic(lon, lat, height)
         height += ground.up_at(enu[..., 0], enu[..., 1]) - enu[..., 2]
-    smooth = ground.kind == "flat"
-    if not smooth:
+    if ground.kind != "flat":
         height[:] = height.mean()
     nodes = work_frame.enu_from_geodetic(lon, lat, height)
     fit = np.linalg.lstsq(_terms(u, v).reshape(-1, 6), nodes.reshape(-1, 3), rcond=None)
@@ -94,19 +117,74 @@ def ground_window(
         lon[middle, middle], lat[middle, middle], height[middle, middle] + 1e3
     )
     vertical = (above - nodes[middle, middle]) / 1e3
-    bare = GroundWindow(width_px, height_px, polynomial, vertical, None)
-    if smooth:
-        return bare
-    return GroundWindow(width_px, height_px, polynomial, vertical, _relief_m(bare, ground, gsd_m))
+    return GroundWindow(width_px, height_px, polynomial, vertical, None)
 
 
-def _relief_m(window: GroundWindow, ground: GroundSurface, gsd_m: float) -> Floats32:
-    east, north, up = window._base_m()
-    lean = window.vertical[:2] / window.vertical[2]
-    rise = ground.up_at(east, north) - up
-    if float(np.abs(rise).max()) * float(np.hypot(*lean)) > 1e-2 * gsd_m:
-        rise = ground.up_at(east + rise * lean[0], north + rise * lean[1]) - up
-    return np.asarray(rise / window.vertical[2], dtype=np.float32)
+class Sight:
+    """A frame's equations in single precision: camera axes at its middle row, then col and row.
+
+    The equations of `Pose.image_from_ground`. Coordinates are taken from the projection centre, which keeps
+    the rounding near 0.001 px.
+    """
+
+    def __init__(self, pose: Pose, camera: Camera) -> None:
+        self._pose, self._camera = pose, camera
+        self._turn = self._by_step = None
+        velocity = np.zeros(3) if pose.velocity_m_per_s is None else pose.velocity_m_per_s
+        self._velocity = (velocity @ pose.rotation.matrix).astype(np.float32)
+        self._rounds = _MOVING_ROUNDS if camera.readout_s != 0.0 and bool(velocity.any()) else 0
+        if pose.turns is not None and camera.readout_s:
+            rad = pose.turns.rad.T.astype(np.float32)
+            self._turn, self._by_step = rad[:, :-1].copy(), np.diff(rad)
+            self._rounds = _TURNING_ROUNDS
+
+    def axes(
+        self, window: GroundWindow, u: Floats, v: Floats, relief_m: Floats32 | None
+    ) -> tuple[Floats32, Floats32, Floats32]:
+        """Camera axes in m, at the middle row, of a window's ground at u and v, which broadcast."""
+        shifted = window.polynomial.copy()
+        shifted[0] -= self._pose.position_m
+        coefficients = shifted @ self._pose.rotation.matrix
+        x, y, z = (_surface(coefficients[:, k], u, v, np.float32) for k in range(3))
+        if relief_m is not None:
+            vertical = window.vertical @ self._pose.rotation.matrix
+            for axis, share in zip((x, y, z), vertical, strict=True):
+                axis += relief_m * np.float32(share)
+        return x, y, z
+
+    def image(
+        self, x: Floats32, y: Floats32, z: Floats32, col: Floats32, row: Floats32, *, started: bool = False
+    ) -> None:
+        """Puts col and row where camera axes at the middle row are seen, NaN where they are not.
+
+        Axes are used up. started: row holds all but what there will be.
+        """
+        if not self._rounds:
+            _image_from_camera(self._camera, x, y, z, col, row)
+            return
+        if not started:
+            _image_from_camera(self._camera, x.copy(), y.copy(), z.copy(), col, row)
+        for _ in range(_STARTED_ROUNDS if started else self._rounds):
+            after_s = self._camera.read_after_s(row)
+            u, v, w = (axis - after_s * v for axis, v in zip((x, y, z), self._velocity, strict=True))
+            if self._turn is not None:
+                u, v, w = turned_by(self._turns_at(row), (u, v, w))
+            _image_from_camera(self._camera, u, v, w, col, row)
+
+    def _turns_at(self, row: Floats32) -> list[Floats32]:
+        """From present to middle camera axes, backwards, at the picture's rows."""
+        assert self._pose.turns is not None
+        assert self._turn is not None
+        assert self._by_step is not None
+        times, camera = self._turn.shape[1], self._camera
+        a_row = np.float32(times * camera.readout_s / self._pose.turns.span_s / camera.height_px)
+        step = np.fmin(np.fmax(row, np.float32(0.0)), np.float32(camera.height_px))  # NaN: any row
+        step -= np.float32(camera.height_px / 2.0)
+        step *= a_row
+        step += np.float32(times / 2.0)
+        low = np.clip(step, 0, times - 1).astype(np.intp)
+        step -= low
+        return [-(t[low] + step * b[low]) for t, b in zip(self._turn, self._by_step, strict=True)]
 
 
 def frame_from_map(
@@ -114,73 +192,38 @@ def frame_from_map(
 ) -> tuple[Floats32, Floats32]:
     """Col and row in a frame of the window's pixel centres: two float32 arrays, NaN where not seen.
 
-    The equations of `Pose.image_from_ground` in single precision and in place, a band of rows at a time so
-    that it stays in the processor's cache. Coordinates are taken from the projection centre, which keeps
-    the rounding near 0.001 px.
+    By `Sight`, a band of rows at a time so that it stays in the processor's cache.
 
     Args: rows, cols: contiguous part of the window, in its pixels.
     """
-    u, v = _axis(window.width_px)[cols], _axis(window.height_px)[rows]
-    shifted = window.polynomial.copy()
-    shifted[0] -= pose.position_m
-    coefficients = shifted @ pose.rotation.matrix
-    vertical = window.vertical @ pose.rotation.matrix
+    sight = Sight(pose, camera)
+    u, v = middles(window.width_px)[cols], middles(window.height_px)[rows, None]
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
-    limit = camera.radius_limit**2
-    velocity = np.zeros(3) if pose.velocity_m_per_s is None else pose.velocity_m_per_s @ pose.rotation.matrix
-    turns = _turns_by_row(pose, camera)
-    rolling = turns is not None or (camera.readout_s != 0.0 and bool(velocity.any()))
     col = np.empty((v.size, u.size), dtype=np.float32)
     row = np.empty_like(col)
     for top in range(0, v.size, _ROWS_AT_ONCE):
         band = slice(top, top + _ROWS_AT_ONCE)
-        x, y, z = (_surface(coefficients[:, k], u, v[band], np.float32) for k in range(3))
-        if relief is not None:
-            for axis, share in zip((x, y, z), vertical, strict=True):
-                axis += relief[band] * np.float32(share)
-        into = col[band], row[band]
-        if not rolling:
-            _image_from_camera(camera, limit, x, y, z, *into)
-            continue
-        _image_from_camera(camera, limit, x.copy(), y.copy(), z.copy(), *into)
-        for _ in range(_MOVING_ROUNDS if turns is None else _TURNING_ROUNDS):
-            after_s = camera.read_after_s(into[1])
-            mx, my, mz = (axis - after_s * np.float32(v) for axis, v in zip((x, y, z), velocity, strict=True))
-            if turns is not None:
-                at = np.clip(np.nan_to_num(into[1] * _TIMES_A_ROW + 0.5), 0, turns.shape[1] - 1).astype(
-                    np.intp
-                )
-                mx, my, mz = turned_by([turn[at] for turn in turns], (mx, my, mz))
-            _image_from_camera(camera, limit, mx, my, mz, *into)
+        axes = sight.axes(window, u, v[band], None if relief is None else relief[band])
+        sight.image(*axes, col[band], row[band])
     return col, row
 
 
-def _turns_by_row(pose: Pose, camera: Camera) -> Floats32 | None:
-    """The turns (3, times) from present to middle camera axes, backwards, for each quarter of a row."""
-    if pose.turns is None or not camera.readout_s:
-        return None
-    row_px = np.arange(_TIMES_A_ROW * camera.height_px + 1) / _TIMES_A_ROW
-    return np.asarray(-pose.turns.at(camera.read_after_s(row_px))[0].T, dtype=np.float32)
-
-
 def _image_from_camera(
-    camera: Camera, limit_sq: float, x: Floats32, y: Floats32, z: Floats32, col: Floats32, row: Floats32
+    camera: Camera, x: Floats32, y: Floats32, z: Floats32, col: Floats32, row: Floats32
 ) -> None:
     """`Camera.image_from_camera` of camera axes into col and row; x, y and z are used up."""
     with np.errstate(all="ignore"):
         z[z >= 0.0] = np.nan
         np.divide(x, -z, out=x)
         np.divide(y, z, out=y)
-        _image_from_ideal(camera, limit_sq, x, y, col, row)
+        _image_from_ideal(camera, x, y, col, row)
 
 
-def _image_from_ideal(
-    camera: Camera, limit_sq: float, x: Floats32, y: Floats32, col: Floats32, row: Floats32
-) -> None:
+def _image_from_ideal(camera: Camera, x: Floats32, y: Floats32, col: Floats32, row: Floats32) -> None:
     """The same of x right and y down over depth; x and y are used up."""
     f = np.float32(camera.focal_length_px)
     r_sq = x * x + y * y
-    x[r_sq > limit_sq] = np.nan
+    x[r_sq > camera.radius_limit**2] = np.nan
     bent = camera.lens.bent(camera.terms.astype(np.float32), x, y, r_sq)
     centres = camera.principal_col_px, camera.principal_row_px
     for axis, out, centre in zip(bent, (col, row), centres, strict=True):
@@ -189,7 +232,8 @@ def _image_from_ideal(
     row[np.isnan(col)] = np.nan
 
 
-def _axis(n: int) -> Floats:
+def middles(n: int) -> Floats:
+    """A window's n pixels across or down, where u or v of its polynomial has their middles."""
     return np.asarray((np.arange(n) + 0.5) * (2.0 / n) - 1.0, dtype=np.float64)
 
 
@@ -198,9 +242,8 @@ def _terms(u: Floats, v: Floats) -> Floats:
 
 
 def _surface(c: Floats, u: Floats, v: Floats, dtype: type[Any] = np.float64) -> NDArray[Any]:
-    along_u = (c[0] + u * (c[1] + u * c[3])).astype(dtype)
-    along_v = (v * (c[2] + v * c[5])).astype(dtype)
-    out = np.outer((v * c[4]).astype(dtype), u.astype(dtype))
-    out += along_u
-    out += along_v[:, None]
+    """The polynomial of coefficients c (6,) at u and v, which broadcast."""
+    out = (v * c[4]).astype(dtype) * u.astype(dtype)
+    out += (c[0] + u * (c[1] + u * c[3])).astype(dtype)
+    out += (v * (c[2] + v * c[5])).astype(dtype)
     return np.asarray(out)

@@ -1,0 +1,165 @@
+"""The warp of whole windows: exact on a lattice of every eighth pixel, bilinear between where that will do.
+
+What bends a picture (perspective, lens, a smooth ground) does so over hundreds of pixels; what breaks it
+(the edges of a DEM's cells, the knots of a table of turns) runs along lines. So each cell decides by what it
+is off in its middle, and where that is too much its pixels go through the equations themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.warp import Sight, bare_window
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+STEP_PX: Final = 8
+_MOST_OFF_PX: Final = 0.005
+"""Of a cell's middle, in pixels of the frame. So one pixel in a thousand is more than 0.01 px off, where a
+break cuts a cell's corner; OpenCV's resampling rounds to 1/32 px."""
+_CELLS_AT_ONCE: Final = 256
+"""16,384 pixels: what stays in the processor's cache."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Where a frame saw part of a window: col and row (h, w) of its pixels, NaN where not seen; and at the
+    nodes, (h / 8 + 2, w / 8 + 2), one beyond on every side."""
+
+    cols: Floats32
+    rows: Floats32
+    node_cols: Floats32
+    node_rows: Floats32
+
+    def between(self, at_nodes: NDArray[Any]) -> NDArray[Any]:
+        """Values at the nodes (.., .., bands) as (h, w, bands), bilinear."""
+        half, (height, width) = STEP_PX // 2, self.cols.shape
+        return _spread(at_nodes)[half : half + height, half : half + width].reshape(height, width, -1)
+
+
+class MapLattice:
+    """A north-up map window and its ground: see `ground_window` for its corner, pixel and size."""
+
+    def __init__(
+        self,
+        crs: str,
+        work_frame: LocalFrame,
+        ground: GroundSurface,
+        west_m: float,
+        north_m: float,
+        gsd_m: float,
+        width_px: int,
+        height_px: int,
+    ) -> None:
+        self._ground, self._gsd_m = ground, gsd_m
+        self._window = bare_window(crs, work_frame, ground, west_m, north_m, gsd_m, width_px, height_px)
+        self._u, self._v = _places(width_px), _places(height_px)
+        self._nodes_m = self._relief(self._u.nodes, self._v.nodes[:, None])
+        self._corners_m = self._relief(self._u.corners, self._v.corners[:, None])
+
+    def seen(self, pose: Pose, camera: Camera, rows: slice, cols: slice) -> Seen:
+        """Where a frame saw part of the window. rows, cols: in whole steps, but at the window's end."""
+        sight = Sight(pose, camera)
+        height, width = _length(rows, self._window.height_px), _length(cols, self._window.width_px)
+        top, left = rows.start // STEP_PX, cols.start // STEP_PX
+        down, across = -(-height // STEP_PX), -(-width // STEP_PX)
+        nodes = slice(top, top + down + 2), slice(left, left + across + 2)
+        corners = slice(top, top + down + 1), slice(left, left + across + 1)
+        image = np.empty((2, down + 2, across + 2), dtype=np.float32)
+        middle = np.empty((2, down + 1, across + 1), dtype=np.float32)
+        for into, at, u, v, relief_m in (
+            (image, nodes, self._u.nodes, self._v.nodes, self._nodes_m),
+            (middle, corners, self._u.corners, self._v.corners, self._corners_m),
+        ):
+            relief_m = None if relief_m is None else relief_m[at]
+            sight.image(*sight.axes(self._window, u[at[1]], v[at[0], None], relief_m), *into)
+        # Cells lie between four nodes, half a step off the part.
+        whole = [_cells_of(_spread(axis)) for axis in image]
+        cells = np.nonzero(_to_be_exact(image, middle, camera))
+        for k in range(0, len(cells[0]), _CELLS_AT_ONCE):
+            i, j = (c[k : k + _CELLS_AT_ONCE] for c in cells)
+            found = self._exact(sight, i + top, j + left, whole[1][i, j])
+            for axis, values in zip(whole, found, strict=True):
+                axis[i, j] = values
+        half = STEP_PX // 2
+        inner = slice(half, half + height), slice(half, half + width)
+        col, row = (w.transpose(0, 2, 1, 3).reshape(*_pixels(w))[inner] for w in whole)
+        return Seen(col, row, *image)
+
+    def _relief(self, u: Floats, v: Floats) -> Floats32 | None:
+        if self._ground.kind == "flat":
+            return None
+        return self._window.relief_on(self._ground, self._gsd_m, u, v)
+
+    def _exact(
+        self, sight: Sight, i: NDArray[np.intp], j: NDArray[np.intp], row: Floats32
+    ) -> tuple[Floats32, Floats32]:
+        """All pixels of cells (n, 8, 8), of which row is all but known, or NaN."""
+        u, v = self._u.pixels[j][:, None, :], self._v.pixels[i][:, :, None]
+        x, y, z = sight.axes(self._window, u, v, self._relief(u, v))
+        found, row = np.empty_like(x), np.ascontiguousarray(row)
+        sight.image(x, y, z, found, row, started=not np.isnan(row).any())
+        return found, row
+
+
+def _spread(nodes: NDArray[Any]) -> NDArray[Any]:
+    """Values at nodes at all pixels of the cells between them, bilinear."""
+    up = cv2.resize(nodes, None, fx=STEP_PX, fy=STEP_PX, interpolation=cv2.INTER_LINEAR)
+    half = STEP_PX // 2
+    return np.asarray(up[half:-half, half:-half])
+
+
+@dataclass(frozen=True)
+class _Places:
+    """u (or v) of the nodes, from one before the window; of the cells' corners; and of the pixels by cells
+    between nodes, (cells, 8)."""
+
+    nodes: Floats
+    corners: Floats
+    pixels: Floats
+
+
+def _places(length_px: int) -> _Places:
+    steps = -(-length_px // STEP_PX)
+    per_px, half = 2.0 / length_px, STEP_PX / 2.0
+    corners: Floats = np.arange(steps + 1.0) * STEP_PX * per_px - 1.0
+    nodes: Floats = (np.arange(-1.0, steps + 1.0) * STEP_PX + half) * per_px - 1.0
+    within: Floats = (np.arange(0.5, STEP_PX) - half) * per_px
+    return _Places(nodes, corners, corners[:, None] + within)
+
+
+def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> NDArray[np.bool_]:
+    """Cells that lie in the picture, or near it, and whose middle isn't where its four nodes say."""
+    _, down, across = middle.shape
+    four = np.stack([image[:, i : i + down, j : j + across] for i in (0, 1) for j in (0, 1)])
+    off = np.abs(four.mean(axis=0) - middle).max(axis=0)
+    with np.errstate(invalid="ignore"):
+        close = ~(off <= _MOST_OFF_PX)
+        low, high = np.fmin.reduce(four), np.fmax.reduce(four)
+        wide = np.nan_to_num(high - low).max(axis=(1, 2), initial=0.0)
+        for axis, size in enumerate((camera.width_px, camera.height_px)):
+            close &= (high[axis] > -wide[axis]) & (low[axis] < size + wide[axis])
+    return np.asarray(close)
+
+
+def _cells_of(pixels: Floats32) -> NDArray[np.float32]:
+    """(rows, cols) as (cells down, cells across, 8, 8), the same memory."""
+    height, width = pixels.shape
+    return pixels.reshape(height // STEP_PX, STEP_PX, width // STEP_PX, STEP_PX).transpose(0, 2, 1, 3)
+
+
+def _pixels(cells: NDArray[np.float32]) -> tuple[int, int]:
+    return cells.shape[0] * STEP_PX, cells.shape[1] * STEP_PX
+
+
+def _length(part: slice, whole: int) -> int:
+    return int(min(part.stop, whole) - part.start)
