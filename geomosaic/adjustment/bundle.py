@@ -161,7 +161,7 @@ def _solve(
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
     held = again.held if again else np.full(shared_miss(priors, state).size, lens_held)
     strayed = np.zeros_like(held)
-    iterations, may_free = 0, again is not None
+    iterations, may_free, shown = 0, again is not None, np.zeros(len(priors.cameras))
     while True:
         priors, state = replace(priors, held=held), _with_held(priors, state, held)
         state, priors, factors, used = _settle(
@@ -179,22 +179,34 @@ def _solve(
             tracks, camera_of, priors, state, factors, rough=False, settled=True
         )
         iterations += used
-        priors = _with_untold_shutters(priors)
+        priors, shown = _with_untold_shutters(tracks, camera_of, priors, state, factors)
     found = _finish(tracks, camera_of, priors, state, factors, iterations)
-    return replace(found, strayed=strayed, held=held)
+    return replace(found, strayed=strayed, held=held, readout_shown=shown)
 
 
-def _with_untold_shutters(priors: Priors) -> Priors:
-    """A readout that nobody told of and that isn't solved for is held at none: what it may be off counts."""
-    sd, held = priors.interior_sd.copy(), priors.held
+def _with_untold_shutters(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors
+) -> tuple[Priors, Floats]:
+    """A readout that nobody told of and that isn't solved for is held at none: what it may be off counts,
+    the step that the pictures would have it make and that step's deviation.
+
+    The second, (c,), is the step by its deviation, a score test (Rao 1948): many frames together may show
+    what in each picture is far below the noise.
+    """
+    sd, held, shown = priors.interior_sd.copy(), priors.held, np.zeros(len(priors.cameras))
     untold = np.array([0.0 if c.readout_s else c.readout_sd_s for c in priors.cameras])
     untold[sd[:, READOUT] > 0.0] = 0.0
     if priors.poses.velocities_m_per_s is None or held is None or not untold.any():
-        return priors
+        return priors, shown
     sd[:, READOUT] += untold
-    readouts = np.outer(untold > 0.0, np.arange(len(INTERIOR)) == READOUT).ravel()
-    held = held | np.concatenate([readouts, np.zeros(len(held) - len(readouts), dtype=bool)])
-    return replace(priors, interior_sd=sd, held=held)
+    free = reduce_normals(normals_of(tracks, camera_of, replace(priors, interior_sd=sd), state, factors))
+    readouts = np.arange(len(untold)) * len(INTERIOR) + READOUT
+    step_s = free.solve()[1].ravel()[readouts]
+    own_s = np.sqrt(np.diag(free.covariance()[1])[readouts])
+    sd[:, READOUT] = np.where(untold > 0.0, np.hypot(step_s, own_s), sd[:, READOUT])
+    off = np.zeros(len(held), dtype=bool)
+    off[readouts] = untold > 0.0
+    return replace(priors, interior_sd=sd, held=held | off), np.where(untold > 0.0, step_s / own_s, 0.0)
 
 
 def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:
@@ -358,4 +370,5 @@ def _finish(
         level_m=state.level,
         iterations=iterations,
         reduced=reduced,
+        readout_shown=np.zeros(len(state.interior)),
     )

@@ -100,7 +100,8 @@ class Bundle:
     weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
     swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the
-    terrain's own. reduced: the last normal equations.
+    terrain's own. reduced: the last normal equations. readout_shown (c,): by how many of its deviations the
+    solution would leave the readout none that nobody told of, of each camera.
     """
 
     poses: Poses
@@ -123,6 +124,7 @@ class Bundle:
     level_m: float
     iterations: int
     reduced: Reduced
+    readout_shown: Floats
 
 
 @dataclass

@@ -108,13 +108,15 @@ def _grown(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
     return shares * numbers * float((~bound.left_out).sum())
 
 
-def surface_of(block: Block, flat: GroundSurface, bundle: Bundle) -> GroundSurface:
-    """The surface of the points, over all that points and frames cover; flat: about their level."""
+def surface_of(block: Block, flat: GroundSurface, bundle: Bundle, *, rated: bool = False) -> GroundSurface:
+    """The surface of the points, over all that points and frames cover; flat: about their level; rated: see
+    `tie_surface`."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
-    return tie_surface(bundle.points_m, bundle.points_sd_m[:, 2], low_m, high_m, height_m)
+    sd_up_m = bundle.points_sd_m[:, 2]
+    return tie_surface(bundle.points_m, sd_up_m, low_m, high_m, height_m, rated=rated)
 
 
 def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:

@@ -42,6 +42,9 @@ block that is bent or stretched pleases them too."""
 _LEAST_SCATTER = 0.2  # of what is stated of positions; less is the luck of a few dozen
 _SLOWEST_READOUT_S = 0.2
 """The slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it."""
+_SHOWN = 5.0
+"""Deviations by which the solution would leave a readout of none: of cameras that read all rows at once none
+came to more than 3, since image errors are alike along a track; see `bundle._with_untold_shutters`."""
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",
@@ -124,15 +127,35 @@ def contradicts(its: Bundle | None, now: Bundle | None) -> bool:
     return scattered or any(abs(c.readout_s) > _SLOWEST_READOUT_S for c in its.cameras)
 
 
+def with_readout(block: Block, settings: Settings) -> tuple[Block, Settings]:
+    """The model with rows read one after the other, where no tag tells how long."""
+    turns = block.poses.turns
+    begin_s = NOMINAL_READOUT_S if turns is None else turns.span_s
+    cameras = tuple(c if c.readout_s else replace(c, readout_s=begin_s) for c in block.cameras)
+    return replace(block, cameras=cameras), replace(settings, rolling_shutter=True)
+
+
+def readout_shown(solved: Bundle) -> bool:
+    """Whether the pictures show that rows are read one after the other, though nothing tells of it."""
+    return bool((solved.readout_shown > _SHOWN).any())
+
+
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     """A line if something other than the given was needed, and one if how frames turn is the pictures' word
     alone or can't be told."""
     out: list[Warn] = []
-    if choice is not None and choice.taken:
-        before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(choice.taken)))
+    judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
+    if choice is not None and choice.shown:
+        text = (
+            f"{_TEXTS['readout']}: no tag tells of it, but it stretches each line along its own way, and all "
+            "pictures together show it"
+        )
+        out.append(Warn("model-chosen", "", text))
+    if choice is not None and judged:
+        before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(judged)))
         text = (
             f"lens and shutter as given leave {before:.2g} px at tie points left out of the solve; taken "
-            f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in choice.taken)}"
+            f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in judged)}"
         )
         out.append(Warn("model-chosen", "", text))
     if choice is not None and "turning" in choice.taken:
@@ -151,10 +174,7 @@ def _candidates(
 ) -> Iterator[tuple[str, tuple[Block, Settings]]]:
     """What can be added to a model, each with its block and settings, the simplest first."""
     turns, moving = block.poses.turns, _moving(block)
-    begin_s = NOMINAL_READOUT_S if turns is None else turns.span_s
-    rolling = replace(
-        block, cameras=tuple(c if c.readout_s else replace(c, readout_s=begin_s) for c in block.cameras)
-    )
+    rolling, read_settings = with_readout(block, settings)
     read = any(c.readout_s for c in block.cameras)
     makers = any(c.distortion_sd for c in block.cameras)
     if read and turns is not None:
@@ -162,7 +182,7 @@ def _candidates(
     if makers and not settings.free_lens:
         yield "lens", (block, replace(settings, free_lens=True))
     if moving and not settings.rolling_shutter:
-        yield "readout", (rolling, replace(settings, rolling_shutter=True))
+        yield "readout", (rolling, read_settings)
     if not makers and "fisheye" not in taken:
         yield "fisheye", (replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
     if not settings.turning:

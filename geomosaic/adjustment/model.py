@@ -68,6 +68,17 @@ class Block:
     control: tuple[GroundControl, ...] = ()
     times_s: Floats | None = None
 
+    @property
+    def lenses(self) -> tuple[Camera, ...]:
+        """Each camera once."""
+        return tuple({c.name: c for c in self.cameras}.values())
+
+    @property
+    def lens_of(self) -> NDArray[np.intp]:
+        """(n,): of each frame, its place in `lenses`."""
+        number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in self.cameras))}
+        return np.array([number[c.name] for c in self.cameras], dtype=np.intp)
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -131,13 +142,15 @@ class ModelChoice:
 
     taken: what was added, see `chosen_model`, in order. names, left_out_px: every model, its additions
     joined by +, and the median residual of the tie points left out of its solve. contradicted: those that
-    would please the tie points, but not the positions.
+    would please the tie points, but not the positions. shown: whether the last addition was taken for what
+    all pictures together show, not for those residuals.
     """
 
     taken: tuple[str, ...]
     names: tuple[str, ...]
     left_out_px: tuple[float, ...]
     contradicted: tuple[str, ...] = ()
+    shown: bool = False
 
     def contradicted_at_last(self) -> ModelChoice:
         """Nothing is taken: the model that was can't be, once all is solved with it."""

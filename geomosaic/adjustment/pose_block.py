@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.beliefs import believed_terrain, part_of_frames, priors_of
+from geomosaic.adjustment.beliefs import priors_of
 from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.bundle_model import GROUPS, Bundle, Priors
-from geomosaic.adjustment.chosen_ground import (
-    LEAST_POINTS,
-    chosen_ground,
-    flying_height_m,
-    levelled,
-    lies_flat,
-    off_ground_m,
-    surface_of,
+from geomosaic.adjustment.chosen_ground import flying_height_m, levelled, surface_of
+from geomosaic.adjustment.chosen_model import (
+    chosen_model,
+    contradicts,
+    model_warnings,
+    readout_shown,
+    with_readout,
 )
-from geomosaic.adjustment.chosen_model import chosen_model, contradicts, model_warnings
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.common_rate import with_common_rate
-from geomosaic.adjustment.control import control_residuals, spread_of, with_control
+from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
     lying_tags,
@@ -34,25 +31,30 @@ from geomosaic.adjustment.doubts import (
 )
 from geomosaic.adjustment.flown import flown
 from geomosaic.adjustment.height_drift import height_drift
-from geomosaic.adjustment.misalignment import offset_net
-from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, Settings, SharedUnknowns
+from geomosaic.adjustment.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.model import (
+    Adjusted,
+    Block,
+    ImageResiduals,
+    ModelChoice,
+    Round,
+    Settings,
+    SharedUnknowns,
+)
 from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.shape import shape_sd_m
+from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
 from geomosaic.adjustment.start import placed_by_pictures, start_poses
-from geomosaic.adjustment.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
+from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
-from geomosaic.projection.footprint import ground_from_images
-from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
-_DATUM_IN_DOUBT = 3.0
 _FEW_PER_FRAME, _FEW_CELLS = 192, 8
 """Enough to find poses, lens and variance components to a fraction of a pixel, at a tenth of the work."""
 _WORTHWHILE = 4
@@ -66,7 +68,7 @@ def pose_block(block: Block, settings: Settings) -> Adjusted:
     """
     taken = as_taken(block)
     try:
-        return as_filed(_solve(taken, settings), block)
+        return as_filed(_solved(taken, settings), block)
     except NotSolvableError as error:
         return as_filed(_start_alone(taken, str(error)), block)
 
@@ -85,274 +87,199 @@ def _start_alone(block: Block, why: str) -> Adjusted:
     )
 
 
-def _solve(block: Block, settings: Settings) -> Adjusted:
+@dataclass(frozen=True)
+class _Work:
+    """A block on its way: as it was given, and as it is believed by now, with the settings, the solution by
+    few tie points, and the model of lens and shutter that was chosen.
+
+    net: the frames' offsets as they were given; tracks: all tie points, few: of them, to find the model by;
+    rolling: whether rows were said to be read one after the other.
+    """
+
+    given: Block
+    net: OffsetNet
+    tracks: Tracks
+    few: Tracks
+    rolling: bool
+    block: Block
+    settings: Settings
+    found: Solution
+    choice: ModelChoice | None = None
+
+    def again(self, block: Block, settings: Settings, before: Solution | None = None) -> _Work:
+        """Solved anew with another block or other settings, from the poses found so far."""
+        found = solution(block, settings, self.few, self.found.bundle.poses, before)
+        return replace(self, block=block, settings=settings, found=found)
+
+
+def _solved(block: Block, settings: Settings) -> Adjusted:
     sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
     tracks = thin_tracks(join_tracks(block.ties), sizes, settings.observations_per_frame)
     if not tracks.points and all(c.check for c in block.control):
         still = np.zeros((len(block.names), 2))
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
-    told, net = block, offset_net(block)
-    start = start_poses(block, net)
-    block = placed_by_pictures(block, start)
-    cameras = tuple({c.name: c for c in block.cameras}.values())
-    number = {c.name: k for k, c in enumerate(cameras)}
-    camera_of = np.array([number[c.name] for c in block.cameras])
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
-    rolling = settings.rolling_shutter or any(c.readout_s for c in cameras)
+    work = _begun(block, settings, tracks, few)
+    steps = _heights_freed, _model_chosen, _turning_too, _zero_of_the_gyroscope, _by_all, _readout_shown
+    for step in steps:
+        work = step(work)
+    return _outcome(work)
+
+
+def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks) -> _Work:
+    """Similarities, then a bundle; where rows are read one after the other, first as if they weren't."""
+    net = offset_net(given)
+    start = start_poses(given, net)
+    block = placed_by_pictures(given, start)
+    rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:
-        start = _read_at_once(block, settings, few, camera_of, cameras, start)
+        start = _read_at_once(block, settings, few, start)
         block, _ = flown(block, start)
-    found, choice = _found(block, settings, few, camera_of, cameras, start), None
-    block, other = flown(block, found.solved.poses)
-    drift = height_drift(block, found.solved.poses, np.unique(found.seen.frame))
-    block = drift.freed(block)
-    if drift.parts or (other and rolling):
-        found = _found(block, settings, few, camera_of, cameras, found.solved.poses, found)
-    if settings.model == "auto" and found.ties.points:
-        solve = partial(_free, camera_of=camera_of, start=found.solved.poses)
-        as_given = _of_ties(found.solved, found.ties)
-        its_block, its_settings, choice = chosen_model(block, settings, found.ties, as_given, solve)
-    if choice is not None and choice.taken:
-        lenses = tuple({c.name: c for c in its_block.cameras}.values())
-        chosen = _found(its_block, its_settings, few, camera_of, lenses, found.solved.poses)
-        if contradicts(chosen.solved, found.solved):
-            choice = choice.contradicted_at_last()
-        else:
-            block, settings, cameras, found = its_block, its_settings, lenses, chosen
-    if settings.model == "auto" and rolling and block.poses.turns is not None and not settings.turning:
-        settings = replace(settings, turning=True)  # what a gyroscope's filter and its last sample leave
-        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
-    if settings.turning and found.solved.swing is not None and block.poses.turns is not None:
-        block, settings = with_common_rate(block, settings, found.solved)
-        found = _found(block, settings, few, camera_of, cameras, found.solved.poses)
-    if few is not tracks:
-        found = _with_all(block, settings, tracks, camera_of, cameras, found)
-    kept, seen, ground, priors = found.ties, found.seen, found.ground, found.priors
-    bundle = _of_ties(found.solved, kept)
-    held = any(not c.check and c.observations for c in block.control)
-    common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
-    bundle = with_common_error(bundle, common_m2)
-    moves = (bundle.poses.positions_m - told.poses.positions_m)[:, :2]
-    first = Round(net.misalignments_m(np.zeros_like(moves)), moves)
-    shared = _shared(bundle, priors)
-    outcome = settled(
-        block,
-        bundle.poses,
-        (first,),
-        cameras=tuple(bundle.cameras[k] for k in camera_of),
-        ground=ground,
-        warnings=(
-            *lying_tags(block, bundle.poses),
-            *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
-            *height_drift(told, bundle.poses, np.unique(seen.frame)).warnings(told),
-            *undetermined_wishes(shared, told.cameras),
-            *unsolved_frames(block, bundle.left_out),
-            *strayed_lenses(cameras, bundle.strayed),
-            *model_warnings(block, choice),
-        ),
-        unsolved=np.flatnonzero(bundle.left_out).tolist(),
-        figures=_figures(bundle, kept) | _relief(found) | _shape(block, found),
-        spread=spread_of(bundle, camera_of, common_m2),
-    )
-    return replace(
-        outcome,
-        pose_covariance=bundle.pose_covariance,
-        shared=shared,
-        model=choice,
-        image_residuals=ImageResiduals(kept.frame, kept.image_px, bundle.residual_px, bundle.weight),
-    )
+    found = solution(block, settings, few, start)
+    return _Work(given, net, tracks, few, rolling, block, settings, found)
 
 
-def _read_at_once(
-    block: Block,
-    settings: Settings,
-    tracks: Tracks,
-    camera_of: NDArray[np.intp],
-    cameras: tuple[Camera, ...],
-    start: Poses,
-) -> Poses:
+def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
     """Poses as if rows were not read one after the other, with lenses as given: sure to a part of what a
     platform flies meanwhile, from which it is told how fast it flew. By velocities of told positions, which
     are off by metres where frames are a few metres apart, lenses stray far to explain what they do to rows.
     """
-    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
+    points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
     if not len(points):
         return start
-    at_once = tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in cameras)
     still = replace(
         block,
-        cameras=tuple(at_once[k] for k in camera_of),
+        cameras=tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in block.cameras),
         poses=replace(block.poses, velocities_m_per_s=None, turns=None),
     )
     settings = replace(settings, rolling_shutter=False, turning=False)
-    priors = priors_of(still, settings, at_once, points)
-    solved = solve_bundle(kept, camera_of, priors, start, lens_held=True, rough=True)
+    priors = priors_of(still, settings, still.lenses, points)
+    solved = solve_bundle(kept, still.lens_of, priors, start, lens_held=True, rough=True)
     return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)
 
 
-def _free(
-    block: Block, settings: Settings, tracks: Tracks, camera_of: NDArray[np.intp], start: Poses
-) -> Bundle:
+def _heights_freed(work: _Work) -> _Work:
+    """Velocities by the solved positions; heights that drift or jump don't any longer."""
+    poses = work.found.bundle.poses
+    block, other = flown(work.block, poses)
+    drift = height_drift(block, poses, np.unique(work.found.seen.frame))
+    block = drift.freed(block)
+    if drift.parts or (other and work.rolling):
+        return work.again(block, work.settings, work.found)
+    return replace(work, block=block)
+
+
+def _model_chosen(work: _Work) -> _Work:
+    """With what tie points left out of a solve speak for, of lens and shutter."""
+    found = work.found
+    if work.settings.model != "auto" or not found.ties.points:
+        return work
+    solve = partial(_free, start=found.bundle.poses)
+    block, settings, choice = chosen_model(work.block, work.settings, found.ties, found.of_ties, solve)
+    if choice is None or not choice.taken:
+        return replace(work, choice=choice)
+    chosen = replace(work.again(block, settings), choice=choice)
+    if contradicts(chosen.found.bundle, found.bundle):
+        return replace(work, choice=choice.contradicted_at_last())
+    return chosen
+
+
+def _free(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Bundle:
     """The solution with points of their own and no control, as models are compared."""
-    cameras = tuple({c.name: c for c in block.cameras}.values())
-    points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
-    return solve_bundle(kept, camera_of, priors_of(block, settings, cameras, points), start, rough=True)
+    points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
+    priors = priors_of(block, settings, block.lenses, points)
+    return solve_bundle(kept, block.lens_of, priors, start, rough=True)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """A solution: tie points, the same with control points, what was believed, and the ground that goes with
-    it. relief_px: see `chosen_ground`."""
-
-    ties: Tracks
-    seen: Tracks
-    priors: Priors
-    solved: Bundle
-    ground: GroundSurface
-    relief_px: float
+def _turning_too(work: _Work) -> _Work:
+    """Beside told turns, what a gyroscope's filter and its last sample leave of them."""
+    settings = work.settings
+    told = work.rolling and work.block.poses.turns is not None and not settings.turning
+    if settings.model != "auto" or not told:
+        return work
+    return work.again(work.block, replace(settings, turning=True))
 
 
-def _found(
-    block: Block,
-    settings: Settings,
-    tracks: Tracks,
-    camera_of: NDArray[np.intp],
-    cameras: tuple[Camera, ...],
-    start: Poses,
-    before: _Found | None = None,
-) -> _Found:
-    """Free points first, then with control, then bound to the ground if they lie on one. before: a solution
-    to go on from, with the same lenses."""
-    if before is None:
-        points, kept = _points_on_ground(start, block.cameras, block.ground, tracks)
-        again = None
-    else:
-        points, kept = before.priors.points_m[: before.ties.points], before.ties
-        again = _of_ties(before.solved, kept)
-    ties, priors = len(points), priors_of(block, settings, cameras, points)
-    free = solve_bundle(kept, camera_of, priors, start, again=again) if ties else None
-    seen, priors = with_control(kept, priors, block.control)
-    if free is not None and seen is kept:
-        solved = free
-    else:
-        priors, solved = _held_by_control(block, seen, camera_of, priors, start, free)
-    if not ties:
-        return _Found(kept, seen, priors, solved, block.ground, float("nan"))
-    part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
-    ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
-    if ground.kind == "tie_surface":
-        return _Found(kept, seen, priors, solved, ground, relief_px)
-    off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
-    near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
-    bound_priors = replace(priors, terrain=near)
-    bound = solve_bundle(seen, camera_of, bound_priors, solved.poses, again=solved)
-    ground = levelled(ground, _of_ties(bound, kept))
-    tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
-    if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
-        return _Found(
-            kept, seen, priors, solved, surface_of(block, ground, _of_ties(solved, kept)), relief_px
-        )
-    return _Found(kept, seen, bound_priors, bound, ground, relief_px)
+def _zero_of_the_gyroscope(work: _Work) -> _Work:
+    bundle = work.found.bundle
+    if not work.settings.turning or bundle.swing is None or work.block.poses.turns is None:
+        return work
+    return work.again(*with_common_rate(work.block, work.settings, bundle))
 
 
-def _with_all(
-    block: Block,
-    settings: Settings,
-    tracks: Tracks,
-    camera_of: NDArray[np.intp],
-    cameras: tuple[Camera, ...],
-    few: _Found,
-) -> _Found:
-    """The solution by all tie points, from that by few of them, on the same kind of ground."""
-    lenses, poses = [few.solved.cameras[k] for k in camera_of], few.solved.poses
-    points, kept = _points_on_ground(poses, lenses, few.ground, tracks)
-    surface = few.ground.kind == "tie_surface"
-    if surface:
-        points = nearest_to_rays(kept, poses, lenses, points)
-    terrain = None if surface else few.priors.terrain
-    priors = replace(priors_of(block, settings, cameras, points, terrain), poses=few.priors.poses)
-    seen, priors = with_control(kept, priors, block.control)
-    control_m = few.solved.points_m[few.ties.points :]
-    again = replace(few.solved, points_m=np.concatenate([points, control_m]))
-    solved = solve_bundle(seen, camera_of, priors, poses, again=again)
-    bundle = _of_ties(solved, kept)
-    if surface:
-        ground = surface_of(block, levelled(block.ground, bundle), bundle)
-    else:
-        ground = levelled(few.ground, bundle)
-    return _Found(kept, seen, priors, solved, ground, few.relief_px)
+def _by_all(work: _Work) -> _Work:
+    """All tie points, and the last ground."""
+    found, block = work.found, work.block
+    if work.few is not work.tracks:
+        found = by_all_points(block, work.settings, work.tracks, found)
+    if found.ground.kind == "tie_surface":
+        bundle = found.of_ties
+        ground = surface_of(block, levelled(block.ground, bundle), bundle, rated=True)
+        found = replace(found, ground=ground)
+    return replace(work, found=found)
 
 
-def _shape(block: Block, found: _Found) -> dict[str, float]:
+def _readout_shown(work: _Work) -> _Work:
+    """With rows read one after the other, where the solution by all points with all rows read at once shows
+    it: what stretches a block is far below the noise of few."""
+    before = work.found.bundle
+    if work.settings.model != "auto" or not readout_shown(before):
+        return work
+    read = work.again(*with_readout(work.block, work.settings))
+    if contradicts(read.found.bundle, before) or any(c.readout_s < 0.0 for c in read.found.bundle.cameras):
+        return work
+    tried = work.choice or ModelChoice((), (), ())
+    choice = replace(tried, taken=(*tried.taken, "readout"), shown=True)
+    return _by_all(replace(read, choice=choice))
+
+
+def _outcome(work: _Work) -> Adjusted:
+    block, given, found = work.block, work.given, work.found
+    bundle, seen = found.of_ties, found.seen
+    held = any(not c.check and c.observations for c in block.control)
+    common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
+    bundle = with_common_error(bundle, common_m2)
+    moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
+    shared = _shared(bundle, found.priors)
+    outcome = settled(
+        block,
+        bundle.poses,
+        (Round(work.net.misalignments_m(np.zeros_like(moves)), moves),),
+        cameras=tuple(bundle.cameras[k] for k in block.lens_of),
+        ground=found.ground,
+        warnings=(
+            *lying_tags(block, bundle.poses),
+            *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
+            *height_drift(given, bundle.poses, np.unique(seen.frame)).warnings(given),
+            *undetermined_wishes(shared, given.cameras),
+            *unsolved_frames(block, bundle.left_out),
+            *strayed_lenses(block.lenses, bundle.strayed),
+            *model_warnings(block, work.choice),
+        ),
+        unsolved=np.flatnonzero(bundle.left_out).tolist(),
+        figures=_figures(bundle, found.ties) | _relief(found) | _shape(block, found),
+        spread=spread_of(bundle, block.lens_of, common_m2),
+    )
+    residuals = ImageResiduals(found.ties.frame, found.ties.image_px, bundle.residual_px, bundle.weight)
+    return replace(
+        outcome,
+        pose_covariance=bundle.pose_covariance,
+        shared=shared,
+        model=work.choice,
+        image_residuals=residuals,
+    )
+
+
+def _shape(block: Block, found: Solution) -> dict[str, float]:
     """How far the map's shape may be off, in pixels of the frames on the ground."""
     pixel_m = flying_height_m(block) / float(np.median([c.focal_length_px for c in block.cameras]))
-    sd_m = shape_sd_m(found.solved, found.ties.points)
+    sd_m = shape_sd_m(found.bundle, found.ties.points)
     return {"shape_sd_px": sd_m / pixel_m} if np.isfinite(sd_m) else {}
 
 
-def _relief(found: _Found) -> dict[str, float]:
+def _relief(found: Solution) -> dict[str, float]:
     return {"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {}
-
-
-def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
-    """Median of control minus what the poses make of it, (3,); and whether that is another datum: three
-    points or more agree on what the positions' deviations can't explain."""
-    used = replace(block, control=tuple(c for c in block.control if not c.check))
-    off = np.array([c.residual_m for c in control_residuals(used, poses, cameras, block.ground)])
-    if not len(off):
-        return np.zeros(3), False
-    shift = np.median(off, axis=0)
-    beyond = np.abs(shift) > _DATUM_IN_DOUBT * np.median(block.poses.positions_sd_m, axis=0)
-    return shift, bool(len(off) >= 3 and beyond.any())
-
-
-def _held_by_control(
-    block: Block, seen: Tracks, camera_of: NDArray[np.intp], priors: Priors, start: Poses, free: Bundle | None
-) -> tuple[Priors, Bundle]:
-    """The solution with control points, begun from the free one shifted onto them.
-
-    So each point is judged against the others, not against positions that may be off in common (a height
-    of another datum), and these are shifted along where control says so.
-    """
-    lenses, poses = (free.cameras, free.poses) if free else (priors.cameras, start)
-    shift, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in camera_of))
-    start = replace(poses, positions_m=poses.positions_m + shift)
-    if datum:
-        priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + shift))
-    if free is not None:
-        points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
-        free = replace(free, points_m=points, level_m=free.level_m + float(shift[2]))
-    return priors, solve_bundle(seen, camera_of, priors, start, again=free)
-
-
-def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
-    """The solution without what it says of control points, which come last."""
-    p, m = ties.points, len(ties.frame)
-    return replace(
-        bundle,
-        points_m=bundle.points_m[:p],
-        points_sd_m=bundle.points_sd_m[:p],
-        residual_px=bundle.residual_px[:m],
-        weight=bundle.weight[:m],
-    )
-
-
-def _points_on_ground(
-    poses: Poses, cameras: Sequence[Camera], ground: GroundSurface, tracks: Tracks
-) -> tuple[Floats, Tracks]:
-    """Each track's mean place on the ground; tracks that miss it are dropped."""
-    at = ground_from_images(tracks.frame, tracks.image_px, poses, cameras, ground)
-    hit = np.isfinite(at).all(axis=1)
-    lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
-    keep = ~lost[tracks.point]
-    names, point = np.unique(tracks.point[keep], return_inverse=True)
-    kept = Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
-    count = np.bincount(point, minlength=len(names))
-    mean = np.stack(
-        [np.bincount(point, at[keep][:, k], minlength=len(names)) / count for k in range(3)], axis=1
-    )
-    return mean, kept
 
 
 def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:

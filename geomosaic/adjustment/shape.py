@@ -11,6 +11,9 @@ Floats = NDArray[np.float64]
 _POINTS = 48
 """Spread over the block: its shape bends and stretches over many of them."""
 _LEAST_POINTS = 4
+_WELL_KNOWN = 0.95
+"""Share of the points, the best determined ones, that stand for the block: among the others are wrong matches
+far outside of it, by rays that hardly cut."""
 
 
 def shape_sd_m(bundle: Bundle, ties: int) -> float:
@@ -23,7 +26,9 @@ def shape_sd_m(bundle: Bundle, ties: int) -> float:
     """
     n = bundle.reduced.normals
     f, d = n.pose_side.shape
-    chosen = _spread_out(bundle.points_m[:ties, :2])
+    sd_m = np.linalg.norm(bundle.points_sd_m[:ties, :2], axis=1)
+    known = np.flatnonzero(sd_m <= np.quantile(sd_m, _WELL_KNOWN)) if ties else np.arange(0)
+    chosen = known[_spread_out(bundle.points_m[known, :2])]
     if len(chosen) < _LEAST_POINTS:
         return float("nan")
     plan = bundle.points_m[chosen, :2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import comb
 
@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags, identity, kron
 from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
 
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 _MOST_NODES, _MOST_TRIAL_NODES = 40_000, 4_000
 _POINTS_PER_NODE = 3.0
 _ROUNDS, _TRIAL_ROUNDS = 8, 4
@@ -25,14 +27,34 @@ _STANDINGS = (_UNHELD, (3, 0.0125), (6, 0.1), (6, 0.0125))
 """Tried: terms of what ground stands on, a plane (3) or a paraboloid (6), and how far it goes off it, in
 flying heights; 0 where nothing holds it. Off a tenth go hills, off a hundredth what trees and houses leave of
 even land."""
+_CLEARLY = 0.9
+"""Of what the surface misses that nothing holds, one that is held has to miss less than this share."""
 _GROUND_SHARE = 0.05
 """Of points above a ground that is laid below them; 0.01 to 0.1 is usual (Eilers and Boelens 2005)."""
 _LOW, _LOWEST = 0.5, 0.4
 """Shares of the points: of those left out, what may be ground judges; the lowest tell how ground scatters."""
-_FOLDS, _FEWEST = (1, 3), 10
+_FEWEST = 10
 _GAP = 0.2
 _PER_HEIGHT = 20.0
 _CAP = 10.0
+_SIDES = tuple(np.arange(8) * np.pi / 4.0)
+_CORNERS = _SIDES[1::2]
+_SIDE, _MOST_OF_ALL = 0.25, 0.5
+"""Of the block's sides and corners is left out in turn what is so many flying heights wide, as far as frames
+show ground beyond their last tie points, if that is no more than half of all points."""
+_AWAY = (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25)
+"""Flying heights between which misses are put together by their distance from the other points."""
+_ONE_DEVIATION = 0.683
+"""Share of a normal distribution within it; of misses with long tails, as at the edges of woods, too."""
+_POWERS = (1.0, 2.5)
+"""Land that goes on straight with a wrong slope goes astray by the distance, land whose curvature changes by
+chance by its power 2.5."""
+_OUTERMOST = 0.98
+"""Share of the points within a side: what few lie farther out is no measure of where points end."""
+_UNTOLD_BEYOND = 0.03
+"""Metres a metre, of blocks too small to leave a side out: hills and the edges of woods do as much."""
+_FOLLOWED = 4.5
+"""Median misses: the surface doesn't follow points that are farther off."""
 
 
 def level_m(up_m: Floats, sd_m: Floats) -> float:
@@ -46,7 +68,13 @@ def level_m(up_m: Floats, sd_m: Floats) -> float:
 
 
 def tie_surface(
-    points_m: Floats, sd_up_m: Floats, low_m: Floats, high_m: Floats, height_m: float
+    points_m: Floats,
+    sd_up_m: Floats,
+    low_m: Floats,
+    high_m: Floats,
+    height_m: float,
+    *,
+    rated: bool = False,
 ) -> GroundSurface:
     """Robust smoothing surface through tie points, a spline with tension (Mitášová and Mitáš 1993).
 
@@ -54,24 +82,26 @@ def tie_surface(
     the surface, each over what this ground does in the mean. Third derivatives let hills go on beyond the
     last points as they curve there, where second derivatives would go straight on; slopes bring the surface
     back to level further out. How much the curvature changes is found by cross-validation: every fifth
-    square of a fifth of the flying height is left out and foretold by the others, as ground beyond the
-    points has to be. In the same way it is found whether, and how strongly, a plane or a paraboloid laid
-    below the points holds the surface, judged by low points: beyond a wood lies the ground it stands on, not
-    its crowns. Lengths count in flying heights, so that a smaller block gets the same surface, smaller. The
-    grid has about one node to three points; rho is Cauchy's, so that single trees, poles and wrong matches
-    don't pull the ground.
+    square of a fifth of the flying height is left out and foretold by the others. In the same way it is
+    found by the block's corners, as ground beyond the points has to be foretold, whether and how strongly a
+    plane or a paraboloid laid below the points holds the surface, judged by low points: beyond a wood lies
+    the ground it stands on, not its crowns. Lengths count in flying heights, so that a smaller block gets the
+    same surface, smaller. The grid has about one node to three points; rho is Cauchy's, so that single trees,
+    poles and wrong matches don't pull the ground.
 
     Args: points_m (p, 3), sd_up_m (p,), low_m and high_m (2,): the rectangle to cover, which may reach
-        beyond the points; height_m: the frames' height above the points.
+        beyond the points; height_m: the frames' height above the points. rated: whether to tell how far its
+        heights may be off: they go astray with the distance from the points, by as much as the points of
+        the block's sides are missed if they are left out.
     """
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
-    evens = {terms: _even(points_m, sd_up_m, terms) for terms in {terms for terms, _ in _STANDINGS}}
-    task = _Task(points_m, sd_up_m, low_m, high_m, height_m, evens)
+    task = _Task.of(points_m, sd_up_m, low_m, high_m, height_m)
     trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
     curving = _curving(task, trial_m)
     standing = _standing(task, trial_m, curving)
-    return task.fitted(node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
+    surface = task.fitted(node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
+    return task.rated(surface, _astray(task, trial_m, curving, standing)) if rated else surface
 
 
 @dataclass(frozen=True)
@@ -85,23 +115,34 @@ class _Task:
     height_m: float
     evens: Mapping[int, Callable[[Floats, Floats], Floats]]
 
+    @classmethod
+    def of(cls, points_m: Floats, sd_up_m: Floats, low_m: Floats, high_m: Floats, height_m: float) -> _Task:
+        evens = {terms: _even(points_m, sd_up_m, terms) for terms in {terms for terms, _ in _STANDINGS}}
+        return cls(points_m, sd_up_m, low_m, high_m, height_m, evens)
+
     def above(self, terms: int) -> Floats:
         """Heights of the points above what the ground may stand on."""
         return self.points_m[:, 2] - self.evens[terms](self.points_m[:, 0], self.points_m[:, 1])
 
-    def fold(self, number: int) -> NDArray[np.bool_]:
-        """The points in one square of five."""
-        col, row = np.floor((self.points_m[:, :2] - self.low_m) / (_GAP * self.height_m)).astype(np.intp).T
-        return np.asarray((col + 2 * row) % 5 == number)
+    def without_each_side(self, ways: Iterable[float]) -> Iterator[tuple[Bools, _Task]]:
+        """For each way to the block's rim that is long enough: which points lie there, and the task without
+        them."""
+        for angle in ways:
+            along = self.points_m[:, :2] @ [np.cos(angle), np.sin(angle)]
+            out = along > np.quantile(along, _OUTERMOST) - _SIDE * self.height_m
+            if out.sum() >= _FEWEST and out.mean() <= _MOST_OF_ALL:
+                yield out, self.without(out)
 
-    def foretold(self, spacing_m: float, curving: float, standing: tuple[int, float], fold: int) -> Floats:
-        """By how much the surface of the other squares misses a fold's points; of too few, nothing."""
-        out = self.fold(fold)
-        if out.sum() < _FEWEST or out.all():
-            return np.zeros(0)
-        known = replace(self, points_m=self.points_m[~out], sd_up_m=self.sd_up_m[~out])
-        trial, asked = known.fitted(spacing_m, curving, standing, _TRIAL_ROUNDS), self.points_m[out]
-        return np.asarray(np.abs(asked[:, 2] - trial.up_at(asked[:, 0], asked[:, 1])))
+    def without(self, out: Bools) -> _Task:
+        """The task of the other points."""
+        return _Task.of(self.points_m[~out], self.sd_up_m[~out], self.low_m, self.high_m, self.height_m)
+
+    def missed(
+        self, asked_m: Floats, spacing_m: float, curving: float, standing: tuple[int, float]
+    ) -> Floats:
+        """By how much a quick surface misses other points."""
+        trial = self.fitted(spacing_m, curving, standing, _TRIAL_ROUNDS)
+        return np.asarray(np.abs(asked_m[:, 2] - trial.up_at(asked_m[:, 0], asked_m[:, 1])))
 
     def fitted(
         self, spacing_m: float, curving: float, standing: tuple[int, float], rounds: int
@@ -128,27 +169,62 @@ class _Task:
         up = surface.reshape(rows, cols) + self.evens[terms](east, north[:, None])
         return GroundSurface("tie_surface", float(self.low_m[0]), float(self.low_m[1]), spacing_m, up)
 
+    def rated(self, surface: GroundSurface, astray: Callable[[Floats], Floats]) -> GroundSurface:
+        """The surface with the deviations of its heights: what they are off by so far from the next point
+        that it follows, beside the points' own."""
+        miss = np.abs(self.points_m[:, 2] - surface.up_at(self.points_m[:, 0], self.points_m[:, 1]))
+        followed = self.points_m[miss <= _FOLLOWED * np.median(miss), :2]
+        away_m, _ = KDTree(followed).query(surface.nodes_m().reshape(-1, 2))
+        own = float(np.median(self.sd_up_m))
+        return replace(surface, sd_m=np.hypot(own, astray(away_m)).reshape(surface.up_m.shape))
+
+
+def _astray(
+    task: _Task, spacing_m: float, curving: float, standing: tuple[int, float]
+) -> Callable[[Floats], Floats]:
+    """How far heights beyond the points are off, one deviation in m, by the distance from the last of them:
+    a power of it, by what the surfaces without each of the block's sides and corners miss there."""
+    away, missed = [np.zeros(0)], [np.zeros(0)]
+    for out, known in task.without_each_side(_SIDES):
+        asked = task.points_m[out]
+        away.append(KDTree(known.points_m[:, :2]).query(asked[:, :2])[0] / task.height_m)
+        missed.append(known.missed(asked, spacing_m, curving, standing))
+    of_bin = np.digitize(np.concatenate(away), _AWAY)
+    bins = [k for k in range(1, len(_AWAY)) if np.sum(of_bin == k) >= _FEWEST]
+    if len(bins) < 2:
+        return lambda away_m: _UNTOLD_BEYOND * away_m
+    middle = np.log([np.sqrt(_AWAY[k - 1] * _AWAY[k]) * task.height_m for k in bins])
+    miss = np.concatenate(missed)
+    off = np.log([max(np.quantile(miss[of_bin == k], _ONE_DEVIATION), 1e-9) for k in bins])
+    power = float(np.clip(np.polyfit(middle, off, 1)[0], *_POWERS))
+    of_one_metre = float(np.exp(np.mean(off - power * middle)))
+    return lambda away_m: of_one_metre * away_m**power
+
 
 def _curving(task: _Task, spacing_m: float) -> float:
-    """The curving that foretells points left out best: least mean miss, wild ones capped."""
-    misses = [task.foretold(spacing_m, curving, _UNHELD, 0) for curving in _CURVINGS]
-    if not len(misses[0]):
+    """The curving that foretells every fifth square of points best: least mean miss, wild ones capped."""
+    col, row = np.floor((task.points_m[:, :2] - task.low_m) / (_GAP * task.height_m)).astype(np.intp).T
+    out = (col + 2 * row) % 5 == 0
+    if out.sum() < _FEWEST or out.all():
         return _UNTOLD_CURVING
+    known, asked = task.without(out), task.points_m[out]
+    misses = [known.missed(asked, spacing_m, curving, _UNHELD) for curving in _CURVINGS]
     return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in misses]))]
 
 
 def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float]:
-    """The standing that foretells low points left out best, by the median: crowns are no ground."""
+    """The standing that foretells the low points of left-out corners best, by the median: crowns are no
+    ground, and it is beyond the points that ground needs something to stand on."""
     above = task.above(max(terms for terms, _ in _STANDINGS))
     total = np.zeros(len(_STANDINGS))
-    for fold in _FOLDS:
-        of_fold = above[task.fold(fold)]
+    for out, known in task.without_each_side(_CORNERS):
+        low = out & (above <= np.quantile(above, _LOW))
+        if low.sum() < _FEWEST:
+            continue
         for k, standing in enumerate(_STANDINGS):
-            miss = task.foretold(spacing_m, curving, standing, fold)
-            if not len(miss):
-                return _UNHELD
-            total[k] += np.median(miss[of_fold <= np.quantile(of_fold, _LOW)])
-    return _STANDINGS[int(total.argmin())]
+            total[k] += np.median(known.missed(task.points_m[low], spacing_m, curving, standing))
+    best = int(total.argmin())
+    return _STANDINGS[best] if total[best] < _CLEARLY * total[0] else _UNHELD
 
 
 def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:

@@ -61,6 +61,14 @@ CRITERIA: Mapping[str, Criterion] = {
         "look at the seams in the report; an elevation model (--dem) helps with what stands above ground",
         "houses without a surface model jump by more, while the map around them is right",
     ),
+    "ground unknown": Criterion(
+        1.5,
+        np.inf,
+        "px",
+        "the ground beyond the last tie points, or between them, may be higher or lower than was assumed",
+        "an elevation model (--dem), or frames beyond what is wanted",
+        "what 99 of 100 places of the land keep below; a step of 1.5 px in a road is seen",
+    ),
     "frames not tied": Criterion(
         0.0,
         1.0 / 3.0,
@@ -198,12 +206,16 @@ def verdict_of(
     parts: Sequence[Sequence[int]],
     used: Collection[int],
     flying_height_m: float,
+    leaning_px: float,
 ) -> Verdict:
     """Grades all that is known of a mosaic without its truth.
 
-    Args: parts: frames that hang together by tie points; used: frames that gave pixels.
+    Args: parts: frames that hang together by tie points; used: frames that gave pixels; leaning_px: see
+    `leaning_99_px`.
     """
     figures = _agreement(adjusted, patterns) | _seams(seams) | _held_together(adjusted, parts, used)
+    if np.isfinite(leaning_px):
+        figures["ground unknown"] = leaning_px
     warned = {w.code for w in adjusted.warnings}
     evidence = (
         *(_judged(name, value) for name, value in figures.items()),

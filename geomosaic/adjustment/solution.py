@@ -1,0 +1,169 @@
+"""A block solved with free points, then with control, then bound to the ground if its points lie on one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.beliefs import believed_terrain, part_of_frames, priors_of
+from geomosaic.adjustment.bundle import solve_bundle
+from geomosaic.adjustment.bundle_model import Bundle, Priors
+from geomosaic.adjustment.chosen_ground import (
+    LEAST_POINTS,
+    chosen_ground,
+    flying_height_m,
+    levelled,
+    lies_flat,
+    off_ground_m,
+    surface_of,
+)
+from geomosaic.adjustment.control import control_residuals, with_control
+from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.tracks import Tracks, nearest_to_rays
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.projection.footprint import ground_from_images
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_DATUM_IN_DOUBT = 3.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Tie points, the same with control points, what was believed, what was solved, and the ground that goes
+    with it. relief_px: see `chosen_ground`."""
+
+    ties: Tracks
+    seen: Tracks
+    priors: Priors
+    bundle: Bundle
+    ground: GroundSurface
+    relief_px: float
+
+    @property
+    def of_ties(self) -> Bundle:
+        """The bundle without what it says of control points, which come last."""
+        return _of_ties(self.bundle, self.ties)
+
+
+def solution(
+    block: Block,
+    settings: Settings,
+    tracks: Tracks,
+    start: Poses,
+    before: Solution | None = None,
+) -> Solution:
+    """Free points first, then with control, then bound to the ground if they lie on one. before: a solution
+    to go on from, with the same lenses."""
+    if before is None:
+        points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
+        again = None
+    else:
+        points, kept = before.priors.points_m[: before.ties.points], before.ties
+        again = before.of_ties
+    ties, priors = len(points), priors_of(block, settings, block.lenses, points)
+    free = solve_bundle(kept, block.lens_of, priors, start, again=again) if ties else None
+    seen, priors = with_control(kept, priors, block.control)
+    if free is not None and seen is kept:
+        solved = free
+    else:
+        priors, solved = _held_by_control(block, seen, priors, start, free)
+    if not ties:
+        return Solution(kept, seen, priors, solved, block.ground, float("nan"))
+    part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
+    ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
+    if ground.kind == "tie_surface":
+        return Solution(kept, seen, priors, solved, ground, relief_px)
+    off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
+    near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
+    bound_priors = replace(priors, terrain=near)
+    bound = solve_bundle(seen, block.lens_of, bound_priors, solved.poses, again=solved)
+    ground = levelled(ground, _of_ties(bound, kept))
+    tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
+    if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
+        return Solution(
+            kept, seen, priors, solved, surface_of(block, ground, _of_ties(solved, kept)), relief_px
+        )
+    return Solution(kept, seen, bound_priors, bound, ground, relief_px)
+
+
+def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: Solution) -> Solution:
+    """The solution by all tie points, from that by few of them, on the same kind of ground; a surface is
+    still that of the few."""
+    lenses, poses = [few.bundle.cameras[k] for k in block.lens_of], few.bundle.poses
+    points, kept = points_on_ground(poses, lenses, few.ground, tracks)
+    surface = few.ground.kind == "tie_surface"
+    if surface:
+        points = nearest_to_rays(kept, poses, lenses, points)
+    terrain = None if surface else few.priors.terrain
+    priors = replace(priors_of(block, settings, block.lenses, points, terrain), poses=few.priors.poses)
+    seen, priors = with_control(kept, priors, block.control)
+    control_m = few.bundle.points_m[few.ties.points :]
+    again = replace(few.bundle, points_m=np.concatenate([points, control_m]))
+    solved = solve_bundle(seen, block.lens_of, priors, poses, again=again)
+    ground = few.ground if surface else levelled(few.ground, _of_ties(solved, kept))
+    return Solution(kept, seen, priors, solved, ground, few.relief_px)
+
+
+def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
+    """Median of control minus what the poses make of it, (3,); and whether that is another datum: three
+    points or more agree on what the positions' deviations can't explain."""
+    used = replace(block, control=tuple(c for c in block.control if not c.check))
+    off = np.array([c.residual_m for c in control_residuals(used, poses, cameras, block.ground)])
+    if not len(off):
+        return np.zeros(3), False
+    shift = np.median(off, axis=0)
+    beyond = np.abs(shift) > _DATUM_IN_DOUBT * np.median(block.poses.positions_sd_m, axis=0)
+    return shift, bool(len(off) >= 3 and beyond.any())
+
+
+def _held_by_control(
+    block: Block, seen: Tracks, priors: Priors, start: Poses, free: Bundle | None
+) -> tuple[Priors, Bundle]:
+    """The solution with control points, begun from the free one shifted onto them.
+
+    So each point is judged against the others, not against positions that may be off in common (a height
+    of another datum), and these are shifted along where control says so.
+    """
+    lenses, poses = (free.cameras, free.poses) if free else (priors.cameras, start)
+    shift, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in block.lens_of))
+    start = replace(poses, positions_m=poses.positions_m + shift)
+    if datum:
+        priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + shift))
+    if free is not None:
+        points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
+        free = replace(free, points_m=points, level_m=free.level_m + float(shift[2]))
+    return priors, solve_bundle(seen, block.lens_of, priors, start, again=free)
+
+
+def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
+    p, m = ties.points, len(ties.frame)
+    return replace(
+        bundle,
+        points_m=bundle.points_m[:p],
+        points_sd_m=bundle.points_sd_m[:p],
+        residual_px=bundle.residual_px[:m],
+        weight=bundle.weight[:m],
+    )
+
+
+def points_on_ground(
+    poses: Poses, cameras: Sequence[Camera], ground: GroundSurface, tracks: Tracks
+) -> tuple[Floats, Tracks]:
+    """Each track's mean place on the ground; tracks that miss it are dropped."""
+    at = ground_from_images(tracks.frame, tracks.image_px, poses, cameras, ground)
+    hit = np.isfinite(at).all(axis=1)
+    lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
+    keep = ~lost[tracks.point]
+    names, point = np.unique(tracks.point[keep], return_inverse=True)
+    kept = Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
+    count = np.bincount(point, minlength=len(names))
+    mean = np.stack(
+        [np.bincount(point, at[keep][:, k], minlength=len(names)) / count for k in range(3)], axis=1
+    )
+    return mean, kept
