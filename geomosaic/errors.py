@@ -90,6 +90,10 @@ class PluginError(GeomosaicError, ImportError):
     exit_code = 2
 
 
+class StageFaultError(GeomosaicError, RuntimeError):
+    """A third-party stage that failed otherwise than on purpose."""
+
+
 class CancelledError(GeomosaicError):
     """The user stopped the run."""
 

@@ -56,22 +56,24 @@ def fly(
     ground: GroundSurface | None = None,
     position_sd_m: np.ndarray = POSITION_SD_M,
     there_and_back: bool = False,
+    crossed: bool = False,
     readout_s: float = 0.0,
     rate_sd_rad_per_s: float = 0.0,
     shaking_hz: float = 0.0,
     lens: Camera | None = None,
 ) -> Flown:
-    """At 15 m/s, each second line back if asked; all north otherwise. While they are read, frames turn at a
+    """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise. While they are read, frames turn at a
     rate of their own, or shake. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
     camera = lens or Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
     back = (np.arange(n) // per_line % 2 == 1) & there_and_back
-    velocities = np.where(back[:, None], [0.0, -15.0, 0.0], [0.0, 15.0, 0.0])
+    heading = np.pi * back + np.pi / 2.0 * ((np.arange(n) // per_line % 2 == 1) & crossed)
+    velocities = 15.0 * np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(n)])
     at = np.array([[40.0 * (i // per_line), 18.0 * (i % per_line), 100.0] for i in range(n)])
     truth = Poses(
         at + rng.normal(0, [1.0, 1.0, 0.5], (n, 3)),
-        about_z(np.pi * back)
+        about_z(heading)
         @ Rotation.from_yaw_pitch_roll(*rng.normal(0, np.radians([2.0, 1.0, 1.0]), (n, 3)).T).matrix,
         np.zeros((n, 3)),
         np.zeros((n, 3)),

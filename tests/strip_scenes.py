@@ -57,7 +57,7 @@ def composed(folder: Path, plan: StripPlan, bump_px: float = 0.0) -> ComposedSce
     radiometry = Radiometry(gains, np.linspace(-2.0, 2.0, plan.ccds))
     layout = image_space_layout(geometry, offsets, "all")
     path = folder / "mosaic.tif"
-    mosaic = compose_strips(geometry, layout, radiometry, path, blend="smooth", threads=1)
+    mosaic = compose_strips(geometry, layout, radiometry, path, blend="feather", threads=1)
     return ComposedScene(geometry, offsets, quality, radiometry, mosaic, path)
 
 

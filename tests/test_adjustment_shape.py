@@ -45,6 +45,33 @@ def test_what_is_stated_of_the_shape_is_what_it_is_off() -> None:
     assert 0.67 < np.sqrt((off**2).mean()) / np.sqrt((stated**2).mean()) < 1.5
 
 
+def test_rays_that_hardly_cut_leave_the_shape_as_sure_as_it_is() -> None:
+    """One wrong match, a point far from all others, doubles the deviation of the whole block."""
+    flown = fly(21, 3, 5, points=250, relief=level)
+    first, *others = flown.block.ties.pairs
+    both = np.array([[20.0, 20.0]]), np.array([[20.0, 30.0]])
+    lost = replace(
+        first,
+        left_px=np.concatenate([first.left_px, both[0]]),
+        right_px=np.concatenate([first.right_px, both[1]]),
+        left_feature=np.append(first.left_feature, 90_001).astype(np.int32),
+        right_feature=np.append(first.right_feature, 90_002).astype(np.int32),
+    )
+    free = Settings(model="given", ground="tie_surface")
+    known = METHODS["bundle"](flown.block, free).figures["shape_sd_px"]
+    block = replace(flown.block, ties=replace(flown.block.ties, pairs=(lost, *others)))
+    assert METHODS["bundle"](block, free).figures["shape_sd_px"] == pytest.approx(known, rel=0.05)
+
+
+def test_a_shutter_that_nobody_told_of_counts_by_what_pictures_leave_open() -> None:
+    """Lines that cross see a readout apart from all else: it stretches each along its own way."""
+    flown = fly(24, 4, 6, points=900, relief=level, crossed=True)
+    cameras = tuple(replace(c, readout_sd_s=0.04) for c in flown.block.cameras)
+    untold = METHODS["bundle"](replace(flown.block, cameras=cameras), Settings(model="given"))
+    known = METHODS["bundle"](flown.block, Settings(model="given"))
+    assert untold.figures["shape_sd_px"] < 1.5 * known.figures["shape_sd_px"]
+
+
 def test_a_shutter_that_nobody_told_of_leaves_the_shape_open() -> None:
     """0.04 s at 15 m/s are 0.6 m over frames of 60 m: 1 % along the lines, unless positions say no."""
     known, off = solved(21)

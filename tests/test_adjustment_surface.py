@@ -98,6 +98,44 @@ def test_a_block_of_another_size_gets_the_surface_of_that_size(factor: float, se
     assert other.up_m / factor == pytest.approx(one.up_m, rel=1e-5)
 
 
+def rolling_land(seed: int):  # type: ignore[no-untyped-def]
+    """Hills of all sizes from 80 m on, the longer the higher, by chance."""
+    rng = np.random.default_rng(seed)
+    waves = np.exp(rng.uniform(np.log(80.0), np.log(500.0), 12))
+    way, phase, share = rng.uniform(0.0, 2.0 * np.pi, (2, 12)).tolist() + [rng.normal(0.0, 0.012, 12)]
+    towards = np.array([np.cos(way), np.sin(way)]) / waves * 2.0 * np.pi
+
+    def up(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+        at = np.multiply.outer(east, towards[0]) + np.multiply.outer(north, towards[1])
+        return np.asarray((share * waves * np.sin(at + np.array(phase))).sum(axis=-1))
+
+    return up
+
+
+def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
+    shares = []
+    for seed in range(40, 48):
+        land, (at, sd) = rolling_land(seed), points(seed, 2500)
+        at[:, 2] = land(at[:, 0], at[:, 1]) + at[:, 2] - dome(at[:, 0], at[:, 1])
+        found = tie_surface(at, sd, LOW, HIGH, 100.0, rated=True)
+        assert found.sd_at(0.0, 0.0) < 0.3
+        assert found.sd_at(128.0, 0.0) > 2.0 * found.sd_at(110.0, 0.0)
+        n = np.linspace(-75.0, 75.0, 31)
+        for beyond_m in (8.0, 16.0, 28.0):
+            for side in (-1.0, 1.0):
+                east = np.full_like(n, side * (100.0 + beyond_m))
+                shares.append((found.up_at(east, n) - land(east, n)) / found.sd_at(east, n))
+    assert 0.4 < np.sqrt(np.mean(np.square(shares))) < 1.6
+
+
+def test_level_land_goes_on_level_and_says_so() -> None:
+    at, sd = points(9, 2500)
+    at[:, 2] += 300.0 - dome(at[:, 0], at[:, 1])
+    found = tie_surface(at, sd, LOW, HIGH, 100.0, rated=True)
+    assert found.sd_at(125.0, 0.0) < 0.15
+    assert tie_surface(at, sd, LOW, HIGH, 100.0).sd_m is None
+
+
 def line(seed: int, base_m: float, relief=level, frames: int = 8) -> Block:  # type: ignore[no-untyped-def]
     """One line of frames that reach 60 m along it, 100 m above zero, base_m apart."""
     rng = np.random.default_rng(seed)

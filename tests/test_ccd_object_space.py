@@ -228,7 +228,7 @@ def test_a_target_in_two_ccds_has_one_place(made: Made) -> None:
 def test_the_composed_scene_is_the_true_one(made: Made, tmp_path: Path) -> None:
     """Against the picture of the simulation's own ideal line: no shift of 0.01 px is left."""
     layout = virtual_layout(made.geometry, made.space, "common")
-    compose_strips(made.geometry, layout, None, tmp_path / "scene.tif", blend="smooth", resampling="lanczos")
+    compose_strips(made.geometry, layout, None, tmp_path / "scene.tif", blend="feather", resampling="lanczos")
     with open_raster(tmp_path / "scene.tif", OWN) as raster:
         composed = raster.read(1).astype(np.float64)
         valid = raster.dataset_mask() > 0

@@ -61,6 +61,18 @@ def test_frames_that_shake_while_they_are_read() -> None:
     assert np.sqrt(np.mean(missed**2)) < 0.4 * np.sqrt(np.mean(truth**2))
 
 
+@pytest.mark.parametrize("readout_s", [0.02, 0.0])
+def test_all_pictures_together_show_a_readout_that_is_below_the_noise_of_each(readout_s: float) -> None:
+    """15 m/s and 0.02 s stretch crossing lines by half a percent, which positions and tilts take up but for 0.15 px."""
+    flown = fly(7, 4, 6, points=900, crossed=True, readout_s=readout_s)
+    silent = tuple(replace(c, readout_s=0.0, readout_sd_s=0.04) for c in flown.block.cameras)
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=silent), Settings())
+    assert adjusted.figures["sigma_px"] < 0.4
+    taken = adjusted.model.taken if adjusted.model is not None else ()
+    assert ("readout" in taken) == (readout_s > 0.0)
+    assert adjusted.cameras[0].readout_s == pytest.approx(readout_s, rel=0.1)
+
+
 def test_turns_that_are_told_wrongly_are_not_followed() -> None:
     """As of a unit whose axes are not what they are taken for."""
     flown = fly(5, 2, 4, points=350, readout_s=0.1, relief=hills)

@@ -96,7 +96,7 @@ def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
     code, out, err = desk.run("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3", "--workers", "1")
     assert code == 0
     assert out == (
-        "recording  run/run.mcap\nframes     4 total, 3 tied, 1 placed, 0 rejected\n"
+        "frames     3 tied\ntotal      run/total.txt\ntold       run/told.txt\nrecording  run/run.mcap\n"
         "warnings   1, see above and run.json\n"
     )
     lines = err.splitlines()
@@ -195,7 +195,7 @@ def test_a_fault_is_one_line_exit_1_and_has_a_traceback_on_demand(desk: Desk) ->
     code, _, err = desk.run("run", "toy.yaml", "-o", "run")
     assert code == 1 and err.count("\n") == 1
     assert err.startswith(
-        "geomosaic: ValueError: could not convert string to float: 'one' (a fault of geomosaic;"
+        "geomosaic: stage toy.read of toys 1.2 failed: ValueError: could not convert string"
     )
     desk.environment["GEOMOSAIC_TRACEBACK"] = "1"
     code, _, err = desk.run("run", "toy.yaml", "-o", "run")

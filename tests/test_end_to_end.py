@@ -162,7 +162,7 @@ def test_run_json_keeps_its_promise(run: Path) -> None:
         "inputs",
     } <= (told_run.keys())
     assert all({"code", "frame", "text"} == w.keys() for w in told_run["warnings"])
-    assert len(told_run["timings_s"]) == 15 and told_run["timings_s"]["matching.sift"] > 0.0
+    assert len(told_run["timings_s"]) == 16 and told_run["timings_s"]["matching.sift"] > 0.0
     (camera,) = told_run["camera"]
     assert camera["focal_length_px"] == pytest.approx(500.0, abs=10.0) and camera["focal_length_px"] != 500.0
     assert len(told_run["inputs"]["survey.read.frames"]["files"]) == 8
@@ -180,8 +180,10 @@ def test_the_report_needs_nothing_beside_it(run: Path) -> None:
 
 def test_the_recording_is_read_by_others(run: Path) -> None:
     recording = read_recording(run / "run.mcap")
-    assert [s.stage_id for s in recording.stages][:2] == ["survey.read", "projection.ground"]
-    assert all(s.finished for s in recording.stages) and len(recording.stages) == 15
+    assert [s.stage_id for s in recording.stages][:3] == [
+        "survey.read", "matching.flying_height", "projection.ground",
+    ]  # fmt: skip
+    assert all(s.finished for s in recording.stages) and len(recording.stages) == 16
     chunk = pytest.importorskip("rerun.chunk", reason="Rerun isn't installed")
     paths = {c.entity_path for c in chunk.McapReader(run / "run.mcap").stream()}
     assert {"/images/mosaic", "/log"} <= paths

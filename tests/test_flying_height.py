@@ -1,12 +1,17 @@
 """Surveys without any height above the ground: it is taken from the pictures, and said."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_surveys import mosaic, small_survey, summary, warned
 
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.placement.heights import neighbours, with_heights_above_ground
+from geomosaic.pipeline.stage import Context
+from geomosaic.placement.heights import height_is_unknown, neighbours, with_heights_above_ground
+from geomosaic.recording.reader import read_recording
+from geomosaic.stages.matching_flying_height import MatchingFlyingHeight
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -49,3 +54,19 @@ def test_a_survey_without_heights_becomes_a_mosaic(tmp_path: Path) -> None:
     assert summary(run)["frames"]["tied"] == 8
     true_pixel_m = 0.1
     assert summary(run)["mosaic"]["gsd_m"] == pytest.approx(true_pixel_m, rel=0.3)
+
+
+def test_heights_that_are_given_are_not_measured(tmp_path: Path) -> None:
+    """Neither where POS tells heights above the ground nor where the command tells the ground's."""
+    survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=3, height_told=False)
+    run = tmp_path / "run"
+    given = ("--pos", survey.pos, "--camera", survey.camera, "--ground-height", 0)
+    assert mosaic(survey.frames, run, *given) == 2
+    recorded = read_recording(run / "run.mcap")
+    assert [s.stage_id for s in recorded.stages][:2] == ["survey.read", "projection.ground"]
+    told = _survey([600.0] * 4)
+    frames = tuple(replace(f, position=replace(f.position, height_above_ground_m=100.0)) for f in told.frames)
+    assert height_is_unknown(told) and not height_is_unknown(replace(told, frames=frames))
+    stage = MatchingFlyingHeight()
+    found = stage.run({"survey": replace(told, frames=frames)}, stage.Params(), Context(tmp_path / "stage"))
+    assert np.isnan(found["flying_height"].above_ground_m)

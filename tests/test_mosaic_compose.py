@@ -159,6 +159,22 @@ def test_where_all_is_masked_there_is_no_mosaic(tmp_path):
     assert np.abs((pixels - truth_on(mosaic.grid))[valid]).max() < 6.0
 
 
+def test_holes_are_counted_and_listed(tmp_path):
+    """A frame alone, with a hole of 70 x 50 px masked and one that is open to the outside."""
+    survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=1)
+    mask = np.full((180, 240), 255, dtype=np.uint8)
+    mask[60:110, 80:150] = 0
+    mask[150:, 200:] = 0
+    mosaic, _, valid = composed(tmp_path, with_mask(survey, 0, mask), poses, ground)
+    assert (mosaic.holes.number, len(mosaic.holes.largest)) == (1, 1)
+    hole = mosaic.holes.largest[0]
+    views = frame_views(survey.work_frame, CRS, poses, [CAMERA], [True], ground)
+    assert hole.area_m2 == mosaic.holes.area_m2 == pytest.approx(75 * 55 * views[0].gsd_m ** 2, rel=0.1)
+    grid = mosaic.grid
+    col, row = (hole.easting_m - grid.west_m) / GSD_M, (grid.north_m - hole.northing_m) / GSD_M
+    assert not valid[int(row) - 8 : int(row) + 8, int(col) - 8 : int(col) + 8].any()
+
+
 def test_rejected_frames_are_left_out(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames")
     used = [True, True, False, True, True, True]

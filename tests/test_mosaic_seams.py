@@ -14,15 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mosaic_scenes import CRS, GSD_M, make_survey
 
-from geomosaic.mosaic.blends import BLENDS
+from geomosaic.errors import PluginError
+from geomosaic.mosaic.blends import BLENDS, Blend, Piece
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.frames import Decoded, DecodedFrames
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Scene, Window, windows
-from geomosaic.mosaic.seam_cut import Glimpsed, bands, cut_seams
+from geomosaic.mosaic.plan import windows
+from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
+from geomosaic.mosaic.scene import Scene
+from geomosaic.mosaic.seam_cut import Glimpsed, bands, cut_seams, seam_figures
 from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.window import Window
 
 REACH_PX = 48.0
 
@@ -36,12 +40,18 @@ def noise(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0.0, 255.0, shape).astype(np.float32)
 
 
+def blended(name: str, pictures: list[np.ndarray], inside: np.ndarray, label: np.ndarray) -> np.ndarray:
+    whole = slice(0, label.shape[0]), slice(0, label.shape[1])
+    pieces = [Piece(*whole, p, np.ascontiguousarray(i)) for p, i in zip(pictures, inside, strict=True)]
+    return BLENDS[name].mosaic(pieces, label.astype(np.int16), REACH_PX)
+
+
 @given(st.sampled_from(sorted(BLENDS)), st.integers(0, 100))
 def test_frames_that_agree_are_left_as_they_are(name: str, seed: int) -> None:
     picture, label = noise(seed, 160, 192, 3), halves()
     label[:9] = -1
     inside = np.broadcast_to(label >= 0, (2, 160, 192)).astype(np.float32)
-    mosaic = BLENDS[name].mosaic([picture, picture], inside, label, REACH_PX)
+    mosaic = blended(name, [picture, picture], inside, label)
     assert np.abs(mosaic - picture)[label >= 0].max() < 0.01
 
 
@@ -49,7 +59,7 @@ def test_frames_that_agree_are_left_as_they_are(name: str, seed: int) -> None:
 def test_a_difference_in_brightness_is_spread_over_the_reach(name: str, step: float) -> None:
     """Of 60 grey levels, from frame to frame; by `multi_band` over 16 px and more to either side."""
     pictures = [np.full((160, 192, 1), level, np.float32) for level in (80.0, 140.0)]
-    mosaic = BLENDS[name].mosaic(pictures, np.ones((2, 160, 192), np.float32), halves(), REACH_PX)
+    mosaic = blended(name, pictures, np.ones((2, 160, 192), np.float32), halves())
     row = mosaic[80, :, 0]
     assert np.abs(np.diff(row)).max() == pytest.approx(step, rel=0.05)
     assert row[[8, -8]].tolist() == pytest.approx([80.0, 140.0], abs=0.1)
@@ -64,7 +74,7 @@ def test_fine_detail_is_not_doubled_by_bands() -> None:
     label = halves()
     shown = np.ones((2, 160, 192), np.float32)
     contrast = {
-        name: np.abs(BLENDS[name].mosaic(pictures, shown, label, REACH_PX)[76:90, 84, 0] - 100.0)
+        name: np.abs(blended(name, pictures, shown, label)[76:90, 84, 0] - 100.0)
         for name in ("feather", "multi_band")
     }
     assert contrast["multi_band"][8] < 0.5 * contrast["feather"][8]
@@ -81,23 +91,22 @@ def test_what_a_frame_doesnt_show_pulls_nothing_towards_black(name: str) -> None
     inside[0, :, 96:] = 0.0
     inside[1, :, :96] = 0.0
     pictures = [np.where(i[..., None] > 0.0, np.float32(120.0), np.float32(0.0)) for i in inside]
-    mosaic = BLENDS[name].mosaic(pictures, inside, label, REACH_PX)
+    mosaic = blended(name, pictures, inside, label)
     assert np.abs(mosaic[label >= 0] - 120.0).max() < 0.01
 
 
 @given(st.sampled_from(sorted(BLENDS)), st.integers(0, 40))
 def test_a_blend_looks_no_farther_than_its_halo(name: str, seed: int) -> None:
-    blend, halo = BLENDS[name], BLENDS[name].halo_px(REACH_PX)
+    halo = BLENDS[name].halo_px(REACH_PX)
     side = 2 * halo + 32
     pictures = [noise(seed + k, side + 128, side + 128, 1) for k in range(2)]
     label = (noise(seed + 2, 6, 6) > 128.0).astype(np.int32).repeat(96, 0).repeat(96, 1)
     label = label[: side + 128, : side + 128]
     inside = np.ones((2, *label.shape), np.float32)
-    whole = blend.mosaic(pictures, inside, label, REACH_PX)
+    whole = blended(name, pictures, inside, label)
     at = slice(64, 64 + side)
-    part = blend.mosaic(
-        [np.ascontiguousarray(p[at, at]) for p in pictures], inside[:, at, at], label[at, at], REACH_PX
-    )
+    cut = [np.ascontiguousarray(p[at, at]) for p in pictures]
+    part = blended(name, cut, inside[:, at, at], np.ascontiguousarray(label[at, at]))
     middle = slice(halo, halo + 32)
     assert np.abs(part[middle, middle] - whole[at, at][middle, middle]).max() < 0.3
 
@@ -152,7 +161,8 @@ def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
         off = np.abs((col if across else row) - lane) > 1
         values = np.where(off, 100.0 + 60.0 * k, 100.0).astype(np.float32)
         seen.append(Glimpsed(values[..., None], np.ones(values.shape, dtype=bool)))
-    cut, before, after = cut_seams(nearest, parts, seen)
+    cut = cut_seams(nearest, parts, seen)
+    before, after = (seam_figures(o, parts, seen) for o in (nearest, cut))
     assert before.difference_mean > 30.0 > 10.0 > after.difference_mean
     assert ((cut.owner > 0) == (nearest.owner > 0)).all(), "no gap, nothing new"
     assert (cut.owner != nearest.owner).any()
@@ -209,3 +219,27 @@ def test_the_frame_needed_last_is_forgotten_first():
 def test_a_step_larger_than_the_memory_still_gets_its_frames():
     count, _ = decodes([[0, 1, 2], [3], [0, 1, 2]], room=1)
     assert count == pytest.approx(7)
+
+
+def test_other_distributions_bring_blends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that works, one that can't be loaded, one that is no blend, one whose name is taken."""
+    meta = tmp_path / "thirds-1.2.dist-info"
+    meta.mkdir()
+    (meta / "METADATA").write_text("Metadata-Version: 2.1\nName: thirds\nVersion: 1.2\n")
+    lines = ["works = thirds:works", "gone = thirds:gone", "number = thirds:number", "hard = thirds:works"]
+    (meta / "entry_points.txt").write_text("\n".join([f"[{BLENDS_GROUP}]", *lines]))
+    code = "from geomosaic.mosaic.blends import Blend, hard\nworks = Blend(hard, lambda px: 0)\nnumber = 3\n"
+    (tmp_path / "thirds.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    known = Named({"hard": BLENDS["hard"]}, BLENDS_GROUP, lambda found: isinstance(found, Blend))
+    assert list(known) == ["gone", "hard", "number", "works"]
+    assert known["works"].halo_px(9.0) == 0
+    for name, said in (
+        ("gone", r"can't be loaded from thirds:gone \(thirds 1\.2\)"),
+        ("number", r"of thirds:number \(thirds 1\.2\) is none: 3"),
+        ("hard", r"claimed by geomosaic itself and by thirds:works \(thirds 1\.2\)"),
+    ):
+        with pytest.raises(PluginError, match=said):
+            known[name]
+    with pytest.raises(KeyError):
+        known["soft"]

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from osgeo import gdal
 
 from geomosaic.export.cog import write_cog
-from geomosaic.mosaic.strip_raster import BLOCK_ROWS, halved, writing_scene
+from geomosaic.mosaic.raster import BLOCK_ROWS, halved, writing_scene
+from geomosaic.mosaic.window import Composed, Window
+
+
+def block(top: int, pixels: np.ndarray, valid: np.ndarray, left: int = 0) -> Composed:
+    window = Window(left, top, pixels.shape[1], len(pixels))
+    return Composed(window, pixels[..., None], valid, valid.astype(np.int16) - 1, (0,), (0,))
 
 
 @settings(deadline=None, max_examples=40)
@@ -19,7 +25,8 @@ from geomosaic.mosaic.strip_raster import BLOCK_ROWS, halved, writing_scene
 def test_halved_is_the_mean_of_the_valid_ones(rows: int, cols: int, seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     pixels, valid = rng.integers(0, 65536, (rows, cols)).astype(np.uint16), rng.random((rows, cols)) <= share
-    means, some = halved(pixels, valid)
+    means, some = halved(pixels[..., None], valid)
+    means = means[..., 0]
     assert means.shape == some.shape == (-(-rows // 2), -(-cols // 2)) and means.dtype == np.uint16
     for i, j in np.ndindex(means.shape):
         at = slice(2 * i, 2 * i + 2), slice(2 * j, 2 * j + 2)
@@ -37,7 +44,9 @@ def test_overviews_are_whole_and_the_cog_takes_them(tmp_path: Path) -> None:
     with writing_scene(tmp_path / "a.tif", width, height, "uint16", 10, {"LINE_OFF": "7"}) as raster:
         for top in range(0, height, BLOCK_ROWS):
             rows = slice(top, min(top + BLOCK_ROWS, height))
-            raster.write(top, np.where(valid, pixels, 0)[rows], valid[rows])
+            shown = np.where(valid, pixels, 0)[rows]
+            assert not raster.write(block(top, shown[:, :700], valid[rows, :700]))
+            assert raster.write(block(top, shown[:, 700:], valid[rows, 700:], 700))
     write_cog(tmp_path / "a.tif", tmp_path / "cog.tif")
     for path in (tmp_path / "a.tif", tmp_path / "cog.tif"):
         dataset = gdal.Open(str(path))
@@ -48,7 +57,8 @@ def test_overviews_are_whole_and_the_cog_takes_them(tmp_path: Path) -> None:
             at = band if level == 0 else band.GetOverview(level - 1)
             np.testing.assert_array_equal(at.ReadAsArray(), wanted)
             np.testing.assert_array_equal(at.GetMaskBand().ReadAsArray() > 0, seen)
-            wanted, seen = halved(wanted, seen)
+            wanted, seen = halved(wanted[..., None], seen)
+            wanted = wanted[..., 0]
 
 
 def test_a_full_disk_at_the_very_end_is_an_error_and_no_traceback(tmp_path: Path) -> None:
@@ -64,7 +74,7 @@ def test_a_full_disk_at_the_very_end_is_an_error_and_no_traceback(tmp_path: Path
             with writing_scene(tmp_path / f"{room}.tif", width, height, "uint16", 16, None) as raster:
                 for top in range(0, height, BLOCK_ROWS):
                     rows = slice(top, top + BLOCK_ROWS)
-                    raster.write(top, pixels[rows], np.ones((BLOCK_ROWS, width), dtype=bool))
+                    raster.write(block(top, pixels[rows], np.ones((BLOCK_ROWS, width), dtype=bool)))
         except OSError:
             failed = True
         finally:

@@ -16,7 +16,7 @@ from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
-from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
+from geomosaic.mosaic.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context
 from geomosaic.simulate.plan import SurveyPlan
@@ -28,35 +28,38 @@ CAMERA = Camera("c", 400, 300, 350.0, 200.0, 150.0)
 
 
 def sightings(
-    seed: int, frames: int = 12, noise: float = 0.03
-) -> tuple[Places, np.ndarray, np.ndarray, np.ndarray]:
-    """A line of frames, each seeing the next two's places too; with true gains (n, 3) and vignette (2,)."""
+    seed: int, frames: int = 12, noise: float = 0.03, slope_sd: float = 0.0
+) -> tuple[Places, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A line of frames, each seeing the next two's places too; with true gains (n, 3), vignette (2,) and
+    slopes (n, 2)."""
     rng = np.random.default_rng(seed)
     ground = rng.uniform(40.0, 160.0, (frames + 2, 60, 3))
     gains = rng.normal(0.0, 0.12, (frames, 3))
     gains -= gains.mean(axis=0)
-    vignette = np.array([-0.18, -0.1])
-    place, frame, radius2, values = [], [], [], []
+    vignette, slopes = np.array([-0.18, -0.1]), rng.normal(0.0, slope_sd, (frames, 2))
+    place, frame, offset, values = [], [], [], []
     for i in range(frames):
         for k in range(3):
-            r2 = rng.uniform(0.0, 1.0, 60)
-            light = np.exp(gains[i] + (r2 * vignette[0] + r2**2 * vignette[1])[:, None])
+            r, way = np.sqrt(rng.uniform(0.0, 1.0, 60)), rng.uniform(0.0, 2.0 * np.pi, 60)
+            off = r[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+            light = np.exp(gains[i] + (r**2 * vignette[0] + r**4 * vignette[1] + off @ slopes[i])[:, None])
             place.append((i + k) * 60 + np.arange(60))
             frame.append(np.full(60, i))
-            radius2.append(r2)
+            offset.append(off)
             values.append(ground[i + k] * light * np.exp(rng.normal(0.0, noise, (60, 3))))
-    flat = np.concatenate(place), np.concatenate(frame), np.concatenate(radius2)
+    flat = np.concatenate(place), np.concatenate(frame), np.concatenate(offset)
     return (
         Places(*flat, np.zeros((len(flat[0]), 2))),
         np.concatenate(values).astype(np.float32),
         gains,
         vignette,
+        slopes,
     )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_gains_of_each_band_and_the_vignette_are_found(seed: int) -> None:
-    places, values, gains, vignette = sightings(seed)
+    places, values, gains, vignette, _ = sightings(seed)
     values[::17] *= 1.8  # cars that drove off, and water that shines
     values[5] = np.nan
     tones, evenness = solve_tones(places, values, [0] * 12)
@@ -64,6 +67,17 @@ def test_gains_of_each_band_and_the_vignette_are_found(seed: int) -> None:
     assert np.abs(off - off.mean(axis=0)).max() < 0.03
     corner, found = vignette.sum(), tones.vignette.sum(axis=-1)
     np.testing.assert_allclose(found, corner, atol=0.03)
+    assert evenness.after_median < 0.35 * evenness.before_median
+
+
+@pytest.mark.parametrize("seed", [6, 7, 8])
+def test_light_that_falls_off_across_each_frame_is_found(seed: int) -> None:
+    """As where the sun stands behind the camera on one side. What all frames have in common would be a slope
+    of the land."""
+    places, values, _, _, slopes = sightings(seed, slope_sd=0.08)
+    tones, evenness = solve_tones(places, values, [0] * 12)
+    off = tones.slope - slopes[:, None]
+    assert np.abs(off - off.mean(axis=0)).max() < 0.03
     assert evenness.after_median < 0.35 * evenness.before_median
 
 
@@ -81,15 +95,18 @@ def test_alike_frames_stay_as_they_are_and_a_block_doesnt_drift() -> None:
 
 
 def test_evened_pixels_are_those_that_all_frames_would_show() -> None:
-    tones = Tones(np.array([[0.0], [np.log(0.5)]]), np.array([[[0.0, 0.0]], [[-0.2, -0.1]]]))
+    slope, vignette = np.array([[[0.0, 0.0]], [[0.25, -0.1]]]), np.array([[[0.0, 0.0]], [[-0.2, -0.1]]])
+    tones = Tones(np.array([[0.0], [np.log(0.5)]]), slope, vignette)
     pixels = np.array([[[100], [60]]], dtype=np.uint8)
     cols, rows = np.array([[200.0, 400.0]], np.float32), np.array([[150.0, 300.0]], np.float32)
-    found = tones.evened(pixels, 1, CAMERA, cols, rows)
-    np.testing.assert_allclose(found[0, :, 0], [200.0, 60.0 * 2.0 * np.exp(0.3)], rtol=1e-5)
-    assert tones.evened(np.full((1, 2, 1), 200, np.uint8), 1, CAMERA, cols, rows).max() == 255.0
-    assert tones.evened(pixels, 0, CAMERA, cols, rows) is pixels
-    unseen = tones.evened(pixels, 1, CAMERA, np.full_like(cols, np.nan), rows)
-    assert np.isfinite(unseen).all()
+    brighter = tones.brighter(1, CAMERA, cols, rows)
+    found = evened(pixels, brighter)
+    np.testing.assert_allclose(
+        found[0, :, 0], [200.0, 60.0 * 2.0 * np.exp(0.3 - 0.25 * 0.8 + 0.1 * 0.6)], rtol=1e-5
+    )
+    assert evened(np.full((1, 2, 1), 200, np.uint8), brighter).max() == 255.0
+    assert tones.flat(0) and not tones.flat(1)
+    assert np.isfinite(tones.brighter(1, CAMERA, np.full_like(cols, np.nan), rows)).all()
 
 
 def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:

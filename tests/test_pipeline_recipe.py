@@ -88,6 +88,15 @@ def test_a_type_that_does_not_fit_is_found_before_anything_runs(tmp_path: Path) 
         load_recipe(recipe_file(tmp_path), wrong)
 
 
+def test_a_name_is_given_once_unless_its_stage_takes_it() -> None:
+    """toy.power takes the numbers and gives others of the name; a second reader would hide the first one's."""
+    read = "{stage: toy.read, params: {file: numbers.txt}}"
+    parse_recipe(f"stages: [{read}, toy.power]", registry())
+    words = r"toy\.read gives 'numbers', which toy\.read has given and it doesn't take; leave one of them out"
+    with pytest.raises(InputError, match=words):
+        parse_recipe(f"stages: [{read}, {read}]", registry())
+
+
 def test_overrides_win_and_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = recipe_file(tmp_path / "recipes")
     monkeypatch.chdir(tmp_path)

@@ -140,6 +140,11 @@ class WriteTotal(Stage):
     outputs: ClassVar = {"total_file": RunFile}
     results = ("total.txt", "old.txt")
 
+    @classmethod
+    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """How many frames are tied."""
+        return [("frames", f"{summary['frames']['tied']} tied")]
+
     class Params(StageParams):
         """See each parameter's help."""
 

@@ -164,12 +164,35 @@ def test_the_frames_may_be_gone_where_no_pixel_is_read(recorded: Path) -> None:
     assert (out / "sum.txt").read_text() == (recorded / "sum.txt").read_text()
 
 
+def test_a_recording_of_a_stage_that_gave_another_name_is_replayed(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Sum(Read):
+        inputs: ClassVar = {"survey": Found, "lifted": Raised}
+
+        def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+            return super().run({"raised": inputs["lifted"], **inputs}, params, context)
+
+    class Lift(Raise):
+        outputs: ClassVar = {"lifted": Raised}
+        formerly: ClassVar = {"lifted": "raised"}
+
+    stages = Registry()
+    for stage in (Find, Lift, Sum):
+        stages.register(stage)
+    monkeypatch.setattr(registry_module, "installed", lambda: stages)
+    code, out = replay(recorded, "--set", "replayed.read.factor=2")
+    assert code == 0 and RUNS == ["replayed.read"]
+    assert (out / "sum.txt").read_text() == "143\n"
+
+
 def test_a_missing_folder_of_frames_is_named(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (recorded.parent / "FRAMES").rename(recorded.parent / "elsewhere")
     code, _ = replay(recorded, "--set", "replayed.read.pixels=true")
     err = capsys.readouterr().err.splitlines()[-1]
     assert (
-        code == 2 and f"{recorded.parent / 'FRAMES'}: the frames' folder is gone; put the frames back" in err
+        code == 2
+        and f"{recorded.parent / 'FRAMES'}: an input of the recorded run is gone; put it back" in err
     )
     code, _ = replay(recorded)
     assert code == 2 and "FRAMES: no such file or folder" in capsys.readouterr().err

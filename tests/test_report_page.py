@@ -15,10 +15,10 @@ from report_survey import HOSTILE, made_up_run
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.export.orientation import orientations
-from geomosaic.export.overview import glance
-from geomosaic.export.report import render_report
-from geomosaic.export.report_parts import frame_rows
 from geomosaic.pipeline.stage import Context
+from geomosaic.report.frames import render_report
+from geomosaic.report.glance import glance
+from geomosaic.report.parts import frame_rows
 from geomosaic.stages.export_report import ExportReport
 from geomosaic.stages.quality_compare import QualityCompare
 

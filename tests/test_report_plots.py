@@ -10,9 +10,9 @@ from defusedxml.ElementTree import fromstring
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.export.map_plots import network_map, vector_map
-from geomosaic.export.plots import Axis, Series, bar_plot, histogram, line_plot
-from geomosaic.export.svg import nice_ticks, short, tick_texts
+from geomosaic.report.map_plots import network_map, vector_map
+from geomosaic.report.plots import Axis, Series, bar_plot, histogram, line_plot
+from geomosaic.report.svg import nice_ticks, short, tick_texts
 
 SVG = "{http://www.w3.org/2000/svg}"
 

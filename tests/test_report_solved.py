@@ -14,9 +14,11 @@ from test_report_page import Page
 
 from geomosaic.adjustment.model import ImageResiduals, SharedUnknowns
 from geomosaic.camera.interior import Camera
-from geomosaic.export.plots import Axis, histogram
-from geomosaic.export.report import render_report
-from geomosaic.export.solved import (
+from geomosaic.pipeline.stage import Context
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.report.frames import render_report
+from geomosaic.report.plots import Axis, histogram
+from geomosaic.report.solved_figures import (
     ground_reason,
     residual_fields,
     solved_names,
@@ -24,10 +26,8 @@ from geomosaic.export.solved import (
     unknown_name,
     unknown_tables,
 )
-from geomosaic.export.solved_plots import correlation_map, ellipse_map, picture_vectors
-from geomosaic.export.svg import COLOURS
-from geomosaic.pipeline.stage import Context
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.report.solved_plots import correlation_map, ellipse_map, image_vectors
+from geomosaic.report.svg import COLOURS
 from geomosaic.stages.telling import record_adjusted
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -93,7 +93,7 @@ def test_strong_correlations_come_first_and_held_numbers_not_at_all():
         ("flat", 0.31, "flat", "chosen by parameter"),
         ("tie_surface", 0.2, "auto",
          "chosen by parameter, though relief moves points by 0.2 px at the mosaic's resolution"),
-        ("flat", None, "auto", "no DEM was given; pictures and attitudes agree with level ground"),
+        ("flat", None, "auto", "no DEM was given; images and attitudes agree with level ground"),
     ],
 )  # fmt: skip
 def test_the_ground_has_a_reason(solved, tmp_path, kind, relief_px, asked, reason):
@@ -135,7 +135,7 @@ def test_few_observations_make_few_cells_and_other_cameras_none(solved):
     seen = ImageResiduals(np.array([0, 1]), at, np.ones((2, 2)), np.ones(2))
     (field,) = residual_fields(other, (), seen, 0.3)
     assert len(field.at_px) == 0 and np.isnan(field.scatter_px)
-    plot = picture_vectors((800, 600), field.at_px, field.mean_px, label="l", principal_px=(402.0, 297.0), scatter_px=field.scatter_px)  # fmt: skip
+    plot = image_vectors((800, 600), field.at_px, field.mean_px, label="l", principal_px=(402.0, 297.0), scatter_px=field.scatter_px)  # fmt: skip
     assert "nan" not in plot and fromstring(plot).tag == f"{SVG}svg"
 
 
@@ -155,7 +155,7 @@ def test_cells_of_the_correlation_map_are_as_full_as_their_correlation():
 
 def test_arrows_over_a_picture_point_down_for_growing_rows():
     at = np.array([[100.0, 150.0], [700.0, 150.0]])
-    plot = picture_vectors((800, 600), at, np.array([[0.0, 0.02], [0.02, 0.0]]), label="l", principal_px=(402.0, 297.0), scatter_px=0.004)  # fmt: skip
+    plot = image_vectors((800, 600), at, np.array([[0.0, 0.02], [0.02, 0.0]]), label="l", principal_px=(402.0, 297.0), scatter_px=0.004)  # fmt: skip
     root = fromstring(plot)
     arrows = [p for p in root.iter(f"{SVG}path") if p.get("stroke") == COLOURS[0]]
     down, right = ([float(v) for v in re.findall(r"-?[\d.]+", p.get("d"))][:4] for p in arrows[:2])
@@ -213,6 +213,6 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
 def test_methods_without_a_covariance_still_say_on_what_ground(tmp_path):
     page = Page(render_report(**made_up_run(tmp_path, with_comparison=False)))
     words = " ".join(page.words.split())
-    assert "Ground: flat ground (no DEM was given; pictures and attitudes agree with level ground)" in words
+    assert "Ground: flat ground (no DEM was given; images and attitudes agree with level ground)" in words
     assert "What all frames share" not in words and "Correlations" not in words
     assert "cameras" in {a.get("id") for _, a in page.tags}

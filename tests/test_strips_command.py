@@ -179,7 +179,7 @@ def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
     folder = tmp_path / "strips"
     shutil.copytree(scene.geometry.parent, folder, ignore=shutil.ignore_patterns("truth"))
     assert strips(folder / "geometry.yaml", tmp_path / "run") == 0
-    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=none") == 0
+    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=hard") == 0
     told = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
     assert "ccd.offsets" in told["cached_stages"] and "mosaic.strips" not in told["cached_stages"]
     with warnings.catch_warnings():
@@ -187,7 +187,7 @@ def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
         strip = rasterio.open(folder / "ccd2.tif", "r+")
     with strip:
         strip.write(np.full((1, 20, 20), 7, dtype=strip.dtypes[0]), window=Window(50, 50, 20, 20))
-    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=none") == 0
+    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=hard") == 0
     told = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
     assert "ccd.offsets" not in told["cached_stages"]
 

@@ -110,7 +110,7 @@ def seams_of(*length_px: float) -> SeamCheck:
 
 
 def grade(adjusted: Adjusted, seams: SeamCheck = NO_SEAMS, parts: tuple[range, ...] = (range(5),)) -> str:
-    return verdict_of(adjusted, seams, (), parts, range(5), 100.0).grade
+    return verdict_of(adjusted, seams, (), parts, range(5), 100.0, float("nan")).grade
 
 
 def test_each_figure_can_spoil_the_verdict() -> None:
@@ -138,7 +138,9 @@ def test_places_that_show_nothing_say_nothing() -> None:
 
 
 def test_the_worst_figure_gives_cause_and_mend() -> None:
-    verdict = verdict_of(outcome(figures={"sigma_px": 14.7}), seams_of(1.5), (), (range(5),), range(5), 100.0)
+    verdict = verdict_of(
+        outcome(figures={"sigma_px": 14.7}), seams_of(1.5), (), (range(5),), range(5), 100.0, float("nan")
+    )
     assert verdict.cause.endswith("(image deviation 14.70 px)") and verdict.mend
     assert verdict.text == "5 of 5 frames tied, image deviation 14.70 px, seams 1.50 px"
     assert [e.name for e in verdict.evidence if e.grade != "good"][:2] == ["image deviation", "seams"]

@@ -37,7 +37,6 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
-from geomosaic.export.plots import Axis, Series, line_plot
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.finished import load_artefact
@@ -52,6 +51,7 @@ from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import best_similarity
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
+from geomosaic.report.plots import Axis, Series, line_plot
 from geomosaic.simulate.flight import Observed, fly, observe
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.survey import SimulatedSurvey, simulate_frames
@@ -206,7 +206,8 @@ class Bench:
         write_csv(pos, *pos_rows(self.plan, observed))
         read = self._stage("survey.read", self._read(pos), {})
         ground = self._stage("projection.ground", {"height_m": self.plan.ground_height_m}, read)
-        return {**self._stage("placement.pos", placement, ground), "ties": self.ties}
+        placed = self._stage("placement.pos", placement, ground)
+        return {**placed, "placement": placed["prior_placement"], "ties": self.ties}
 
     def _adjust(self, name: str, params: dict[str, Any], placed: dict[str, Any], compose: bool) -> None:
         survey: Survey = placed["survey"]
@@ -215,7 +216,7 @@ class Bench:
         adjusted: Adjusted = solved["adjusted"]
         truth = read_poses(self.files.positions, [f.name for f in survey.frames], survey.work_frame)
         cameras = [survey.camera_of(i) for i in range(len(survey.frames))]
-        seen = (adjusted.poses, adjusted.cameras), (truth, cameras), (adjusted.ground, placed["ground"])
+        seen = (adjusted.poses, adjusted.cameras), (truth, cameras), (adjusted.ground, placed["prior_ground"])
         outcome = self.outcomes.setdefault(name, Outcome())
         outcome.errors_m.append(frame_ground_errors(*seen[0], *seen[1], *seen[2]))
         left = [r[np.isfinite(r).all(axis=1)] / UNIT_M for r in adjusted.residuals_m]
@@ -227,7 +228,7 @@ class Bench:
             self._stage("mosaic.compose", {"sources": False, "blend": "feather"}, owned)
             mosaic = self.mosaic(name)
             (self.folder / "run" / RASTER).replace(mosaic)
-            there = _on_map(survey, truth, cameras, placed["ground"])
+            there = _on_map(survey, truth, cameras, placed["prior_ground"])
             here = _on_map(survey, adjusted.poses, adjusted.cameras, adjusted.ground)
             moved = self.folder / "ortho_moved.vrt"
             _follow(self.files.ortho, moved, there, here)

@@ -124,7 +124,7 @@ def measure(case: Case, out: Path, seed: int) -> dict[str, Any]:
     """All figures of one seed."""
     folder, run = matched(case, out, seed)
     told = read_summary(run)
-    parts = {"survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints}
+    parts = {"survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints}
     survey, ground, placement, ties = (load_artefact(run, told, k, t) for k, t in parts.items())
     block = block_of(survey, ground, placement, ties)
     begun = time.process_time()

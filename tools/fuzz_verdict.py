@@ -88,14 +88,16 @@ def result_of(out: Path, judge: str) -> Result:
     numbers: dict[str, float | str] = {}
     kinds: dict[str, type] = {
         "survey": Survey,
+        "prior_ground": GroundSurface,
         "ground": GroundSurface,
+        "prior_placement": Placement,
         "placement": Placement,
         "strips": StripGeometry,
     }
     for name, kind in kinds.items():
         if name in summary["artefacts"]:
             try:
-                numbers.update(_leaves(load_artefact(out, summary, name, kind), name))
+                numbers.update(_leaves(load_artefact(out, summary, name, kind), name.removeprefix("prior_")))
             except GeomosaicError:
                 continue
     pixels = None

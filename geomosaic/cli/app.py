@@ -43,7 +43,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
             False, "--version", callback=_version, is_eager=True, help="print the version"
         ),
     ) -> None:
-        """Overlapping pictures of the ground in, one map-true picture out."""
+        """Overlapping images of the ground in, one map-true mosaic out."""
 
     if argv[:1] == ["mosaic"] and "--help" in argv:
         name_methods()

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.options import Dask, FixedTime, Overwrite, RunFolder, Seed, Sets, Workers, cores
-from geomosaic.errors import GeomosaicError
+from geomosaic.cli.options import (
+    Dask,
+    FixedTime,
+    Overwrite,
+    RunFolder,
+    Seed,
+    Sets,
+    Workers,
+    cores,
+    name_choices,
+)
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.given import Given
@@ -18,6 +26,7 @@ if TYPE_CHECKING:
 
 STAGES = (
     "survey.read",
+    "matching.flying_height",
     "projection.ground",
     "placement.pos",
     "mosaic.estimate",
@@ -27,22 +36,14 @@ STAGES = (
     "mosaic.tones",
     "mosaic.seams",
     "mosaic.compose",
-    "quality.verdict",
     "export.cog",
-    "export.layers",
     "quality.compare",
+    "quality.verdict",
+    "export.layers",
     "export.report",
 )
-"""What `geomosaic mosaic` does; quality.compare only against a reference."""
-
-RESULTS = {
-    "mosaic": "mosaic.tif",
-    "layers": "layers.gpkg",
-    "positions": "positions.csv",
-    "offsets": "offsets.csv",
-    "report": "report.html",
-    "recording": "run.mcap",
-}
+"""What `geomosaic mosaic` does; quality.compare only against a reference, matching.flying_height unless the
+ground's height is given."""
 
 Adjust = Annotated[
     str | None,
@@ -51,15 +52,8 @@ Adjust = Annotated[
 
 
 def name_methods() -> None:
-    """Puts the adjustment methods into the help, as the stage declares them."""
-    from geomosaic.pipeline.params import describe_params
-    from geomosaic.pipeline.registry import installed
-
-    with suppress(GeomosaicError):
-        (method,) = (
-            p for p in describe_params(installed().get("adjustment.solve").Params) if p.name == "method"
-        )
-        get_args(Adjust)[1].help = f"{method.help}: {', '.join(method.choices)} [{method.default}]"
+    """Puts the adjustment methods into the help."""
+    name_choices(Adjust, "adjustment.solve", "method")
 
 
 def mosaic(
@@ -92,7 +86,7 @@ def mosaic(
     gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
     adjust: Adjust = None,
     reference: Annotated[
-        Path | None, typer.Option(help="true ortho or satellite picture to compare with", metavar="TIF")
+        Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
     ] = None,
     set: Sets = None,
     workers: Workers = None,
@@ -102,9 +96,6 @@ def mosaic(
     overwrite: Overwrite = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
-    from geomosaic.pipeline.recipe import recipe_from
-    from geomosaic.pipeline.registry import installed
-
     given: dict[str, dict[str, Any]] = {
         "survey.read": {
             "frames": frames,
@@ -122,13 +113,9 @@ def mosaic(
         "mosaic.seams": {"gsd_m": gsd},
         "quality.compare": {"reference": reference},
     }
-    stages = [
-        {"stage": id, "params": {k: v for k, v in given.get(id, {}).items() if v is not None}}
-        for id in STAGES
-        if id != "quality.compare" or reference is not None
-    ]
-    plain = {"name": "mosaic", "description": f"frames of {frames.name}", "seed": seed or 0, "stages": stages}
-    recipe = recipe_from(plain, installed(), set or ())
+    unasked = {"quality.compare": reference is None, "matching.flying_height": ground_height is not None}
+    stages = [id for id in STAGES if not unasked.get(id)]
+    recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)
     execute(recipe, output, workers, dask, fixed_time, overwrite)
 
 
@@ -164,6 +151,26 @@ def run(
     execute(checked, output, workers, dask, fixed_time, overwrite)
 
 
+def recipe_of(
+    name: str,
+    description: str,
+    stages: Sequence[str],
+    given: Mapping[str, Mapping[str, Any]],
+    seed: int | None,
+    sets: Sequence[str] | None,
+) -> Recipe:
+    """The recipe of a command. given: its options by stage and parameter; those that are None aren't set."""
+    from geomosaic.pipeline.recipe import recipe_from
+    from geomosaic.pipeline.registry import installed
+
+    steps = [
+        {"stage": id, "params": {k: v for k, v in given.get(id, {}).items() if v is not None}}
+        for id in stages
+    ]
+    plain = {"name": name, "description": description, "seed": seed or 0, "stages": steps}
+    return recipe_from(plain, installed(), sets or ())
+
+
 def execute(
     recipe: Recipe,
     output: Path,
@@ -175,6 +182,7 @@ def execute(
 ) -> None:
     """Runs a checked recipe with progress on stderr, and says on stdout where the results lie."""
     from geomosaic.cli.progress import progress
+    from geomosaic.pipeline.recipe import RECORDING
     from geomosaic.pipeline.runner import run
 
     with progress() as reporter:
@@ -188,35 +196,12 @@ def execute(
             given=given,
             reporter=reporter,
         )
-    verdict = summary.get("verdict")
-    if isinstance(verdict, dict):
-        why = f" {verdict['cause']};" if verdict["cause"] else ""
-        print(f"{'verdict':<10} {verdict['grade']}:{why} {verdict['text']}")
-        if verdict["mend"]:
-            print(f"{'mend':<10} {verdict['mend']}")
-    for name, file in RESULTS.items():
+    for step in reversed(recipe.steps):
+        for name, text in step.stage.conclusions(summary):
+            print(f"{name:<10} {text}")
+    for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
         if (output / file).exists():
+            name = "recording" if file == RECORDING else Path(file).stem
             print(f"{name:<10} {output / file}")
-    frames = summary.get("frames")
-    if isinstance(frames, dict):
-        print("frames     " + ", ".join(f"{count} {name}" for name, count in frames.items()))
-    for line in _figures(summary["metrics"]):
-        print(line)
     if summary["warnings"]:
         print(f"warnings   {len(summary['warnings'])}, see above and run.json")
-
-
-def _figures(metrics: Mapping[str, Any]) -> list[str]:
-    """How well the frames agree and how true the map is, as far as it was measured."""
-    lines = []
-    reprojection_px = metrics.get("adjustment", {}).get("reprojection_mean_px")
-    if reprojection_px is not None:
-        lines.append(f"agreement  {reprojection_px:.2f} px mean reprojection error")
-    quality = metrics.get("quality", {})
-    rmse_m, ce90_m = quality.get("absolute_rmse_m"), quality.get("ce90_m")
-    if rmse_m is not None and ce90_m is not None:
-        lines.append(
-            f"accuracy   {rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, "
-            f"at {quality['measured']} places of the reference"
-        )
-    return lines

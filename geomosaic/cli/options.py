@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import typer
+
+from geomosaic.errors import GeomosaicError
 
 
 def cores() -> int:
@@ -46,3 +49,13 @@ FixedTime = Annotated[
 ]
 Seed = Annotated[int | None, typer.Option(help="seed of all randomness", min=0)]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
+
+
+def name_choices(option: Any, id: str, parameter: str) -> None:
+    """Puts into an option's help what a stage declares of a parameter; a broken stage says so when run."""
+    from geomosaic.pipeline.params import describe_params
+    from geomosaic.pipeline.registry import installed
+
+    with suppress(GeomosaicError):
+        (declared,) = (p for p in describe_params(installed().get(id).Params) if p.name == parameter)
+        get_args(option)[1].help = f"{declared.help}: {', '.join(declared.choices)} [{declared.default}]"

@@ -74,7 +74,7 @@ def replay(
     names the files to read.
     """
     from geomosaic.cli.mosaic import execute
-    from geomosaic.pipeline.given import frame_folders, given_stage
+    from geomosaic.pipeline.given import given_stage, missing_inputs
     from geomosaic.pipeline.recipe import parse_recipe
     from geomosaic.pipeline.registry import installed
     from geomosaic.recording import read_recording
@@ -91,10 +91,9 @@ def replay(
     try:
         execute(recipe, output, workers, dask, fixed_time, overwrite, given)
     except FileError as error:
-        for folder in frame_folders(given.values()):
-            if not folder.is_dir():
-                mend = "put the frames back there, or replay from a stage that reads no pixels"
-                raise FileError("the frames' folder is gone", file=folder, mend=mend) from error
+        for path in missing_inputs(given.values()):
+            mend = "put it back there, or replay from a stage that doesn't need it"
+            raise FileError("an input of the recorded run is gone", file=path, mend=mend) from error
         raise
 
 
@@ -105,10 +104,10 @@ def view(
         Path | None, typer.Option(metavar="OUT.rrd", help="write Rerun's file and show nothing")
     ] = None,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="a picture of the view, made without a screen")
+        Path | None, typer.Option(metavar="PNG", help="an image of the view, made without a screen")
     ] = None,
 ) -> None:
-    """Show a recording in Rerun: the map, the pictures, the offsets of each round, the log."""
+    """Show a recording in Rerun: the map, the images, the offsets of each round, the log."""
     from geomosaic.recording import read_recording
     from geomosaic.recording import view as rerun_view
 

@@ -111,7 +111,7 @@ def _run(
 
 def evaluate(
     target: Annotated[Path, typer.Argument(help="a run's folder, or a mosaic", metavar="RUN|TIF")],
-    reference: Annotated[Path, typer.Option(help="the true ortho or a satellite picture", metavar="TIF")],
+    reference: Annotated[Path, typer.Option(help="the true ortho or a satellite image", metavar="TIF")],
     set: Sets = None,
     as_json: AsJson = False,
 ) -> None:

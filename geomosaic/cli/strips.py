@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import typer
 
-from geomosaic.cli.mosaic import execute
-from geomosaic.cli.options import FixedTime, Overwrite, RunFolder, Seed, Sets, Workers
-from geomosaic.errors import GeomosaicError
+from geomosaic.cli.mosaic import execute, recipe_of
+from geomosaic.cli.options import FixedTime, Overwrite, RunFolder, Seed, Sets, Workers, name_choices
 
 STAGES = (
     "survey.strips",
@@ -33,13 +31,8 @@ Method = Annotated[
 
 
 def name_strip_methods() -> None:
-    """Puts the methods into the help, as the stage declares them."""
-    from geomosaic.pipeline.params import describe_params
-    from geomosaic.pipeline.registry import installed
-
-    with suppress(GeomosaicError):
-        (method,) = (p for p in describe_params(installed().get("ccd.offsets").Params) if p.name == "method")
-        get_args(Method)[1].help = f"{method.help}: {', '.join(method.choices)} [{method.default}]"
+    """Puts the methods into the help."""
+    name_choices(Method, "ccd.offsets", "method")
 
 
 def strips(
@@ -55,21 +48,9 @@ def strips(
     overwrite: Overwrite = False,
 ) -> None:
     """Make one scene of the strips of a satellite's staggered CCDs."""
-    from geomosaic.pipeline.recipe import recipe_from
-    from geomosaic.pipeline.registry import installed
-
     given: dict[str, dict[str, Any]] = {
         "survey.strips": {"geometry": geometry},
         "ccd.offsets": {"method": method},
     }
-    stages = [
-        {"stage": id, "params": {k: v for k, v in given.get(id, {}).items() if v is not None}}
-        for id in STAGES
-    ]
-    plain = {
-        "name": "strips",
-        "description": f"strips of {geometry.name}",
-        "seed": seed or 0,
-        "stages": stages,
-    }
-    execute(recipe_from(plain, installed(), set or ()), output, workers, None, fixed_time, overwrite)
+    recipe = recipe_of("strips", f"strips of {geometry.name}", STAGES, given, seed, set)
+    execute(recipe, output, workers, None, fixed_time, overwrite)

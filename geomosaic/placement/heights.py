@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,19 @@ def believable_heights_m(
     doubted = (above < usual / _FAR) | (above > usual * _FAR)
     believed = np.where(doubted, ground_heights_m + usual, heights_m)
     return believed, np.where(doubted, np.maximum(sd_m, usual / 2.0), sd_m), doubted
+
+
+@dataclass(frozen=True)
+class FlyingHeight:
+    """How high a survey flew above the ground, in metres, as its images say; NaN where they weren't asked or
+    don't say."""
+
+    above_ground_m: float
+
+
+def height_is_unknown(survey: Survey) -> bool:
+    """Whether nothing says how high the frames flew: no DEM, and no heights above the ground."""
+    return any(survey.located) and survey.elevation is None and ground_height_m(survey.frames) is None
 
 
 def ground_height_m(frames: tuple[Frame, ...]) -> float | None:

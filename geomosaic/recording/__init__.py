@@ -5,9 +5,10 @@ from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
 from geomosaic.recording.reader import artefact_data, messages, printable, read_recording, stage_messages
 from geomosaic.recording.summary import summary
 from geomosaic.recording.thumbnail import thumbnail
-from geomosaic.recording.writer import Recorder
+from geomosaic.recording.writer import STAGE_CALLS, Recorder
 
 __all__ = [
+    "STAGE_CALLS",
     "ArtefactEntry",
     "Recorder",
     "Recording",

@@ -64,6 +64,12 @@ _CLASSES: dict[str, Any] = {
 }
 _OTHER_COLOUR = (0.60, 0.60, 0.60, 1.0)
 
+STAGE_CALLS = (
+    *("log", "image", "location", "geojson", "offsets", "tie_points"),
+    *("strip_offsets", "strip_residuals", "jitter", "camera"),
+)
+"""What a stage may tell a recorder; the other calls are the runner's."""
+
 
 class Recorder:
     """The recording of one run.

@@ -21,7 +21,7 @@ class AdjustmentRig(Stage):
     id = "adjustment.rig"
     display_name = "Register a rig's bands"
     group = "Adjustment"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"rig": RigPoses}
 

@@ -30,9 +30,9 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 18
+    version = 22
     inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "ground": GroundSurface, "placement": Placement, "ties": TiePoints,
+        "survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"adjusted": Adjusted, "ground": GroundSurface}
 
@@ -64,12 +64,21 @@ class AdjustmentSolve(Stage):
         turning: bool = param(False, help="a bundle solves for how frames turn while their rows are read")
         rolling_shutter: bool = param(False, help="a bundle solves for the time from first to last row")
 
+    @classmethod
+    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """How many frames are tied, and how well they agree."""
+        frames = ", ".join(f"{count} {name}" for name, count in summary.get("frames", {}).items())
+        error_px = summary["metrics"].get("adjustment", {}).get("reprojection_mean_px")
+        if error_px is None:
+            return [("frames", frames)]
+        return [("frames", frames), ("agreement", f"{error_px:.2f} px mean reprojection error")]
+
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Builds the block, adjusts it, tells what happened."""
         survey: Survey = inputs["survey"]
         placement: Placement = inputs["placement"]
         ties: TiePoints = inputs["ties"]
-        block = block_of(survey, inputs["ground"], placement, ties)
+        block = block_of(survey, inputs["prior_ground"], placement, ties)
         adjusted = METHODS[params.method](block, Settings(**params.model_dump(exclude={"method"})))
         level_sd_m = common_height_sd_m(survey, adjusted)
         adjusted = with_common_height(adjusted, level_sd_m)

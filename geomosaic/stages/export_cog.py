@@ -23,7 +23,7 @@ class ExportCog(Stage):
     id = "export.cog"
     display_name = "Write the mosaic as COG"
     group = "Export"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"raster_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     results: ClassVar[tuple[str, ...]] = (MOSAIC,)
@@ -32,9 +32,14 @@ class ExportCog(Stage):
         """See each parameter's help."""
 
         compression: str = param(
-            "deflate", help="deflate and zstd lose nothing; webp and jpeg are smaller", choices=COMPRESSIONS
+            "deflate",
+            help="deflate, zstd and lzw lose nothing, lerc no more than most_off; webp and jpeg are smaller",
+            choices=COMPRESSIONS,
         )
         quality: int = param(90, help="of webp and jpeg", unit="%", ge=1, le=100)
+        most_off: float = param(
+            0.0, help="by how much lerc may change a value", unit="grey levels", ge=0.0, le=65535.0
+        )
         overviews: str = param("average", help="how overviews are resampled", choices=OVERVIEWS)
         threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
 
@@ -47,6 +52,7 @@ class ExportCog(Stage):
                 path,
                 compression=params.compression,
                 quality=params.quality,
+                most_off=params.most_off,
                 overviews=params.overviews,
                 threads=params.threads,
                 progress=lambda done, total: context.progress(done, total, MOSAIC),

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.export.report import render_report
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.verdict import Verdict
+from geomosaic.report.frames import render_report
 from geomosaic.survey.model import Survey
 
 

@@ -38,7 +38,9 @@ class MatchingSift(Stage):
     display_name = "Match frames with SIFT"
     group = "Matching"
     version = 7
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
+    }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
 
     class Params(StageParams):
@@ -67,7 +69,8 @@ class MatchingSift(Stage):
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Keypoints per frame, tie points per pair, then turned frames."""
         survey: Survey = inputs["survey"]
-        placement: Placement = inputs["placement"]
+        placement: Placement = inputs["prior_placement"]
+        ground: GroundSurface = inputs["prior_ground"]
         frames = survey.frames
         take = partial(frame_features, longest_px=params.longest_px, most=params.keypoints, band=params.band)
         features = context.map(
@@ -75,10 +78,10 @@ class MatchingSift(Stage):
         )
         cameras = [survey.camera_of(i) for i in range(len(frames))]
         ground_m = [
-            ground_from_image(placement.poses[i], cameras[i], inputs["ground"], features[i].image_px)[:, :2]
+            ground_from_image(placement.poses[i], cameras[i], ground, features[i].image_px)[:, :2]
             for i in range(len(frames))
         ]
-        reach_m = misplacement_m(placement.poses, cameras, inputs["ground"])
+        reach_m = misplacement_m(placement.poses, cameras, ground)
         tried, found = list(placement.pairs), []
         located = np.array(survey.located)
         reach_m = np.where(located, reach_m, np.inf)

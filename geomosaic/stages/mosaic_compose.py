@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, Literal
@@ -18,6 +18,7 @@ from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.compose import AUTO, AUTO_FEATHER_PX, compose
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.ownership import Ownership
+from geomosaic.mosaic.plugins import BLENDS_GROUP
 from geomosaic.mosaic.tones import Tones
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
@@ -34,7 +35,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 7
+    version = 8
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -67,6 +68,11 @@ class MosaicCompose(Stage):
             1024, help="memory for decoded frames", unit="MB", ge=64, le=1_000_000, affects_output=False
         )
         threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+    @classmethod
+    def plugged(cls, params: Params) -> list[tuple[str, str]]:
+        """The blend may be another distribution's."""
+        return [(BLENDS_GROUP, params.blend)]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Composes into RUN/work, and tells run.json what came out."""
@@ -128,3 +134,4 @@ class MosaicCompose(Stage):
         context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
         context.metric("mosaic.frames_used", len(mosaic.frames_used))
         context.metric("mosaic.decodes", mosaic.decodes)
+        context.metric("mosaic.holes", asdict(mosaic.holes))

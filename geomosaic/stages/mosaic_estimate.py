@@ -34,17 +34,19 @@ class MosaicEstimate(Stage):
     group = "Mosaic"
     version = 1
     cached = False
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "placement": Placement}
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
+    }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {}
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """From where the frames lie by their positions."""
         survey: Survey = inputs["survey"]
-        placement: Placement = inputs["placement"]
+        placement: Placement = inputs["prior_placement"]
         compose, seams = params_of(context, MosaicCompose), params_of(context, MosaicSeams)
         names = [f.name for f in survey.frames]
         cameras = [survey.camera_of(i) for i in range(len(names))]
-        ground = inputs["ground"]
+        ground = inputs["prior_ground"]
         if not any(survey.located):
             context.tell("no frame has a position: how large the mosaic will be only the pictures can tell")
             return {}

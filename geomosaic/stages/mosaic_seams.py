@@ -11,16 +11,15 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Scene
-from geomosaic.mosaic.seam_cut import Glimpse, bands, cut_seams, glimpsed
+from geomosaic.mosaic.plugins import SEAMS_GROUP
+from geomosaic.mosaic.scene import Scene
+from geomosaic.mosaic.seam_cut import NEAREST_NADIR, SEAMS, Glimpse, Seam, bands, glimpsed, seam_figures
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
-
-_SEAMS = ("least_difference", "nearest_nadir")
 
 
 class MosaicSeams(Stage):
@@ -29,7 +28,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -54,7 +53,7 @@ class MosaicSeams(Stage):
             "least_difference",
             help="who gives a pixel where frames overlap: the one that looks down most steeply, or near the "
             "line between two of these, cut where both differ least in colour",
-            choices=_SEAMS,
+            choices=SEAMS,
         )
         max_gigapixels: float = param(
             MAX_GIGAPIXELS,
@@ -63,6 +62,11 @@ class MosaicSeams(Stage):
             ge=0.001,
             le=1e6,
         )
+
+    @classmethod
+    def plugged(cls, params: Params) -> list[tuple[str, str]]:
+        """The seam may be another distribution's."""
+        return [(SEAMS_GROUP, params.seam)]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Settles the grid by the adjusted frames, and who gives what of it."""
@@ -86,12 +90,15 @@ class MosaicSeams(Stage):
         grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
         scene = Scene(survey.work_frame, ground, grid, views)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
-        if params.seam == "least_difference":
-            ownership = self._cut(scene, ownership, nearest_m, survey, inputs.get("tones"), context)
+        if params.seam != NEAREST_NADIR:
+            tones, cut = inputs.get("tones"), SEAMS[params.seam]
+            ownership = self._cut(cut, params.seam, scene, ownership, nearest_m, survey, tones, context)
         return {"ownership": ownership}
 
     @staticmethod
     def _cut(
+        cut: Seam,
+        name: str,
         scene: Scene,
         nearest: Ownership,
         nearest_m: np.ndarray[Any, Any],
@@ -111,7 +118,7 @@ class MosaicSeams(Stage):
             reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
             jobs.append(Glimpse(frame, reduction, part.cols_px, part.rows_px, brighter))
         seen = context.map("seams", glimpsed, jobs, keys=[p.view.frame for p in parts])
-        ownership, before, after = cut_seams(nearest, parts, seen)
-        context.metric("seams.nearest_nadir", asdict(before))
-        context.metric("seams.least_difference", asdict(after))
+        ownership = cut(nearest, parts, seen)
+        for how, of in ((NEAREST_NADIR, nearest), (name, ownership)):
+            context.metric(f"seams.{how}", asdict(seam_figures(of, parts, seen)))
         return ownership

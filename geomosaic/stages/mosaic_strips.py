@@ -16,9 +16,10 @@ from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.ccd.scene_rpc import SceneRpc, scene_rpc
 from geomosaic.ccd.virtual_layout import virtual_layout
 from geomosaic.errors import InputError
+from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.estimate import estimate_scene
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS
-from geomosaic.mosaic.strip_blends import BLENDS
+from geomosaic.mosaic.plugins import BLENDS_GROUP
 from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
@@ -35,7 +36,7 @@ class MosaicStrips(Stage):
     id = "mosaic.strips"
     display_name = "Compose the scene of strips"
     group = "Mosaic"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "strips": StripGeometry, "offsets": StripOffsets, "radiometry": Radiometry,
     }  # fmt: skip
@@ -47,7 +48,7 @@ class MosaicStrips(Stage):
     class Params(StageParams):
         """See each parameter's help."""
 
-        blend: str = param("smooth", help="how greys go over at a seam", choices=BLENDS)
+        blend: str = param("feather", help="how greys go over at a seam", choices=BLENDS)
         resampling: str = param(
             "lanczos", help="interpolation of the strips; cubic shifts by up to 0.05 px", choices=RESAMPLING
         )
@@ -68,6 +69,11 @@ class MosaicStrips(Stage):
             affects_output=False,
         )
         threads: int = param(2, help="threads that resample", ge=1, le=64, affects_output=False)
+
+    @classmethod
+    def plugged(cls, params: Params) -> list[tuple[str, str]]:
+        """The blend may be another distribution's."""
+        return [(BLENDS_GROUP, params.blend)]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Into RUN/work; export.cog makes it a COG."""

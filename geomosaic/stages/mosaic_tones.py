@@ -20,12 +20,12 @@ _EVEN = ("auto", "always", "never")
 
 
 class MosaicTones(Stage):
-    """Solves for each frame's exposure and white balance, and each camera's vignette."""
+    """Solves for each frame's exposure, white balance and fall of light, and each camera's vignette."""
 
     id = "mosaic.tones"
     display_name = "Even the tones"
     group = "Mosaic"
-    version = 2
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"tones": Tones}
 
@@ -45,7 +45,7 @@ class MosaicTones(Stage):
         adjusted: Adjusted = inputs["adjusted"]
         frames, ground = survey.frames, inputs["ground"]
         n, bands = len(frames), max((f.bands for f in frames), default=1)
-        none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)))
+        none = Tones(np.zeros((n, bands)), *[np.zeros((n, bands, 2))] * 2)
         if survey.other_bands and params.even == "always":
             raise InputError(
                 "a rig's bands are measured values, and each would need tones of its own",

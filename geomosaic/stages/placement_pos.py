@@ -32,8 +32,9 @@ class PlacementPos(Stage):
     display_name = "Place frames by POS"
     group = "Placement"
     version = 6
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface}
-    outputs: ClassVar[dict[str, type]] = {"placement": Placement}
+    inputs: ClassVar[dict[str, type]] = {"levelled_survey": Survey, "prior_ground": GroundSurface}
+    outputs: ClassVar[dict[str, type]] = {"prior_placement": Placement}
+    formerly: ClassVar[dict[str, str]] = {"prior_placement": "placement"}
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -48,8 +49,8 @@ class PlacementPos(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Prior poses, flight lines, footprints, overlap graph."""
-        survey: Survey = inputs["survey"]
-        ground: GroundSurface = inputs["ground"]
+        survey: Survey = inputs["levelled_survey"]
+        ground: GroundSurface = inputs["prior_ground"]
         names = [f.name for f in survey.frames]
         cameras = [survey.camera_of(i) for i in range(len(names))]
         level = FORMULAS[params.formula](
@@ -93,7 +94,7 @@ class PlacementPos(Stage):
         context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
         context.metric("placement.flight_lines", max(lines) + 1)
         context.metric("placement.candidate_pairs", len(placement.pairs))
-        return {"placement": placement}
+        return {"prior_placement": placement}
 
 
 def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Floats, Floats]:

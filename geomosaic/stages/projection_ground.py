@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -12,28 +11,23 @@ from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.matching.features import reduction_for
-from geomosaic.matching.flying_height import flying_height_m
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.heights import (
+    FlyingHeight,
     frame_heights_m,
     ground_height_m,
-    neighbours,
     with_any_height,
     with_heights_above_ground,
 )
 from geomosaic.placement.reach import ground_pixel_m, half_extent_m
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.relief import relief
-from geomosaic.stages.keypoints import frame_features
 from geomosaic.survey.dem import dem_crs, outliers_told, read_heights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _MOST_FLAT_REACH = 3.0
 _NODE_PX = 4.0  # ground pixels between the nodes of a surface: edges of walls are no sharper in a mosaic
-_PAIRS = 16
-_LONGEST_PX = 750
 
 
 class ProjectionGround(Stage):
@@ -42,9 +36,11 @@ class ProjectionGround(Stage):
     id = "projection.ground"
     display_name = "Make the ground surface"
     group = "Projection"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
-    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "survey": Survey}
+    optional_inputs: ClassVar[dict[str, type]] = {"flying_height": FlyingHeight}
+    outputs: ClassVar[dict[str, type]] = {"prior_ground": GroundSurface, "levelled_survey": Survey}
+    formerly: ClassVar[dict[str, str]] = {"prior_ground": "ground", "levelled_survey": "survey"}
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -58,14 +54,15 @@ class ProjectionGround(Stage):
         )
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """A DEM's relief around the frames, or the surface of one height."""
+        """A DEM's relief around the frames, or the surface of one height; and the survey, whose frames have
+        heights that go with it where nothing gave them."""
         survey: Survey = inputs["survey"]
         height = params.height_m if params.height_m != "auto" else ground_height_m(survey.frames)
         if not any(survey.located):
             survey, level = with_any_height(survey)
             height = level if params.height_m == "auto" else height
         elif survey.elevation is None and height is None:
-            survey, height = self._from_pictures(survey, context)
+            survey, height = self._as_measured(survey, inputs.get("flying_height"), context)
         positions = _places(survey)
         enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
         if survey.elevation is not None:
@@ -78,33 +75,22 @@ class ProjectionGround(Stage):
             ground = flat_ground(survey.work_frame, level, float(np.abs(enu).max()) + reach)
             context.recorder.log("info", f"flat ground at {level:.2f} m above the ellipsoid")
         context.metric("ground.kind", ground.kind)
-        return {"ground": ground, "survey": survey}
+        return {"prior_ground": ground, "levelled_survey": survey}
 
     @staticmethod
-    def _from_pictures(survey: Survey, context: Context) -> tuple[Survey, float]:
-        """The flying height from how far the pictures of neighbours shift, where nothing else says it."""
-        frames, pairs = survey.frames, neighbours(survey.frames, _PAIRS)
-        used = sorted({i for pair in pairs for i in pair[:2]})
-        take = partial(frame_features, longest_px=_LONGEST_PX, most=3000, band=None)
-        found = context.map("keypoints for the flying height", take, [frames[i] for i in used])
-        features = dict(zip(used, found, strict=True))
-        heights = []
-        for a, b, base_m in pairs:
-            tolerance = 3.0 * reduction_for(frames[a].width_px, frames[a].height_px, _LONGEST_PX)
-            cameras = survey.camera_of(a), survey.camera_of(b)
-            heights.append(flying_height_m(features[a], features[b], *cameras, base_m, tolerance))
-        if not np.isfinite(heights).any():
+    def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -> tuple[Survey, float]:
+        """The survey at the height that its images say, and the ground's, where nothing else says it."""
+        if flown is None or not np.isfinite(flown.above_ground_m):
             raise InputError(
-                "how high the frames flew above the ground is unknown, and their pictures don't tell",
-                file=frames[0].path,
+                "how high the frames flew above the ground is unknown, and their images don't say",
+                file=survey.frames[0].path,
                 mend="give --dem, or the ground's height with --ground-height METRES",
             )
-        above = float(np.nanmedian(heights))
-        told, level = with_heights_above_ground(survey, above)
+        above = flown.above_ground_m
         context.warn(
-            "height-estimated", "", f"flying height taken from the pictures: {above:.0f} m above the ground"
+            "height-estimated", "", f"flying height taken from the images: {above:.0f} m above the ground"
         )
-        return told, level
+        return with_heights_above_ground(survey, above)
 
     @staticmethod
     def _reach_m(survey: Survey, heights_above_m: Floats) -> float:

@@ -37,7 +37,7 @@ class QualityCompare(Stage):
     class Params(StageParams):
         """See each parameter's help."""
 
-        reference: Path = param(help="true ortho or satellite picture of the same place")
+        reference: Path = param(help="true ortho or satellite image of the same place")
         truth: Path | None = param(None, help="positions.csv with the frames' true positions and attitudes")
         patch_px: int = param(64, help="side of the patches that are matched", unit="px", ge=16, le=512)
         step_px: int = param(64, help="distance between patches", unit="px", ge=1, le=4096)
@@ -49,6 +49,16 @@ class QualityCompare(Stage):
     def check(cls, params: Params) -> None:
         """The reference is a raster with a place on the map."""
         open_map(params.reference).close()
+
+    @classmethod
+    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """How true the map is."""
+        found = summary["metrics"].get("quality", {})
+        rmse_m, ce90_m = found.get("absolute_rmse_m"), found.get("ce90_m")
+        if rmse_m is None or ce90_m is None:
+            return []
+        places = f"at {found['measured']} places of the reference"
+        return [("accuracy", f"{rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, {places}")]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Compares, tells the figures, and warns where too little could be measured."""

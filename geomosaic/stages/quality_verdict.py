@@ -12,9 +12,11 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
+from geomosaic.mosaic.ownership import Ownership
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.ground_doubt import leaning_99_px
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, verdict_of
 from geomosaic.survey.model import Survey
@@ -26,9 +28,10 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 3
+    version = 5
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
+        "ownership": Ownership,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"verdict": Verdict}
 
@@ -36,6 +39,16 @@ class QualityVerdict(Stage):
         """See each parameter's help."""
 
         threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+    @classmethod
+    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """The grade, why, and what would mend it."""
+        verdict = summary.get("verdict")
+        if not isinstance(verdict, dict):
+            return []
+        why = f" {verdict['cause']};" if verdict["cause"] else ""
+        mend = [("mend", verdict["mend"])] if verdict["mend"] else []
+        return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *mend]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Judges, and says it in run.json where nobody can miss it."""
@@ -63,8 +76,9 @@ class QualityVerdict(Stage):
             connected_parts(len(survey.frames), pairs),
             mosaic.frames_used,
             float(np.median(at[:, 2] - inputs["ground"].up_at(at[:, 0], at[:, 1]))),
+            leaning_99_px(inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"]),
         )
-        context.report("verdict", told(verdict))
+        context.report("verdict", reported(verdict))
         if verdict.grade != "good":
             context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.mend}")
         known = seams.length_px[np.isfinite(seams.length_px)]
@@ -74,7 +88,7 @@ class QualityVerdict(Stage):
         return {"verdict": verdict}
 
 
-def told(verdict: Verdict) -> dict[str, Any]:
+def reported(verdict: Verdict) -> dict[str, Any]:
     """What run.json says of it."""
     return {
         "grade": verdict.grade,

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import OutputError
-from geomosaic.export.solved import ground_reason
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.mosaic.estimate import Estimate, room
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.prior import position_assumed
+from geomosaic.report.solved_figures import ground_reason
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]

@@ -1,0 +1,66 @@
+"""How far the ground's deviations may move a mosaic, in figures worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.ownership import Ownership
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.ground_doubt import leaning_99_px, leaning_sd_px
+
+HOME = LocalFrame(9.0, 48.0, 400.0)
+AT_M = MapProjection("EPSG:32632").map_from_geodetic(9.0, 48.0)
+FRAMES = Poses(np.array([[0.0, 0.0, 50.0], [500.0, 0.0, 50.0]]), *[np.zeros((2, 3))] * 3)
+SURE = GroundSurface("tie_surface", -100.0, -100.0, 50.0, np.zeros((5, 5)), np.full((5, 5), 0.4))
+
+
+def owned(owner: np.ndarray) -> Ownership:
+    """Cells of 1 m, ten pixels, with the work frame's origin in the middle."""
+    rows, cols = owner.shape
+    west, north = float(AT_M[0]) - cols / 2.0, float(AT_M[1]) + rows / 2.0
+    grid = OutputGrid("EPSG:32632", west, north, 0.1, 10 * cols, 10 * rows)
+    return Ownership(grid, np.array([True, True]), 10, owner.astype(np.int32))
+
+
+def test_a_place_leans_by_its_height_s_deviation_and_its_angle() -> None:
+    """30 m beside the point below a frame 50 m up, 0.4 m of height are 0.24 m, 2.4 px."""
+    owner = np.zeros((61, 61))
+    owner[30, 60] = owner[10, 30] = 1
+    far, east = leaning_sd_px(owned(owner), FRAMES, HOME, SURE)
+    assert east == pytest.approx(0.4 * 30.0 / 50.0 / 0.1, rel=2e-3)
+    assert far == pytest.approx(0.4 * 20.0 / 50.0 / 0.1, rel=2e-3)
+
+
+def test_the_frame_that_gives_a_place_counts() -> None:
+    owner = np.zeros((61, 61))
+    owner[30, 60] = 2
+    assert leaning_sd_px(owned(owner), FRAMES, HOME, SURE) == pytest.approx([0.4 * 470 / 50 / 0.1], rel=2e-3)
+
+
+def test_of_equal_places_99_in_100_lie_within_2_58_deviations() -> None:
+    owner = np.zeros((61, 61))
+    owner[30, 60] = 1
+    assert leaning_99_px(owned(owner), FRAMES, HOME, SURE) == pytest.approx(2.5758 * 2.4, rel=2e-3)
+
+
+def test_a_hundredth_of_bad_land_is_passed_over_and_a_twentieth_is_not() -> None:
+    rough = replace(SURE, sd_m=np.where(np.arange(5)[:, None] >= 4, 50.0, 0.0) + np.full((5, 5), 0.01))
+    owner = np.ones((200, 200))
+    some, many = owned(owner[1:]), owned(owner)
+    assert leaning_99_px(some, FRAMES, HOME, rough) > 10.0
+    owner[:50] = 0
+    assert leaning_99_px(owned(owner), FRAMES, HOME, rough) < 1.0
+    assert leaning_99_px(many, FRAMES, HOME, SURE) < 20.0
+
+
+def test_what_is_not_known_is_not_told() -> None:
+    owner = np.ones((10, 10))
+    assert np.isnan(leaning_99_px(owned(owner), FRAMES, HOME, replace(SURE, sd_m=None)))
+    assert np.isnan(leaning_99_px(owned(0.0 * owner), FRAMES, HOME, SURE))
