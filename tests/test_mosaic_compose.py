@@ -14,12 +14,14 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
 from mosaic_scenes import CAMERA, CRS, GSD_M, hills, make_survey, paint, truth, truth_of, with_mask
 
 from geomosaic.errors import CancelledError, FileError, InputError, UnknownNameError
 from geomosaic.mosaic import compose as compose_module
 from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import auto_gsd_m, output_grid
+from geomosaic.mosaic.grid import auto_gsd_m, far_from_own, output_grid
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.views import frame_views
 
@@ -261,10 +263,28 @@ def test_a_wild_position_is_named_before_anything_is_written(tmp_path):
         output_grid(CRS, sane, 0.001, [f.name for f in survey.frames])
 
 
+@pytest.mark.parametrize(
+    "own_m, gsd_m",
+    [(0.0995, 0.1), (0.1004, 0.1), (0.0169423, 0.017), (12.3456, 12.0), (0.9996, 1.0), (0.105, 0.1),
+     (0.106, 0.11), (0.019, 0.019), (0.0191, 0.02), (0.0483, 0.05), (0.147, 0.15), (0.0347, 0.035)],
+)  # fmt: skip
+def test_the_automatic_ground_pixel_is_round(own_m: float, gsd_m: float) -> None:
+    assert auto_gsd_m(own_m) == gsd_m
+
+
+@given(st.floats(1e-4, 1e4))
+def test_rounding_the_ground_pixel_costs_no_more_than_five_percent(own_m: float) -> None:
+    assert auto_gsd_m(own_m) == pytest.approx(own_m, rel=0.05)
+
+
+def test_a_ground_pixel_far_from_the_frames_own_is_told() -> None:
+    assert "can't show more" in far_from_own(0.049, 0.1) and "is lost" in far_from_own(0.41, 0.1)
+    assert far_from_own(0.051, 0.1) == far_from_own(0.39, 0.1) == ""
+
+
 def test_the_grid_holds_whole_multiples_of_the_ground_pixel(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=1)
     views = frame_views(survey.work_frame, CRS, poses, [CAMERA], [True], ground)
-    assert (auto_gsd_m(0.0169423), auto_gsd_m(12.3456), auto_gsd_m(0.9996)) == (0.0169, 12.3, 1.0)
     grid = output_grid(CRS, views, 0.2, ["a"])
     assert (grid.west_m / 0.2) == pytest.approx(round(grid.west_m / 0.2), abs=1e-6)
     assert (grid.north_m / 0.2) == pytest.approx(round(grid.north_m / 0.2), abs=1e-6)

@@ -16,18 +16,30 @@ MAX_GIGAPIXELS = 100.0
 """1,000 km² at 0.1 m: some 380,000 windows to plan, as many as fit into 300 MB."""
 MOST_PIXELS_PER_FRAME_PIXEL = 200.0
 """Lines with 99 % overlap across a diagonal fill a hundredth of what they span."""
+_ROUNDED = 0.05
+_FINER = 0.5
+_COARSER = 4.0
 _LEFT_OUT_SHARE = 0.1
 _STRETCHED = 4.0
 
 
 def auto_gsd_m(ground_pixel_m: float) -> float:
-    """A survey's median ground sampling distance to three digits, so that grids have plain numbers.
+    """The roundest number within 5 % of a survey's median ground sampling distance: one digit, else two.
 
+    Two digits are never farther off than 4.8 %.
     Raises: `InputError` where it isn't known.
     """
     if not (math.isfinite(ground_pixel_m) and ground_pixel_m > 0.0):
         raise InputError("no frame sees the ground", mend="check the positions, attitudes and heights")
-    return round(ground_pixel_m, 2 - math.floor(math.log10(ground_pixel_m)))
+    rounded = (float(f"{ground_pixel_m:.{digits}g}") for digits in (1, 2))
+    return next(gsd_m for gsd_m in rounded if abs(gsd_m / ground_pixel_m - 1.0) <= _ROUNDED)
+
+
+def far_from_own(gsd_m: float, ground_pixel_m: float) -> str:
+    """What a ground pixel far from the frames' own means, in words; empty where it isn't far."""
+    if gsd_m < _FINER * ground_pixel_m:
+        return "it can't show more than the frames do, and takes room and time for nothing"
+    return "most of what the frames show is lost" if gsd_m > _COARSER * ground_pixel_m else ""
 
 
 def output_grid(

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, output_grid, without_flung
+from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, far_from_own, output_grid, without_flung
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
@@ -28,7 +28,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -43,8 +43,8 @@ class MosaicSeams(Stage):
 
         gsd_m: float | Literal["auto"] = param(
             "auto",
-            help="ground pixel; auto: the frames' median by POS, the same for every method; where none has a "
-            "position, that of the adjusted frames",
+            help="ground pixel; auto: the frames' median by POS, rounded by at most 5 %, the same for every "
+            "method; where none has a position, that of the adjusted frames",
             unit="m",
             ge=0.0005,
             le=1000.0,
@@ -81,6 +81,9 @@ class MosaicSeams(Stage):
         if not any(survey.located):
             ground_pixel_m = float(np.median([v.gsd_m for v in views])) if views else np.nan
         gsd_m = auto_gsd_m(ground_pixel_m) if params.gsd_m == "auto" else params.gsd_m
+        if meaning := far_from_own(gsd_m, ground_pixel_m):
+            own = f"the frames' own is {ground_pixel_m:.3g} m"
+            context.warn("gsd-far", "", f"the mosaic's pixel is {gsd_m:.3g} m, {own}: {meaning}")
         views, flung = without_flung(views, gsd_m, params.max_gigapixels)
         for view in flung:
             used[view.frame] = False
