@@ -1,20 +1,39 @@
-"""The stage that settles the mosaic's grid: the ground pixel that is asked for."""
+"""The stage that settles the mosaic's grid: the ground pixel, the area and the raster that are asked for."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from mosaic_scenes import CAMERA, make_survey
+import rasterio
+import shapely
+from mosaic_scenes import CAMERA, CRS, make_survey, with_mask
+from osgeo import ogr, osr
+from pyproj import Transformer
+from small_surveys import geomosaic, mosaic, small_survey, summary
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.rotation import Rotation
+from geomosaic.doors.vector import read_polygons
+from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.mosaic import compose as compose_module
+from geomosaic.mosaic.area import Outline, area_seen
+from geomosaic.mosaic.frames import Decoded
+from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
+from geomosaic.mosaic.views import FrameView
 from geomosaic.pipeline.context import Notes
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage
 from geomosaic.placement.model import Placement
+from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_seams import MosaicSeams
+from geomosaic.survey.model import Frame
 
 OWN_M = 0.2487
 
@@ -50,3 +69,271 @@ def test_a_ground_pixel_far_from_the_frames_own_is_told_once(
     assert len(texts) == bool(told)
     for text in texts:
         assert f"pixel is {gsd_m} m, the frames' own is 0.249 m: " in text and told in text
+
+
+def polygons(path: Path, crs: str | None, *rings: list[list[tuple[float, float]]], driver: str = "") -> Path:
+    """A file of polygons, each of rings of x and y, the outer one first."""
+    driver = (
+        driver
+        or {".gpkg": "GPKG", ".geojson": "GeoJSON", ".shp": "ESRI Shapefile", ".kml": "KML"}[path.suffix]
+    )
+    reference = None
+    if crs is not None:
+        reference = osr.SpatialReference()
+        reference.SetFromUserInput(crs)
+        reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+    made = ogr.GetDriverByName(driver).CreateDataSource(str(path))
+    layer = made.CreateLayer("area", reference, ogr.wkbUnknown)
+    for polygon in rings:
+        feature = ogr.Feature(layer.GetLayerDefn())
+        text = ", ".join("(" + ", ".join(f"{x:.12f} {y:.12f}" for x, y in [*r, r[0]]) + ")" for r in polygon)
+        feature.SetGeometry(ogr.CreateGeometryFromWkt(f"POLYGON ({text})"))
+        layer.CreateFeature(feature)
+        feature = None
+    layer = made = None
+    return path
+
+
+def box(west: float, south: float, east: float, north: float) -> list[tuple[float, float]]:
+    return [(west, south), (east, south), (east, north), (west, north)]
+
+
+def written(
+    folder: Path, given: dict[str, Any], blend: str = "auto", **params: Any
+) -> tuple[np.ndarray, np.ndarray, OutputGrid, Any]:
+    """Pixels, mask and grid of the mosaic, and its artefact."""
+    own, _ = seams(folder, given, **params)
+    outputs, _ = run_stage(
+        MosaicCompose, MosaicCompose.Params(blend=blend), RunFolder(folder / "RUN"),
+        {**given, "ownership": own}, work_folder=folder / "work",
+    )  # fmt: skip
+    with rasterio.open(folder / "RUN" / outputs["mosaic"].raster) as tiff:
+        return np.moveaxis(tiff.read(), 0, -1), tiff.dataset_mask() > 0, own.grid, outputs["mosaic"]
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Any]:
+    """Six frames, and the mosaic of all they see."""
+    folder = tmp_path_factory.mktemp("flown")
+    given = given_for(folder)
+    return given, written(folder, given)
+
+
+def around(
+    whole: OutputGrid, west: float, south: float, east: float, north: float
+) -> list[tuple[float, float]]:
+    """A box in metres from the middle of a grid."""
+    e, n = whole.map_from_pixel(np.array([whole.width_px, whole.height_px]) // 2).tolist()
+    return box(e + west, n + south, e + east, n + north)
+
+
+def test_an_area_with_a_hole_cuts_the_mosaic_and_leaves_the_rest(tmp_path: Path, flown: Any) -> None:
+    """A box with a hole and another one apart: pixels are inside by their middles, and are as they were."""
+    given, (_, _, whole, _) = flown
+    outer, hole, other = (
+        around(whole, *b)
+        for b in ((-16.1, -12.3, 9.9, 14.2), (-8.05, -3.1, 0.2, 4.0), (12.0, -20.0, 14.0, -17.9))
+    )
+    aoi = polygons(tmp_path / "area.gpkg", CRS, [outer, hole], [other])
+    cut_pixels, cut_mask, grid, cut = written(tmp_path, given, aoi=aoi, seam="nearest_nadir")
+    west, north = min(x for x, _ in outer), max(y for _, y in outer)
+    assert (grid.west_m, grid.north_m) == (np.floor(west / 0.25) * 0.25, np.ceil(north / 0.25) * 0.25)
+    assert (grid.width_px, grid.height_px) == (121, 137)
+    east = grid.west_m + (np.arange(grid.width_px) + 0.5) * 0.25
+    rows = (grid.north_m - (np.arange(grid.height_px) + 0.5) * 0.25)[:, None]
+
+    def inside(ring: list[tuple[float, float]]) -> np.ndarray:
+        (w, s), _, (e, n), _ = ring
+        return (east > w) & (east < e) & (rows > s) & (rows < n)
+
+    wanted = (inside(outer) & ~inside(hole)) | inside(other)
+    assert (cut_mask == wanted).all(), "frames show all of it"
+    assert (cut_pixels[~wanted] == 0).all()
+    off = round((grid.west_m - whole.west_m) / 0.25), round((whole.north_m - grid.north_m) / 0.25)
+    before = written(tmp_path / "all", given, seam="nearest_nadir")[0]
+    before = before[off[1] : off[1] + grid.height_px, off[0] : off[0] + grid.width_px]
+    differs = np.abs(before.astype(int) - cut_pixels)[wanted]
+    assert np.quantile(differs, 0.99) <= 3, "cells of owners are laid from another corner"
+    assert cut.holes.number == 0
+    with rasterio.open(tmp_path / "RUN" / "sources.tif") as tiff:
+        assert ((tiff.read(1) > 0) == wanted).all()
+
+
+@pytest.mark.parametrize("name", ["area.geojson", "area.shp", "area.kml", "area.gpkg"])
+def test_an_area_comes_in_any_format_and_crs(tmp_path: Path, flown: Any, name: str) -> None:
+    """By longitude and latitude, or in the next zone: within 2 mm, i.e. of a few pixels at the edge."""
+    given, (_, _, whole, _) = flown
+    crs = "EPSG:32633" if name.endswith((".gpkg", ".shp")) else "EPSG:4326"
+    ring = np.array(around(whole, -15.01, -12.02, 11.03, 14.04))
+    there = Transformer.from_crs(CRS, crs, always_xy=True).transform(*ring.T)
+    aoi = polygons(tmp_path / name, crs, [list(zip(*there, strict=True))])
+    owned, _ = seams(tmp_path, given, aoi=aoi)
+    assert owned.area is not None
+    assert owned.area.geometry.bounds == pytest.approx([*ring[0], *ring[2]], abs=0.002)
+
+
+def test_edges_that_bend_on_the_map_are_followed(flown: Any) -> None:
+    """A parallel of 40 km lies 40 km^2 / 8 R tan(lat) = 33.8 m from its chord in the middle."""
+    south = 47.2
+    ring = [(9.4, south), (9.93, south), (9.93, 47.4), (9.4, 47.4)]
+    outline = Outline(Path("a"), shapely.MultiPolygon([shapely.Polygon(ring)]), "EPSG:4326", False)
+    pose, bounds = Pose(np.zeros(3), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0)), (525_000.0, 5_225_000.0)
+    view = FrameView(0, pose, CAMERA, np.zeros(2), np.array([*bounds, 580_000.0, 5_260_000.0]), 0.1)
+    area, _ = area_seen(outline, CRS, [view])
+    way = Transformer.from_crs("EPSG:4326", CRS, always_xy=True)
+    for lon in (9.4, 9.61, 9.665, 9.92):
+        at = shapely.Point(*way.transform(lon, south))
+        assert shapely.distance(at, area.geometry.boundary) < 0.001
+    ends = np.array([way.transform(lon, south) for lon in (9.4, 9.93)])
+    middle = np.array(way.transform(9.665, south))
+    assert np.linalg.norm(ends.mean(axis=0) - middle) == pytest.approx(33.8, rel=0.05)
+
+
+@pytest.mark.parametrize("blend", ["hard", "multi_band"])
+def test_an_area_decodes_no_frame_that_gives_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blend: str
+) -> None:
+    """A box of 2 m about a nadir of eight in a line."""
+    given = given_for(tmp_path, lines=1, per_line=8, suffix=".jpg")
+    decoded: set[str] = set()
+
+    def decode(frame: Frame, kernel_radius_px: int) -> Decoded:
+        decoded.add(frame.name)
+        return real(frame, kernel_radius_px)
+
+    real = compose_module.decode
+    monkeypatch.setattr(compose_module, "decode", decode)
+    survey = given["survey"]
+    lon, lat, _ = survey.work_frame.geodetic_from_enu(given["adjusted"].poses.positions_m[3])
+    e, n = MapProjection(CRS).map_from_geodetic(lon, lat).tolist()
+    aoi = polygons(tmp_path / "area.gpkg", CRS, [box(e - 1.0, n - 1.0, e + 1.0, n + 1.0)])
+    *_, mosaic = written(tmp_path, given, blend, aoi=aoi)
+    assert mosaic.frames_used == (3,)
+    assert decoded == {"frame 03.jpg"}
+
+
+def test_holes_are_those_in_the_area(tmp_path: Path) -> None:
+    """One frame with an invalid patch: an area through it has one hole, an area beside it none."""
+    given = given_for(tmp_path, lines=1, per_line=1)
+    mask = np.full((180, 240), 255, np.uint8)
+    mask[60:120, 90:150] = 0
+    given["survey"] = with_mask(given["survey"], 0, mask)
+    *_, mosaic = written(tmp_path, given)
+    assert mosaic.holes.number == 1
+    at = mosaic.holes.largest[0]
+    for name, west, number in (("in.gpkg", at.easting_m - 1.0, 1), ("beside.gpkg", at.easting_m + 10.0, 0)):
+        ring = box(west, at.northing_m - 2.0, west + 6.0, at.northing_m + 2.0)
+        *_, cut = written(tmp_path, given, aoi=polygons(tmp_path / name, CRS, [ring]))
+        assert cut.holes.number == number
+    ring = box(at.easting_m - 1.0, at.northing_m - 2.0, at.easting_m + 1.0, at.northing_m + 2.0)
+    with pytest.raises(InputError):
+        written(
+            tmp_path, given, aoi=polygons(tmp_path / "none.gpkg", CRS, [[(x + 900.0, y) for x, y in ring]])
+        )
+
+
+def test_an_area_that_cannot_be_is_refused_in_one_line(tmp_path: Path, flown: Any) -> None:
+    given, (_, _, whole, _) = flown
+    good = around(whole, -5.0, -5.0, 5.0, 5.0)
+    e, n = good[0]
+    flat = polygons(tmp_path / "flat.gpkg", CRS, [[(e, n), (e + 9.0, n), (e + 4.0, n)]])
+    far = polygons(tmp_path / "far.geojson", "EPSG:4326", [box(8.0, 46.5, 8.1, 46.6)])
+    lost = polygons(tmp_path / "lost.shp", None, [good])
+    text = tmp_path / "text.gpkg"
+    text.write_text("no polygons")
+    points = tmp_path / "points.geojson"
+    points.write_text(
+        '{"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [9, 47]}}'
+    )
+    two = tmp_path / "two.gpkg"
+    made = ogr.GetDriverByName("GPKG").CreateDataSource(str(two))
+    for layer in ("fields", "woods"):
+        source = ogr.Open(str(polygons(tmp_path / f"{layer}.gpkg", CRS, [good])))
+        made.CopyLayer(source.GetLayer(0), layer)
+    made = source = None
+    for file, problem in (
+        (flat, "hold nothing"),
+        (
+            far,
+            "elsewhere than what the frames see: it at longitude 8.05000, latitude 46.55000, they at longitude 9.7",
+        ),
+        (lost, "no coordinate reference system; .*-a_srs"),
+        (text, "no file of polygons"),
+        (points, "has no polygon"),
+        (two, r"polygons in 2 layers \(fields, woods\)"),
+        (tmp_path / "missing.gpkg", "no such file"),
+    ):
+        with pytest.raises(InputError, match=problem) as caught:
+            seams(tmp_path, given, aoi=file)
+        assert (
+            "\n" not in str(caught.value) and str(file) in str(caught.value) and caught.value.exit_code == 2
+        )
+
+
+def test_a_bomb_of_entities_and_a_log_of_sqlite_are_refused(tmp_path: Path) -> None:
+    bomb = "".join(f'<!ENTITY a{i + 1} "{f"&a{i};" * 10}">' for i in range(9))
+    text = f'<!DOCTYPE kml [<!ENTITY a0 "lol">{bomb}]><kml xmlns="http://www.opengis.net/kml/2.2"><name>&a9;</name></kml>'
+    (tmp_path / "bomb.kml").write_text(text)
+    aoi = polygons(tmp_path / "area.gpkg", CRS, [box(0.0, 0.0, 9.0, 9.0)])
+    before = sorted(p.name for p in tmp_path.iterdir())
+    assert len(read_polygons(aoi).geometries) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == before, "SQLite has put nothing beside it"
+    (tmp_path / "area.gpkg-wal").write_bytes(b"log")
+    for file, problem in (
+        (tmp_path / "bomb.kml", "can't be read"),
+        (aoi, "is being written by another program"),
+        (Path("/vsicurl/http://127.0.0.1/a.gpkg"), "no path of a file on this machine"),
+        (tmp_path, "is no regular file but a folder"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            read_polygons(file)
+
+
+def test_an_area_that_crosses_itself_is_mended_and_told(tmp_path: Path, flown: Any) -> None:
+    given, (_, _, whole, _) = flown
+    (w, s), _, (e, n), _ = around(whole, -8.0, -8.0, 8.0, 8.0)
+    aoi = polygons(tmp_path / "bow.gpkg", CRS, [[(w, s), (e, n), (e, s), (w, n)]])
+    owned, notes = seams(tmp_path, given, aoi=aoi)
+    assert [x["code"] for x in notes.warnings] == ["aoi-mended"]
+    assert owned.area is not None and owned.area.geometry.area == pytest.approx(128.0, rel=1e-6)
+
+
+QUICK = ("--adjust", "least_squares", "--ground-height", 520)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+    """Four frames in a line."""
+    folder = tmp_path_factory.mktemp("simulated")
+    return small_survey(folder, lines=1, frames_per_line=4, width_px=320, height_px=240)
+
+
+def test_the_command_cuts_follows_the_file_and_can_be_replayed(
+    simulated: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    told = (simulated.frames, tmp_path / "run", "--pos", simulated.pos, "--camera", simulated.camera, *QUICK)
+    assert mosaic(*told) == 0
+    with rasterio.open(tmp_path / "run" / "mosaic.tif") as tiff:
+        crs, (west, south, east, north) = tiff.crs.to_string(), tiff.bounds
+    x, y = round((west + east) / 2.0), round((south + north) / 2.0)
+    aoi = tmp_path / "area.geojson"
+    sizes = []
+    for side in (4.0, 6.0):
+        aoi.unlink(missing_ok=True)
+        polygons(aoi, crs, [box(x - side, y - side, x + side, y + 5.0)])
+        capfd.readouterr()
+        assert mosaic(*told, "--aoi", aoi) == 0
+        said = capfd.readouterr().err
+        assert "Lay the seams: from the cache" not in said and said.count("from the cache") >= 5
+        sizes.append(
+            (summary(tmp_path / "run")["mosaic"]["width"], summary(tmp_path / "run")["mosaic"]["height"])
+        )
+    assert sizes == [(80, 90), (120, 110)], "tenths of a metre"
+    assert geomosaic("replay", tmp_path / "run", "--from", "mosaic.seams", "-o", tmp_path / "again") == 0
+    assert geomosaic("replay", tmp_path / "run", "--from", "mosaic.compose", "-o", tmp_path / "later") == 0
+    for folder in ("again", "later"):
+        assert (tmp_path / folder / "mosaic.tif").read_bytes() == (tmp_path / "run/mosaic.tif").read_bytes()
+    far = polygons(tmp_path / "far.gpkg", crs, [box(x + 5000.0, y, x + 5010.0, y + 10.0)])
+    capfd.readouterr()
+    assert mosaic(*told, "--aoi", far) == 2
+    assert "the area lies elsewhere than what the frames see" in capfd.readouterr().err.splitlines()[-1]

@@ -50,6 +50,11 @@ Adjust = Annotated[
     typer.Option(metavar="METHOD", help="adjustment method; 'geomosaic stages adjustment.solve' lists them"),
 ]
 
+Aoi = Annotated[
+    Path | None,
+    typer.Option(help="cut the mosaic to the polygons of this file (GeoPackage, GeoJSON, ...)", metavar="F"),
+]
+
 
 def name_methods() -> None:
     """Puts the adjustment methods into the help."""
@@ -84,6 +89,7 @@ def mosaic(
     ] = None,
     crs: Annotated[str, typer.Option(help="map CRS of the mosaic: auto (UTM) or EPSG:n")] = "auto",
     gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
+    aoi: Aoi = None,
     adjust: Adjust = None,
     reference: Annotated[
         Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
@@ -110,7 +116,7 @@ def mosaic(
         },
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
-        "mosaic.seams": {"gsd_m": gsd},
+        "mosaic.seams": {"gsd_m": gsd, "aoi": aoi},
         "quality.compare": {"reference": reference},
     }
     unasked = {"quality.compare": reference is None, "matching.flying_height": ground_height is not None}
@@ -130,6 +136,7 @@ def run(
         Path | None,
         typer.Option(help="geometry of strips: short for --set survey.strips.geometry=F", metavar="F"),
     ] = None,
+    aoi: Aoi = None,
     set: Sets = None,
     workers: Workers = None,
     dask: Dask = None,
@@ -143,7 +150,7 @@ def run(
     from geomosaic.pipeline.recipe import load_recipe
     from geomosaic.pipeline.registry import installed
 
-    inputs = {"survey.read.frames": frames, "survey.strips.geometry": strips}
+    inputs = {"survey.read.frames": frames, "survey.strips.geometry": strips, "mosaic.seams.aoi": aoi}
     overrides = [*(f"{name}={path}" for name, path in inputs.items() if path is not None), *(set or ())]
     checked = load_recipe(recipe, installed(), overrides)
     if seed is not None:

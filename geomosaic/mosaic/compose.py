@@ -58,12 +58,12 @@ def compose(
 
     The same bytes come out whatever the number of threads and the memory. `check_cancelled` raises to stop.
 
-    Args: poses, cameras, used: of each of the survey's frames. ownership: who gives which part; the frame
-    that looks down most steeply, if not given. blend: one of BLENDS; auto: multi_band for pictures of 8 bits,
-    feather for measured values, which stay as they are where one frame shows the ground. tones: how brightly
-    frames show the ground, evened out; as they are if not given. memory_bytes: for decoded frames; windows in
-    work take some 100 MB more for each thread. sources_path: where the raster of frame indices goes, if at
-    all (see `raster.writing_mosaic`).
+    Args: poses, cameras, used: of each of the survey's frames. ownership: who gives which part, and the area
+    that the mosaic is cut to; the frame that looks down most steeply, and no area, if not given. blend: one
+    of BLENDS; auto: multi_band for pictures of 8 bits, feather for measured values, which stay as they are
+    where one frame shows the ground. tones: how brightly frames show the ground, evened out; as they are if
+    not given. memory_bytes: for decoded frames; windows in work take some 100 MB more for each thread.
+    sources_path: where the raster of frame indices goes, if at all (see `raster.writing_mosaic`).
     Raises: `InputError` if frames don't go together or can't be resampled, `UnknownNameError` for a strategy.
     """
     if blend not in (AUTO, *BLENDS):
@@ -78,11 +78,14 @@ def compose(
     how = BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"]
     manner = Manner(how, kind.bands, kind.dtype, scene.lattice)
     sources = {v.frame: FrameSource(scene, ownership, v, resampling, tones) for v in views}
-    planning = Planning(sources, how.halo_px(feather_m / grid.gsd_m), feather_m / grid.gsd_m)
-    labels = SeamLabels(grid, WINDOW_PX)
+    area = ownership.area
+    planning = Planning(sources, how.halo_px(feather_m / grid.gsd_m), feather_m / grid.gsd_m, area)
+    labels = SeamLabels(grid, WINDOW_PX, cut=area is not None)
     gave_pixels: set[int] = set()
     names = [frame.name for frame in survey.frames]
     order = windows(grid, WINDOW_PX)
+    if area is not None:
+        order = area.touched(grid, order)
     with (
         unreferenced_is_fine(),
         ThreadPoolExecutor(threads) as pool,
@@ -97,7 +100,7 @@ def compose(
                 pool,
                 lambda i: decode(survey.frames[i], KERNEL_RADIUS_PX[resampling]),
             )
-            work = partial(_composed, manner, planning)
+            work = partial(_composed, manner, planning, grid)
             for done, window in enumerate(composed(plan, work, frames, pool, threads, check_cancelled)):
                 raster.write(window)
                 labels.add(window)
@@ -136,12 +139,15 @@ def _plan(
     return plan
 
 
-def _composed(manner: Manner, planning: Planning, step: Step, decoded: Mapping[int, Decoded]) -> Composed:
-    """A window, planned again where frames turn out to have masks."""
+def _composed(
+    manner: Manner, planning: Planning, grid: OutputGrid, step: Step, decoded: Mapping[int, Decoded]
+) -> Composed:
+    """A window, planned again where frames turn out to have masks, and cut to the area."""
     masks = {frame: d.mask_distance_px for frame, d in decoded.items()}
     if any(mask is not None for mask in masks.values()):
         step = planning.step(step.window, masks, [p.source.number for p in step.parts])
-    return compose_window(manner, step, decoded)
+    done = compose_window(manner, step, decoded)
+    return done if planning.area is None else done.cut(planning.area.mask(grid, step.window))
 
 
 def _common_kind(frames: Sequence[Frame]) -> Frame:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.scene import CELL_PX, Scene, distances_m, ground_of, margin_px
 from geomosaic.mosaic.views import FrameView
@@ -27,19 +28,24 @@ time of the composition."""
 _MOST_CELLS: Final = 16_000_000
 """Of a mosaic, so that 128 MB always hold them: larger mosaics have larger cells."""
 
+_AROUND_AREA_PX: Final = 64
+"""As far as bands of frequencies look; by a wider feather, the nearest frame is what lies beyond."""
+
 
 @dataclass(frozen=True)
 class Ownership:
     """The frame that gives each cell of cell_px x cell_px pixels, from the grid's upper left corner on.
 
     used (n,): which of the survey's frames may give pixels: what an owner doesn't see, another one gives.
-    owner (rows, cols): index into `Survey.frames`, plus 1; 0 where no frame sees the ground.
+    owner (rows, cols): index into `Survey.frames`, plus 1; 0 where no frame sees the ground. area: what the
+    mosaic is cut to, if anything; cells far from it have no owner.
     """
 
     grid: OutputGrid
     used: Bools
     cell_px: int
     owner: NDArray[np.int32]
+    area: Area | None = None
 
     def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
         """The owners of all cells that a window touches, and one more on every side: row and col of the
@@ -111,6 +117,15 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
         nearest[cells.of_all][mine] = cells.distance_m[mine]
         owner[cells.of_all][mine] = view.frame + 1
     return Ownership(grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+
+
+def within(ownership: Ownership, area: Area) -> Ownership:
+    """The ownership of a mosaic that is cut to an area: cells in it and about it, as far as blends look."""
+    grid, side = ownership.grid, ownership.cell_px
+    inside = area.cells(grid, Window(0, 0, grid.width_px, grid.height_px), side)
+    reach = 2 * (-(-_AROUND_AREA_PX // side) + 1) + 1
+    about = cv2.dilate(inside.view(np.uint8), np.ones((reach, reach), np.uint8)) > 0
+    return replace(ownership, owner=np.where(about, ownership.owner, np.int32(0)), area=area)
 
 
 def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]) -> list[Bools]:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import owned_cells
@@ -55,12 +56,14 @@ def _hilbert(order: int, x: int, y: int) -> int:
 class Planning:
     """What planning goes by: the frames of one scene, and how far about a window a blend of some reach looks.
 
-    halo_px: in whole cells.
+    halo_px: in whole cells. area: what the mosaic is cut to, if anything: what lies farther from it than a
+    blend looks is not asked for.
     """
 
     sources: Mapping[int, FrameSource]
     halo_px: int
     reach_px: float
+    area: Area | None = None
 
     def step(
         self, window: Window, masks: Mapping[int, Floats32 | None], among: Sequence[int] | None = None
@@ -78,6 +81,9 @@ class Planning:
             return Step(window, window.grown(0), self.reach_px, ())
         sees, gives = _cells(close, around, masks)
         side = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
+        if self.area is not None:
+            inside = self.area.cells(close[0].scene.grid, around, CELL_PX)
+            gives &= cv2.dilate(inside.view(np.uint8), side) > 0
         reached = np.stack([cv2.dilate(g.view(np.uint8), side) > 0 for g in gives])
         mixed = reached.sum(axis=0) > 1
         inner = slice(cells, mixed.shape[0] - cells), slice(cells, mixed.shape[1] - cells)

@@ -21,16 +21,20 @@ _MOST_LISTED: Final = 20
 
 
 class SeamLabels:
-    """Collects, window by window, which frame gives every n-th pixel; n keeps it small."""
+    """Collects, window by window, which frame gives every n-th pixel; n keeps it small.
 
-    def __init__(self, grid: OutputGrid, window_px: int) -> None:
-        self._grid = grid
+    cut: whether the mosaic is cut to an area.
+    """
+
+    def __init__(self, grid: OutputGrid, window_px: int, *, cut: bool = False) -> None:
+        self._grid, self._cut = grid, cut
         self.step_px = 1
         while grid.width_px * grid.height_px > _MOST_LABELS * self.step_px**2 and self.step_px < window_px:
             self.step_px *= 2
         self._labels: NDArray[np.int32] = np.zeros(
             (-(-grid.height_px // self.step_px), -(-grid.width_px // self.step_px)), dtype=np.int32
         )
+        self._wanted = np.zeros(self._labels.shape, dtype=bool)
 
     def add(self, composed: Composed) -> None:
         """Takes over a window's sources, from the middle of each cell of n x n pixels."""
@@ -39,7 +43,9 @@ class SeamLabels:
         rows = np.minimum(np.arange(0, height, n) + n // 2, height - 1)
         cols = np.minimum(np.arange(0, width, n) + n // 2, width - 1)
         row, col = composed.window.row // n, composed.window.col // n
-        self._labels[row : row + rows.size, col : col + cols.size] = composed.source[np.ix_(rows, cols)]
+        at = slice(row, row + rows.size), slice(col, col + cols.size)
+        self._labels[at] = composed.source[np.ix_(rows, cols)]
+        self._wanted[at] = True if composed.wanted is None else composed.wanted[np.ix_(rows, cols)]
 
     def seamlines(self) -> tuple[Seamline, ...]:
         """One for each frame that gives pixels, in the frames' order.
@@ -68,10 +74,12 @@ class SeamLabels:
         )
 
     def holes(self) -> Holes:
-        """Parts without a frame that don't reach the mosaic's outside."""
-        empty = np.pad((self._labels == 0).view(np.uint8), 1, constant_values=1)
+        """Parts without a frame that don't reach the mosaic's outside; of an area all of them, at its edge
+        too."""
+        empty = ((self._labels == 0) & self._wanted).view(np.uint8)
+        empty = np.pad(empty, 1, constant_values=0 if self._cut else 1)
         _, of, stats, _ = cv2.connectedComponentsWithStats(empty, connectivity=4)
-        inside = [k for k in range(1, len(stats)) if k != of[0, 0]]
+        inside = [k for k in range(1, len(stats)) if self._cut or k != of[0, 0]]
         inside.sort(key=lambda k: (-int(stats[k, cv2.CC_STAT_AREA]), k))
         cell_m = self.step_px * self._grid.gsd_m
         found = []

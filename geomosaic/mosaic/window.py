@@ -114,7 +114,8 @@ class Manner:
 @dataclass(frozen=True)
 class Composed:
     """A finished window: pixels (h, w, bands), 0 where not valid (h, w); label (h, w), the place in `numbers`
-    of the source that gives a pixel, -1 where none does; and the numbers of the sources that gave pixels."""
+    of the source that gives a pixel, -1 where none does; the numbers of the sources that gave pixels; and
+    wanted (h, w), what of the window was asked for, None for all of it."""
 
     window: Window
     pixels: NDArray[Any]
@@ -122,6 +123,14 @@ class Composed:
     label: NDArray[np.int16]
     numbers: tuple[int, ...]
     gave: tuple[int, ...]
+    wanted: Bools | None = None
+
+    def cut(self, wanted: Bools) -> Composed:
+        """Without the pixels that were not asked for."""
+        label = np.where(wanted, self.label, np.int16(-1))
+        gave = tuple(n for n in self.gave if (label == self.numbers.index(n)).any())
+        pixels = np.where(wanted[..., None], self.pixels, self.pixels.dtype.type(0))
+        return Composed(self.window, pixels, self.valid & wanted, label, self.numbers, gave, wanted)
 
     @property
     def source(self) -> NDArray[np.int32]:

@@ -17,6 +17,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_grid import extent as laid_extent
 from geomosaic.stages.mosaic_seams import MosaicSeams
 from geomosaic.stages.telling import params_of, tell_estimate
 from geomosaic.survey.model import Survey
@@ -54,11 +55,16 @@ class MosaicEstimate(Stage):
             survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground
         )
         gsd_m = auto_gsd_m(placement.ground_pixel_m) if seams.gsd_m == "auto" else seams.gsd_m
+        extent = laid_extent(seams.aoi, survey.map_crs, views)
+        views = extent.views
         grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels)
         outlines = [footprint(v.pose, v.camera, ground)[:, :2] for v in views]
         seen = shapely.union_all(
             [shapely.convex_hull(shapely.MultiPoint(o[np.isfinite(o).all(axis=1)])) for o in outlines]
         )
+        seen_m2 = float(seen.area)
+        if extent.area is not None:
+            seen_m2 = min(seen_m2, float(extent.area.geometry.area))
         first = survey.frames[views[0].frame]
         memory = min(compose.memory_mb * 2.0**20, float(sum(map(decoded_bytes, survey.frames))))
         sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
@@ -69,7 +75,7 @@ class MosaicEstimate(Stage):
             grid.width_px,
             grid.height_px,
             gsd_m,
-            filled_share=min(1.0, float(seen.area) / (grid.width_px * grid.height_px * gsd_m**2)),
+            filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
             pixel_bytes=first.bands * np.dtype(first.dtype).itemsize,
             sources=compose.sources,
             memory_bytes=memory,

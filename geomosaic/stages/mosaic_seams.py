@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.area import elsewhere, read_outline
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, far_from_own, output_grid, without_flung
-from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seam_cut import NEAREST_NADIR, SEAMS, Glimpse, Seam, bands, glimpsed, seam_figures
@@ -19,7 +21,10 @@ from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.mosaic_grid import extent as laid_extent
 from geomosaic.survey.model import Survey
+
+_MENDED = "polygons that cross themselves were mended; is the mosaic's edge the one that was meant?"
 
 
 class MosaicSeams(Stage):
@@ -49,6 +54,11 @@ class MosaicSeams(Stage):
             ge=0.0005,
             le=1000.0,
         )
+        aoi: Path | None = param(
+            None,
+            help="area that the mosaic is cut to: a GeoPackage, GeoJSON, Shapefile, FlatGeobuf or KML of "
+            "polygons, in any CRS",
+        )
         seam: str = param(
             "least_difference",
             help="who gives a pixel where frames overlap: the one that looks down most steeply, or near the "
@@ -62,6 +72,12 @@ class MosaicSeams(Stage):
             ge=0.001,
             le=1e6,
         )
+
+    @classmethod
+    def check(cls, params: Params) -> None:
+        """The area's polygons."""
+        if params.aoi is not None:
+            read_outline(params.aoi)
 
     @classmethod
     def plugged(cls, params: Params) -> list[tuple[str, str]]:
@@ -84,7 +100,10 @@ class MosaicSeams(Stage):
         if meaning := far_from_own(gsd_m, ground_pixel_m):
             own = f"the frames' own is {ground_pixel_m:.3g} m"
             context.warn("gsd-far", "", f"the mosaic's pixel is {gsd_m:.3g} m, {own}: {meaning}")
-        views, flung = without_flung(views, gsd_m, params.max_gigapixels)
+        extent = laid_extent(params.aoi, survey.map_crs, views)
+        if extent.outline is not None and extent.outline.mended:
+            context.warn("aoi-mended", "", f"{extent.outline.file.name}: {_MENDED}")
+        views, flung = without_flung(extent.views, gsd_m, params.max_gigapixels)
         for view in flung:
             used[view.frame] = False
             moved = adjusted.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
@@ -93,6 +112,11 @@ class MosaicSeams(Stage):
         grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
         scene = Scene(survey.work_frame, ground, grid, views)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
+        if extent.area is not None and extent.outline is not None:
+            ownership = within(ownership, extent.area)
+            nearest_m[ownership.owner == 0] = -np.inf  # nothing is looked at there
+            if not ownership.owner.any():
+                raise elsewhere(extent.outline, survey.map_crs, views)
         if params.seam != NEAREST_NADIR:
             tones, cut = inputs.get("tones"), SEAMS[params.seam]
             ownership = self._cut(cut, params.seam, scene, ownership, nearest_m, survey, tones, context)
