@@ -54,6 +54,10 @@ Aoi = Annotated[
     Path | None,
     typer.Option(help="cut the mosaic to the polygons of this file (GeoPackage, GeoJSON, ...)", metavar="F"),
 ]
+AlignTo = Annotated[
+    Path | None,
+    typer.Option(help="take CRS, pixel and grid of this raster, so that pixels coincide", metavar="TIF"),
+]
 
 
 def name_methods() -> None:
@@ -90,6 +94,7 @@ def mosaic(
     crs: Annotated[str, typer.Option(help="map CRS of the mosaic: auto (UTM) or EPSG:n")] = "auto",
     gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
     aoi: Aoi = None,
+    align_to: AlignTo = None,
     adjust: Adjust = None,
     reference: Annotated[
         Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
@@ -110,13 +115,13 @@ def mosaic(
             "dem": dem,
             "dem_offset_m": dem_offset,
             "gcp": gcp,
-            "crs": crs,
+            "crs": crs if align_to is None else _crs_of(align_to, crs),
             "pos_crs": pos_crs,
             "damaged": damaged,
         },
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
-        "mosaic.seams": {"gsd_m": gsd, "aoi": aoi},
+        "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to},
         "quality.compare": {"reference": reference},
     }
     unasked = {"quality.compare": reference is None, "matching.flying_height": ground_height is not None}
@@ -137,6 +142,7 @@ def run(
         typer.Option(help="geometry of strips: short for --set survey.strips.geometry=F", metavar="F"),
     ] = None,
     aoi: Aoi = None,
+    align_to: AlignTo = None,
     set: Sets = None,
     workers: Workers = None,
     dask: Dask = None,
@@ -150,12 +156,32 @@ def run(
     from geomosaic.pipeline.recipe import load_recipe
     from geomosaic.pipeline.registry import installed
 
-    inputs = {"survey.read.frames": frames, "survey.strips.geometry": strips, "mosaic.seams.aoi": aoi}
+    inputs = {
+        "survey.read.frames": frames,
+        "survey.strips.geometry": strips,
+        "mosaic.seams.aoi": aoi,
+        "mosaic.seams.align_to": align_to,
+    }
     overrides = [*(f"{name}={path}" for name, path in inputs.items() if path is not None), *(set or ())]
     checked = load_recipe(recipe, installed(), overrides)
+    if align_to is not None:
+        (read,) = (step.params.model_dump() for step in checked.steps if step.stage.id == "survey.read")
+        overrides.append(f"survey.read.crs={_crs_of(align_to, read['crs'])}")
+        checked = load_recipe(recipe, installed(), overrides)
     if seed is not None:
         checked = replace(checked, seed=seed)
     execute(checked, output, workers, dask, fixed_time, overwrite)
+
+
+def _crs_of(align_to: Path, asked: str) -> str:
+    """The CRS of a raster, or the one that was asked for if it is the same; else `InputError`."""
+    from geomosaic.mosaic.alignment import read_alignment
+
+    alignment = read_alignment(align_to)
+    if asked == "auto":
+        return alignment.crs
+    alignment.check_crs(asked)
+    return asked
 
 
 def recipe_of(

@@ -48,10 +48,11 @@ def output_grid(
     gsd_m: float,
     names: Sequence[str],
     max_gigapixels: float = MAX_GIGAPIXELS,
+    origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> OutputGrid:
-    """The smallest grid at whole multiples of `gsd_m` that holds every frame's bounds.
+    """The smallest grid that holds every frame's bounds, its corner whole ground pixels from an origin.
 
-    Args: names: of all the survey's frames, for the message.
+    Args: names: of all the survey's frames, for the message. origin_m: easting and northing.
     Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than
     200 times all the frames' pixels, naming the frame that stretches it or a ground pixel far too fine.
     """
@@ -59,10 +60,9 @@ def output_grid(
         raise InputError("no frame sees the ground", mend="check the positions, attitudes and heights")
     if not _fits(views, gsd_m, max_gigapixels):
         raise _too_large(views, names, gsd_m, max_gigapixels)
-    west, south, east, north = _edges(views, gsd_m)
-    return OutputGrid(
-        crs, west * gsd_m, north * gsd_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1)
-    )
+    west, south, east, north = _edges(views, gsd_m, origin_m)
+    west_m, north_m = origin_m[0] + west * gsd_m, origin_m[1] + north * gsd_m
+    return OutputGrid(crs, west_m, north_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1))
 
 
 def without_flung(
@@ -93,9 +93,11 @@ def stretching(views: Sequence[FrameView], gsd_m: float) -> tuple[FrameView, flo
     return (views[far], share) if share * _STRETCHED < 1.0 else None
 
 
-def _edges(views: Sequence[FrameView], gsd_m: float) -> tuple[float, float, float, float]:
-    """West, south, east and north in whole ground pixels."""
-    bounds = np.array([v.bounds_m for v in views])
+def _edges(
+    views: Sequence[FrameView], gsd_m: float, origin_m: tuple[float, float] = (0.0, 0.0)
+) -> tuple[float, float, float, float]:
+    """West, south, east and north in whole ground pixels from an origin."""
+    bounds = np.array([v.bounds_m for v in views]) - np.tile(origin_m, 2)
     west, south = np.floor(bounds[:, :2].min(axis=0) / gsd_m + 1e-6).tolist()
     east, north = np.ceil(bounds[:, 2:].max(axis=0) / gsd_m - 1e-6).tolist()
     return west, south, east, north

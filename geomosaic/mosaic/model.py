@@ -15,7 +15,7 @@ class OutputGrid:
     """A north-up raster on the map: its upper left corner, ground pixel and size.
 
     The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel
-    share their pixels.
+    share their pixels; or whole ground pixels from the corner of a raster that it is aligned to.
     """
 
     crs: str

@@ -10,14 +10,14 @@ import shapely
 
 from geomosaic.mosaic.estimate import before_composing, estimate
 from geomosaic.mosaic.frames import decoded_bytes
-from geomosaic.mosaic.grid import auto_gsd_m, output_grid, stretching
+from geomosaic.mosaic.grid import output_grid, stretching
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
-from geomosaic.stages.mosaic_grid import extent as laid_extent
+from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.stages.mosaic_seams import MosaicSeams
 from geomosaic.stages.telling import params_of, tell_estimate
 from geomosaic.survey.model import Survey
@@ -54,10 +54,11 @@ class MosaicEstimate(Stage):
         views = frame_views(
             survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground
         )
-        gsd_m = auto_gsd_m(placement.ground_pixel_m) if seams.gsd_m == "auto" else seams.gsd_m
+        own_m = placement.ground_pixel_m
+        gsd_m, origin_m = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
         extent = laid_extent(seams.aoi, survey.map_crs, views)
         views = extent.views
-        grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels)
+        grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels, origin_m)
         outlines = [footprint(v.pose, v.camera, ground)[:, :2] for v in views]
         seen = shapely.union_all(
             [shapely.convex_hull(shapely.MultiPoint(o[np.isfinite(o).all(axis=1)])) for o in outlines]

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
+from geomosaic.mosaic.alignment import read_alignment
 from geomosaic.mosaic.area import Area, Outline, area_seen, read_outline
+from geomosaic.mosaic.grid import auto_gsd_m
 from geomosaic.mosaic.views import FrameView
 
 
@@ -19,10 +22,24 @@ class Extent:
     area: Area | None = None
 
 
-def extent(aoi: Path | None, crs: str, views: Sequence[FrameView]) -> Extent:
+def laid_extent(aoi: Path | None, crs: str, views: Sequence[FrameView]) -> Extent:
     """All the frames see, or what of it lies in the file's polygons. Raises: as `area_seen`."""
     if aoi is None or not views:
         return Extent(tuple(views))
     outline = read_outline(aoi)
     area, views = area_seen(outline, crs, views)
     return Extent(views, outline, area)
+
+
+def laid_pixel(
+    gsd_m: float | Literal["auto"], align_to: Path | None, crs: str, ground_pixel_m: float
+) -> tuple[float, tuple[float, float]]:
+    """The ground pixel, and a place on the map where four of them meet: the raster's, or the map's zero.
+
+    Raises: as `read_alignment`; `InputError` where the raster is in another CRS.
+    """
+    if align_to is not None:
+        alignment = read_alignment(align_to)
+        alignment.check_crs(crs)
+        return alignment.gsd_m, alignment.origin_m
+    return (auto_gsd_m(ground_pixel_m) if gsd_m == "auto" else gsd_m), (0.0, 0.0)

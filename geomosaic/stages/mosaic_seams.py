@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.alignment import read_alignment
 from geomosaic.mosaic.area import elsewhere, read_outline
-from geomosaic.mosaic.grid import MAX_GIGAPIXELS, auto_gsd_m, far_from_own, output_grid, without_flung
+from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
@@ -21,7 +22,7 @@ from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.mosaic_grid import extent as laid_extent
+from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.survey.model import Survey
 
 _MENDED = "polygons that cross themselves were mended; is the mosaic's edge the one that was meant?"
@@ -59,6 +60,11 @@ class MosaicSeams(Stage):
             help="area that the mosaic is cut to: a GeoPackage, GeoJSON, Shapefile, FlatGeobuf or KML of "
             "polygons, in any CRS",
         )
+        align_to: Path | None = param(
+            None,
+            help="raster whose ground pixel and corner the mosaic takes over, so that their pixels coincide; "
+            "survey.read.crs must be its CRS, as --align-to sees to",
+        )
         seam: str = param(
             "least_difference",
             help="who gives a pixel where frames overlap: the one that looks down most steeply, or near the "
@@ -75,9 +81,13 @@ class MosaicSeams(Stage):
 
     @classmethod
     def check(cls, params: Params) -> None:
-        """The area's polygons."""
+        """The area's polygons, and the header of the raster to align to."""
         if params.aoi is not None:
             read_outline(params.aoi)
+        if params.align_to is not None:
+            alignment = read_alignment(params.align_to)
+            if params.gsd_m != "auto":
+                alignment.check_gsd(params.gsd_m)
 
     @classmethod
     def plugged(cls, params: Params) -> list[tuple[str, str]]:
@@ -96,7 +106,7 @@ class MosaicSeams(Stage):
         ground_pixel_m = inputs["placement"].ground_pixel_m
         if not any(survey.located):
             ground_pixel_m = float(np.median([v.gsd_m for v in views])) if views else np.nan
-        gsd_m = auto_gsd_m(ground_pixel_m) if params.gsd_m == "auto" else params.gsd_m
+        gsd_m, origin_m = laid_pixel(params.gsd_m, params.align_to, survey.map_crs, ground_pixel_m)
         if meaning := far_from_own(gsd_m, ground_pixel_m):
             own = f"the frames' own is {ground_pixel_m:.3g} m"
             context.warn("gsd-far", "", f"the mosaic's pixel is {gsd_m:.3g} m, {own}: {meaning}")
@@ -109,7 +119,7 @@ class MosaicSeams(Stage):
             moved = adjusted.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
             away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
             context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
-        grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels)
+        grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels, origin_m)
         scene = Scene(survey.work_frame, ground, grid, views)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
         if extent.area is not None and extent.outline is not None:
