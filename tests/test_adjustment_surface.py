@@ -117,7 +117,7 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
     for seed in range(40, 48):
         land, (at, sd) = rolling_land(seed), points(seed, 2500)
         at[:, 2] = land(at[:, 0], at[:, 1]) + at[:, 2] - dome(at[:, 0], at[:, 1])
-        found = tie_surface(at, sd, LOW, HIGH, 100.0, rated=True)
+        found = tie_surface(at, sd, LOW, HIGH, 100.0)
         assert found.sd_at(0.0, 0.0) < 0.3
         assert found.sd_at(128.0, 0.0) > 2.0 * found.sd_at(110.0, 0.0)
         n = np.linspace(-75.0, 75.0, 31)
@@ -131,9 +131,9 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
 def test_level_land_goes_on_level_and_says_so() -> None:
     at, sd = points(9, 2500)
     at[:, 2] += 300.0 - dome(at[:, 0], at[:, 1])
-    found = tie_surface(at, sd, LOW, HIGH, 100.0, rated=True)
+    found = tie_surface(at, sd, LOW, HIGH, 100.0)
     assert found.sd_at(125.0, 0.0) < 0.15
-    assert tie_surface(at, sd, LOW, HIGH, 100.0).sd_m is None
+    assert tie_surface(at, sd, LOW, HIGH, 100.0, rough=True).sd_m is None
 
 
 def line(seed: int, base_m: float, relief=level, frames: int = 8) -> Block:  # type: ignore[no-untyped-def]

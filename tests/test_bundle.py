@@ -329,8 +329,10 @@ def test_two_cameras_in_one_block() -> None:
     assert {of for of in adjusted.shared.of if of != "platform"} == {"plain", "other"}
 
 
-def test_a_step_changes_the_blocks_scale_last() -> None:
-    """20 px of principal point, frames that follow it, and a tenth of scale: added up they miss by 2 px."""
+@pytest.mark.parametrize(("scale", "turn_deg"), [(0.1, (0.0, 0.0, 0.0)), (0.0, (1.0, -2.0, 5.0))])
+def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: tuple[float, ...]) -> None:
+    """20 px of principal point, frames that follow it, and a tenth of scale: added up they miss by 2 px; so do
+    turns of some degrees."""
     flown, camera = fly(4, 3, 6), Camera("plain", 800, 600, 1000.0, 402.0, 297.0)
     frames = len(flown.block.names)
     rng = np.random.default_rng(4)
@@ -343,13 +345,21 @@ def test_a_step_changes_the_blocks_scale_last() -> None:
     def seen(s: State) -> np.ndarray:
         return image_from_ground(s.positions[f], s.rotations[f], s.interior[f * 0], s.points[n])
 
-    scale, middle = 0.1, points.mean(axis=0)
+    turn, middle, principal_px = np.radians(turn_deg), points.mean(axis=0), 20.0 if scale else 0.0
+
+    def moved(places: np.ndarray) -> np.ndarray:
+        return scale * (places - middle) + np.cross(turn, places - middle)
+
     pose, interior = np.zeros((frames, 6)), np.zeros((1, 9))
-    pose[:, :3] = scale * (positions - middle) - [20.0 * 100.0 / camera.focal_length_px, 0.0, 0.0]
-    interior[0, 1] = -20.0
-    step = pose, interior, scale * (points - middle), 0.0, np.zeros(len(MOUNTING))
+    pose[:, :3] = moved(positions) - [principal_px * 100.0 / camera.focal_length_px, 0.0, 0.0]
+    pose[:, 3:] = turn
+    interior[0, 1] = -principal_px
+    step = pose, interior, moved(points), 0.0, np.zeros(len(MOUNTING))
     off_px = np.linalg.norm(seen(stepped(state, 1.0, *step)) - seen(state), axis=1)
-    assert off_px.max() < 0.1
+    added = replace(state, positions=positions + pose[:, :3], points=points + step[2])
+    added = replace(added, rotations=exp_turn(pose[:, 3:]) @ upright, interior=state.interior + interior)
+    added_px = np.linalg.norm(seen(added) - seen(state), axis=1)
+    assert off_px.max() < 0.1 and added_px.max() > 1.0, (off_px.max(), added_px.max())
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -69,7 +69,7 @@ def chosen_ground(
     block: Block, asked: str, bundle: Bundle, lengths: Ints, part: Ints
 ) -> tuple[GroundSurface, float]:
     """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
-    ground pixels it moves points is the second, NaN where not known.
+    ground pixels it moves points is the second, NaN where not known. The surface is a rough one.
 
     Where hardly a point is seen from three frames, the frames' tilts and the relief can't be told apart, and
     flat ground is to be tried first, see `lies_flat`.
@@ -83,7 +83,7 @@ def chosen_ground(
     few = len(points) < LEAST_POINTS
     if asked == "flat" or few or (asked == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
         return flat, float("nan")
-    surface = surface_of(block, flat, bundle)
+    surface = surface_of(block, flat, bundle, rough=True)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
     shown = float(np.sqrt(np.mean(np.square(relief - _bends(points, relief, part)))))
     relief_px = 0.5 * shown / _least_relief_m(block)
@@ -108,15 +108,15 @@ def _grown(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
     return shares * numbers * float((~bound.left_out).sum())
 
 
-def surface_of(block: Block, flat: GroundSurface, bundle: Bundle, *, rated: bool = False) -> GroundSurface:
-    """The surface of the points, over all that points and frames cover; flat: about their level; rated: see
+def surface_of(block: Block, flat: GroundSurface, bundle: Bundle, *, rough: bool = False) -> GroundSurface:
+    """The surface of the points, over all that points and frames cover; flat: about their level; rough: see
     `tie_surface`."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
     sd_up_m = bundle.points_sd_m[:, 2]
-    return tie_surface(bundle.points_m, sd_up_m, low_m, high_m, height_m, rated=rated)
+    return tie_surface(bundle.points_m, sd_up_m, low_m, high_m, height_m, rough=rough)
 
 
 def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:

@@ -215,7 +215,7 @@ def _by_all(work: _Work) -> _Work:
         found = by_all_points(block, work.settings, work.tracks, found)
     if found.ground.kind == "tie_surface":
         bundle = found.of_ties
-        ground = surface_of(block, levelled(block.ground, bundle), bundle, rated=True)
+        ground = surface_of(block, levelled(block.ground, bundle), bundle)
         found = replace(found, ground=ground)
     return replace(work, found=found)
 

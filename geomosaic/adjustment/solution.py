@@ -86,9 +86,8 @@ def solution(
     ground = levelled(ground, _of_ties(bound, kept))
     tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
     if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
-        return Solution(
-            kept, seen, priors, solved, surface_of(block, ground, _of_ties(solved, kept)), relief_px
-        )
+        surface = surface_of(block, ground, _of_ties(solved, kept), rough=True)
+        return Solution(kept, seen, priors, solved, surface, relief_px)
     return Solution(kept, seen, bound_priors, bound, ground, relief_px)
 
 

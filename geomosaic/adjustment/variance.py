@@ -47,6 +47,7 @@ _LEAST_REDUNDANCY = 3.0
 _COMMON = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
 """Unknowns that the frames of a part have in common, see `own_miss`."""
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of residuals (2,) with a deviation of 1 each
+_SCALINGS = 12  # each halves what a scale is off by
 _MEDIAN_ONE = 0.6745  # of the size of a residual with a deviation of 1
 
 
@@ -77,16 +78,14 @@ def variance_components(
     tied = ~control & has_say(tracks, priors)
     if tied.any():
         shown = share_shown(tracks, priors)[tied]
-        error = np.nan_to_num(length_px[tied] / (factors.image_px * np.sqrt(shown)), nan=1e6)
         settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
         if state.swing is not None:
             settled += float((variances[:, 6:] / of_swing.reshape(len(variances), -1) ** 2).sum())
         unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
-        redundancy = max(2.0 * len(error) - unknowns, 1.0)
-        squares = float((shown * student_weight(error) * error**2).sum()) / TELLS
-        image_px = factors.image_px * float(np.sqrt(squares / redundancy))
+        redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
+        image_px = _scale_px(length_px[tied] / np.sqrt(shown), shown, redundancy, factors.image_px)
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH))
     if image_only:
@@ -106,6 +105,16 @@ def variance_components(
         by_group[group] = float(factor)
     swing = _swing_factors(priors, state, of_swing, variances[:, 6:], factors)
     return replace(factors, **by_group, swing=swing)
+
+
+def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: float) -> float:
+    """The scale of Student's distribution that errors of so much redundancy have; NaN are beyond all."""
+    error_px, scale_px = np.nan_to_num(error_px, nan=1e6 * begun_px), begun_px
+    for _ in range(_SCALINGS):
+        error = error_px / scale_px
+        squares = float((shown * student_weight(error) * error**2).sum()) / TELLS
+        scale_px *= float(np.sqrt(squares / redundancy))
+    return scale_px
 
 
 def _swing_factors(
