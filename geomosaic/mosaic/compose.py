@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -72,7 +72,7 @@ def compose(
         raise UnknownNameError("resampling", resampling, RESAMPLING)
     feather_m = AUTO_FEATHER_PX * grid.gsd_m if feather_m is None else feather_m
     views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
-    kind = _common_kind([survey.frames[v.frame] for v in views])
+    kind = common_kind([survey.frames[v.frame] for v in views])
     scene = Scene(survey.work_frame, ground, grid, views)
     ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]
     how = BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"]
@@ -92,16 +92,19 @@ def compose(
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
         try:
-            plan = _plan(planning, survey.frames, order, pool, check_cancelled)
-            frames = DecodedFrames(
-                [[p.source.number for p in step.parts] for step in plan],
-                {v.frame: decoded_bytes(survey.frames[v.frame]) for v in views},
-                memory_bytes,
-                pool,
-                lambda i: decode(survey.frames[i], KERNEL_RADIUS_PX[resampling]),
+            frames, done_windows = walk(
+                planning,
+                manner,
+                scene.grid,
+                survey.frames,
+                order,
+                resampling,
+                memory_bytes=memory_bytes,
+                pool=pool,
+                threads=threads,
+                check_cancelled=check_cancelled,
             )
-            work = partial(_composed, manner, planning, grid)
-            for done, window in enumerate(composed(plan, work, frames, pool, threads, check_cancelled)):
+            for done, window in enumerate(done_windows):
                 raster.write(window)
                 labels.add(window)
                 gave_pixels.update(window.gave)
@@ -121,6 +124,35 @@ def compose(
         decodes=frames.decodes,
         holes=labels.holes(),
     )
+
+
+def walk(
+    planning: Planning,
+    manner: Manner,
+    grid: OutputGrid,
+    frames: Sequence[Frame],
+    order: Sequence[Window],
+    resampling: str,
+    *,
+    memory_bytes: int,
+    pool: ThreadPoolExecutor,
+    threads: int,
+    check_cancelled: Callable[[], None] | None,
+) -> tuple[DecodedFrames, Iterator[Composed]]:
+    """Windows of the grid composed in their order, and the supply of decoded frames that they take.
+
+    Args: frames: all of the survey's; planning says which of them take part.
+    """
+    plan = _plan(planning, frames, order, pool, check_cancelled)
+    supply = DecodedFrames(
+        [[p.source.number for p in step.parts] for step in plan],
+        {number: decoded_bytes(frames[number]) for number in planning.sources},
+        memory_bytes,
+        pool,
+        lambda i: decode(frames[i], KERNEL_RADIUS_PX[resampling]),
+    )
+    work = partial(_composed, manner, planning, grid)
+    return supply, composed(plan, work, supply, pool, threads, check_cancelled)
 
 
 def _plan(
@@ -150,7 +182,7 @@ def _composed(
     return done if planning.area is None else done.cut(planning.area.mask(grid, step.window))
 
 
-def _common_kind(frames: Sequence[Frame]) -> Frame:
+def common_kind(frames: Sequence[Frame]) -> Frame:
     """A frame whose bands and data type all share."""
     if not frames:
         raise InputError("no frame is left to make a mosaic of", mend="check the positions and attitudes")

@@ -113,14 +113,14 @@ class MosaicSeams(Stage):
         extent = laid_extent(params.aoi, survey.map_crs, views)
         if extent.outline is not None and extent.outline.mended:
             context.warn("aoi-mended", "", f"{extent.outline.file.name}: {_MENDED}")
-        views, flung = without_flung(extent.views, gsd_m, params.max_gigapixels)
+        seeing, flung = without_flung(extent.views, gsd_m, params.max_gigapixels)
         for view in flung:
             used[view.frame] = False
             moved = adjusted.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
             away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
             context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
-        grid = output_grid(survey.map_crs, views, gsd_m, names, params.max_gigapixels, origin_m)
-        scene = Scene(survey.work_frame, ground, grid, views)
+        grid = output_grid(survey.map_crs, seeing, gsd_m, names, params.max_gigapixels, origin_m)
+        scene = Scene(survey.work_frame, ground, grid, seeing)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
         if extent.area is not None and extent.outline is not None:
             ownership = within(ownership, extent.area)

@@ -1,0 +1,126 @@
+"""Each frame by itself on the mosaic's grid: its pixels before they are one picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.doors.raster import unreferenced_is_fine
+from geomosaic.mosaic.blends import BLENDS, STEP_PX
+from geomosaic.mosaic.compose import WINDOW_PX, common_kind, walk
+from geomosaic.mosaic.frame_source import FrameSource
+from geomosaic.mosaic.frames import decoded_bytes
+from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.ownership import Ownership
+from geomosaic.mosaic.plan import Planning, windows
+from geomosaic.mosaic.raster import writing_mosaic
+from geomosaic.mosaic.scene import Scene
+from geomosaic.mosaic.tones import Tones
+from geomosaic.mosaic.views import FrameView, frame_views
+from geomosaic.mosaic.window import Manner, Window
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Frame, Survey
+
+_SPARE: Final = 0.02
+"""Of a frame's bounds, which are those of places along its edges: a bent edge may reach a little farther."""
+
+
+@dataclass(frozen=True)
+class Ortho:
+    """A frame (an index into `Survey.frames`) as a raster, and how many cells of the mosaic it gives."""
+
+    frame: int
+    raster: Path
+    cells: int
+
+
+def orthos(
+    survey: Survey,
+    adjusted: Adjusted,
+    ground: GroundSurface,
+    ownership: Ownership,
+    folder: Path,
+    *,
+    resampling: str = "cubic",
+    tones: Tones | None = None,
+    threads: int = 2,
+    check_cancelled: Callable[[], None] | None = None,
+) -> Iterator[Ortho | None]:
+    """For each frame that may give pixels its raster in folder, with a mask; None where it shows nothing.
+
+    A raster is the caller's to take away before the next one is asked for. Pixels are those of the mosaic
+    where the frame alone gives them, cut to its area. In memory are one frame and the windows at work.
+
+    Raises: as `compose`.
+    """
+    grid = ownership.grid
+    views = frame_views(
+        survey.work_frame, grid.crs, adjusted.poses, adjusted.cameras, ownership.used.tolist(), ground
+    )
+    kind = common_kind([survey.frames[v.frame] for v in views])
+    scene = Scene(survey.work_frame, ground, grid, views)
+    manner = Manner(BLENDS["hard"], kind.bands, kind.dtype, scene.lattice)
+    cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)
+    for view in views:
+        source = FrameSource(scene, ownership, view, resampling, tones)
+        path = folder / f"{view.frame}.tif"
+        shows = _write(source, survey, manner, kind, path, threads, check_cancelled)
+        yield Ortho(view.frame, path, int(cells[view.frame + 1])) if shows else None
+
+
+def _write(
+    source: FrameSource,
+    survey: Survey,
+    manner: Manner,
+    kind: Frame,
+    path: Path,
+    threads: int,
+    check_cancelled: Callable[[], None] | None,
+) -> bool:
+    """One frame's raster, and whether it shows anything."""
+    grid, frame = source.scene.grid, survey.frames[source.number]
+    within = _window(grid, source.view)
+    if within is None:
+        return False
+    planning = Planning({source.number: source}, 0, 0.0, source.ownership.area)
+    part, shows = _part(grid, within), False
+    order = [_moved(w, within.col, within.row) for w in windows(part, WINDOW_PX)]
+    with unreferenced_is_fine(), ThreadPoolExecutor(threads) as pool:
+        _, done = walk(
+            planning, manner, grid, survey.frames, order, source.resampling,
+            memory_bytes=decoded_bytes(frame), pool=pool, threads=threads, check_cancelled=check_cancelled,
+        )  # fmt: skip
+        with writing_mosaic(path, part, kind.bands, kind.dtype, None, ()) as raster:
+            for window in done:
+                shows |= bool(window.valid.any())
+                raster.write(replace(window, window=_moved(window.window, -within.col, -within.row)))
+    return shows
+
+
+def _moved(window: Window, cols: int, rows: int) -> Window:
+    return replace(window, col=window.col + cols, row=window.row + rows)
+
+
+def _window(grid: OutputGrid, view: FrameView) -> Window | None:
+    """What of the grid a frame may show, from whole steps on, as the mosaic's windows are."""
+    west, south, east, north = view.bounds_m
+    spare_px = math.ceil(_SPARE * max(east - west, north - south) / grid.gsd_m)
+    first_col, last_col = ((x - grid.west_m) / grid.gsd_m for x in (west, east))
+    first_row, last_row = ((grid.north_m - y) / grid.gsd_m for y in (north, south))
+    col, row = (max((math.floor(a) - spare_px) // STEP_PX * STEP_PX, 0) for a in (first_col, first_row))
+    width = min(math.ceil(last_col) + spare_px, grid.width_px) - col
+    height = min(math.ceil(last_row) + spare_px, grid.height_px) - row
+    return Window(col, row, width, height) if width > 0 and height > 0 else None
+
+
+def _part(grid: OutputGrid, window: Window) -> OutputGrid:
+    """The grid of a window."""
+    west_m, north_m = grid.west_m + window.col * grid.gsd_m, grid.north_m - window.row * grid.gsd_m
+    return replace(grid, west_m=west_m, north_m=north_m, width_px=window.width, height_px=window.height)

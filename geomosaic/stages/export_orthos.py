@@ -1,0 +1,88 @@
+"""orthos/: each frame by itself on the mosaic's grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.errors import InputError
+from geomosaic.export.cog import COMPRESSIONS, write_cog
+from geomosaic.export.orthos import ortho_names, write_orthos_vrt
+from geomosaic.mosaic.orthos import orthos
+from geomosaic.mosaic.ownership import Ownership
+from geomosaic.mosaic.tones import Tones
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.resample import RESAMPLING
+from geomosaic.survey.model import Survey
+
+ORTHOS = "orthos"
+VRT = "orthos.vrt"
+
+
+class ExportOrthos(Stage):
+    """Writes orthos/FRAME.tif, a COG with a mask of each frame in use, and orthos/orthos.vrt over them.
+
+    On the mosaic's grid and in its tones, cut to its area. In the VRT the frames that give most of the mosaic
+    lie on top.
+    """
+
+    id = "export.orthos"
+    display_name = "Write the frames' orthos"
+    group = "Export"
+    version = 1
+    inputs: ClassVar[dict[str, type]] = {
+        "survey": Survey,
+        "ground": GroundSurface,
+        "adjusted": Adjusted,
+        "ownership": Ownership,
+    }
+    optional_inputs: ClassVar[dict[str, type]] = {"tones": Tones}
+    outputs: ClassVar[dict[str, type]] = {"orthos_folder": RunFile}
+    results: ClassVar[tuple[str, ...]] = (ORTHOS,)
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
+        compression: str = param(
+            "deflate", help="as export.cog's; webp and jpeg are smaller", choices=COMPRESSIONS
+        )
+        quality: int = param(90, help="of webp and jpeg", unit="%", ge=1, le=100)
+        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        """Frame by frame, by the engine that composes the mosaic."""
+        survey: Survey = inputs["survey"]
+        ownership: Ownership = inputs["ownership"]
+        names = ortho_names([f.name for f in survey.frames])
+        total, written = int(ownership.used.sum()), []
+        if survey.other_bands:
+            context.warn("bands-left-out", "", f"orthos show only {survey.band} of the rig's bands")
+        with context.writing(ORTHOS) as folder, TemporaryDirectory(dir=context.work_folder) as scratch:
+            folder.mkdir()
+            made = orthos(
+                survey, inputs["adjusted"], inputs["ground"], ownership, Path(scratch),
+                resampling=params.resampling, tones=inputs.get("tones"), threads=params.threads,
+                check_cancelled=context.check_cancelled,
+            )  # fmt: skip
+            for done, ortho in enumerate(made):
+                context.progress(done, total, "orthos")
+                if ortho is None:
+                    continue
+                write_cog(
+                    ortho.raster, folder / names[ortho.frame],
+                    compression=params.compression, quality=params.quality, threads=params.threads,
+                    progress=lambda *_: context.check_cancelled(),
+                )  # fmt: skip
+                ortho.raster.unlink()
+                written.append((ortho.cells, -ortho.frame))
+            if not written:
+                raise InputError("no frame shows anything of the mosaic's area", mend="run the recipe again")
+            lowest_first = [folder / names[-frame] for _, frame in sorted(written)]
+            write_orthos_vrt(lowest_first, folder / VRT)
+        context.metric("orthos.frames", len(written))
+        return {"orthos_folder": context.run_file(ORTHOS)}
