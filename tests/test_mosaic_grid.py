@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic import compose as compose_module
 from geomosaic.mosaic.area import Outline, area_seen
+from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.frames import Decoded
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
@@ -162,6 +164,27 @@ def test_an_area_with_a_hole_cuts_the_mosaic_and_leaves_the_rest(tmp_path: Path,
     assert cut.holes.number == 0
     with rasterio.open(tmp_path / "RUN" / "sources.tif") as tiff:
         assert ((tiff.read(1) > 0) == wanted).all()
+
+
+def test_windows_at_an_areas_edge_are_cut_to_the_pixel(tmp_path: Path, flown: Any) -> None:
+    """An L over many windows: inside not a bit differs from the mosaic of the same owners without an area."""
+    given, (_, _, whole, _) = flown
+    (w, s), _, (e, n), _ = around(whole, -21.03, -17.02, 20.01, 18.04)
+    ring = [(w, s), (e, s), (e, s + 8.0), (w + 6.0, s + 8.0), (w + 6.0, n), (w, n)]
+    aoi = polygons(tmp_path / "area.gpkg", CRS, [ring])
+    owned, _ = seams(tmp_path, given, aoi=aoi, gsd_m=0.02)
+    told = given["survey"], given["adjusted"].poses, [CAMERA] * 6, [True] * 6, given["ground"], owned.grid
+    asked: list[int] = []
+    for name, of in (("cut", owned), ("all", replace(owned, area=None))):
+        compose(*told, tmp_path / f"{name}.tif", ownership=of, progress=lambda _, total: asked.append(total))
+    assert asked[0] == 12 and asked[-1] == 20, "windows of 512 px"
+    with rasterio.open(tmp_path / "cut.tif") as cut, rasterio.open(tmp_path / "all.tif") as every:
+        east = owned.grid.west_m + (np.arange(cut.width) + 0.5) * 0.02
+        rows = (owned.grid.north_m - (np.arange(cut.height) + 0.5) * 0.02)[:, None]
+        wanted = (east > w) & (east < e) & (rows > s) & (rows < n) & ((east < w + 6.0) | (rows < s + 8.0))
+        valid = cut.dataset_mask() > 0
+        assert ((every.dataset_mask() > 0) & wanted == valid).all() and valid.sum() > 0.95 * wanted.sum()
+        assert (cut.read()[:, valid] == every.read()[:, valid]).all()
 
 
 @pytest.mark.parametrize("name", ["area.geojson", "area.shp", "area.kml", "area.gpkg"])
