@@ -308,13 +308,14 @@ def test_both_libraries_and_proj_are_told_to_stay_offline() -> None:
     assert os.environ["PROJ_NETWORK"] == "OFF" and os.environ["GDAL_VRT_ENABLE_PYTHON"] == "NO"
 
 
-def test_rasters_are_opened_by_the_one_door_alone() -> None:
+def test_rasters_and_outlines_are_opened_by_their_one_door_alone() -> None:
     package = Path(geomosaic.__file__).parent
-    opens = re.compile(r"cv2\.imread\(|gdal\.Open(Ex)?\(|rasterio\.open\((?![^)]*\"w\")|DatasetReader\(")
+    doors = package / "doors" / "raster.py", package / "doors" / "vector.py"
+    opens = re.compile(r"cv2\.imread\(|gdal\.Open(Ex)?\(|ogr\.Open\w*\(|rasterio\.open\((?![^)]*\"w\")|DatasetReader\(")
     found = [
         f"{path.relative_to(package)}: {match.group()}"
         for path in package.rglob("*.py")
-        if path != package / "doors" / "raster.py"
+        if path not in doors
         for match in opens.finditer(path.read_text(encoding="utf-8"))
     ]
     assert not found
