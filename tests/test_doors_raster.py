@@ -311,7 +311,9 @@ def test_both_libraries_and_proj_are_told_to_stay_offline() -> None:
 def test_rasters_and_outlines_are_opened_by_their_one_door_alone() -> None:
     package = Path(geomosaic.__file__).parent
     doors = package / "doors" / "raster.py", package / "doors" / "vector.py"
-    opens = re.compile(r"cv2\.imread\(|gdal\.Open(Ex)?\(|ogr\.Open\w*\(|rasterio\.open\((?![^)]*\"w\")|DatasetReader\(")
+    opens = re.compile(
+        r"cv2\.imread\(|gdal\.Open(Ex)?\(|ogr\.Open\w*\(|rasterio\.open\((?![^)]*\"w\")|DatasetReader\("
+    )
     found = [
         f"{path.relative_to(package)}: {match.group()}"
         for path in package.rglob("*.py")
