@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 # powers, which no lens has. And of a focal length without a stated one.
 _LENS_SD = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)}
 _FOCAL_SD = 0.005
-_PRINCIPAL_SD = 0.003
+_PRINCIPAL_SD = 0.003, 0.01
 _READOUT_SD_S = 0.05
 NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
 _ZERO_SD_RAD_PER_S = 0.05  # a small gyroscope's zero is off by a degree or two a second
@@ -96,11 +96,13 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that is known, or that
     nobody told of and nobody asked for.
 
-    The principal point is known no better than the focal length: small drones' are off by one in a hundred.
+    The principal point is known no better than the focal length, between three and ten in a thousand of the
+    longer side: small drones' are off by one in a hundred, whatever is known of their focal length.
     Of a distortion of known deviation each term alone moves the frame's corner by no more than that.
     """
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
-    principal = max(_PRINCIPAL_SD * max(camera.width_px, camera.height_px), focal)
+    least, most = (sd * max(camera.width_px, camera.height_px) for sd in _PRINCIPAL_SD)
+    principal = min(max(focal, least), most)
     lens = _LENS_SD[camera.kind]
     if camera.distortion_sd:
         corner = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px

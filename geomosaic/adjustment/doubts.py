@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
+from geomosaic.survey.strays import UPRIGHT
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 _POSITION_LIES = 6.0
 _YAW_LIES_DEG = 8.0
 _SAME_PLACE_M = 1e-3  # positions given alike say nothing of the scale
@@ -26,11 +28,38 @@ _SHIFT_IN_DOUBT = 5.0
 _MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
 
 
-def lying_tags(block: Block, poses: Poses) -> list[Warn]:
-    """Frames whose POS the block contradicts far beyond its deviation, with before and after."""
+def strayed_frames(block: Block, poses: Poses) -> dict[int, Warn]:
+    """Frames that came to lie far from their own positions and to look aside among others that look down, by
+    number. Flat ground seen aslant has two poses that look alike: where a frame was told to look down and
+    looks to the horizon, the wrong one is found.
+    """
+    far, limit = _off_m(block, poses)
+    tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
+    aside = tilt > float(np.median(tilt)) + UPRIGHT.value
+    if np.median(tilt) > UPRIGHT.value:
+        return {}
+    return {
+        int(i): Warn(
+            "frame-oblique",
+            block.names[i],
+            f"by the pictures it looks {tilt[i]:.0f} degrees aside of straight down, {far[i]:.0f} m from its "
+            "own position; left out",
+        )
+        for i in np.flatnonzero(aside & (far > limit))
+    }
+
+
+def _off_m(block: Block, poses: Poses) -> tuple[Floats, Floats]:
+    """How far frames came to lie from where their positions say, in plan, and what is too far for one."""
     moved = poses.positions_m - block.poses.positions_m
     far = np.where(position_assumed(block.poses), 0.0, np.linalg.norm(moved[:, :2], axis=1))
-    limit = _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
+    return far, _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
+
+
+def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> list[Warn]:
+    """Frames whose POS the block contradicts far beyond its deviation, with before and after; not those that
+    are left out."""
+    far, limit = _off_m(block, poses)
     turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
     told, found = (
         np.degrees(Rotation(p.rotations).yaw_pitch_roll()[0]) % 360.0 for p in (block.poses, poses)
@@ -43,6 +72,7 @@ def lying_tags(block: Block, poses: Poses) -> list[Warn]:
             f"its position was off by {far[i]:.0f} m; placed by its neighbours",
         )
         for i in np.flatnonzero(far > limit)
+        if i not in strayed
     ]
     return out + [
         Warn(
@@ -51,6 +81,7 @@ def lying_tags(block: Block, poses: Poses) -> list[Warn]:
             f"its heading was given as {told[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
         )
         for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses))
+        if i not in strayed
     ]
 
 

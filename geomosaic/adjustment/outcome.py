@@ -56,13 +56,14 @@ def settled(
     figures: dict[str, float] | None = None,
     spread: Spread | None = None,
     unsolved: Collection[int] = (),
+    strayed: Collection[int] = (),
 ) -> Adjusted:
     """The outcome for poses found by any method: `tied` are frames with tie points, the others are
     `placed` by POS alone, as are those `unsolved`. spread: see `control_residuals`; given by methods that
-    used control. Frames that nothing places are `rejected`, see `unplaced_parts`."""
+    used control. Frames that nothing places are `rejected`, see `unplaced_parts`, and those `strayed`."""
     cameras, ground = cameras or block.cameras, ground or block.ground
     tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)} - set(unsolved)
-    nowhere = {i for part in unplaced_parts(block) for i in part}
+    nowhere = {i for part in unplaced_parts(block) for i in part} | set(strayed)
     control = control_residuals(block, poses, cameras, ground, spread)
     return Adjusted(
         poses=poses,

@@ -25,6 +25,7 @@ from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
     lying_tags,
+    strayed_frames,
     strayed_lenses,
     undetermined_wishes,
     unsolved_frames,
@@ -179,7 +180,7 @@ def _model_chosen(work: _Work) -> _Work:
     block, settings, choice = chosen_model(work.block, work.settings, found.ties, found.of_ties, solve)
     if choice is None or not choice.taken:
         return replace(work, choice=choice)
-    chosen = replace(work.again(block, settings), choice=choice)
+    chosen = _heights_freed(replace(work.again(block, settings), choice=choice))
     if contradicts(chosen.found.bundle, found.bundle):
         return replace(work, choice=choice.contradicted_at_last())
     return chosen
@@ -241,7 +242,7 @@ def _outcome(work: _Work) -> Adjusted:
     common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
     bundle = with_common_error(bundle, common_m2)
     moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
-    shared = _shared(bundle, found.priors)
+    shared, strayed = _shared(bundle, found.priors), strayed_frames(block, bundle.poses)
     outcome = settled(
         block,
         bundle.poses,
@@ -249,7 +250,8 @@ def _outcome(work: _Work) -> Adjusted:
         cameras=tuple(bundle.cameras[k] for k in block.lens_of),
         ground=found.ground,
         warnings=(
-            *lying_tags(block, bundle.poses),
+            *lying_tags(block, bundle.poses, strayed),
+            *strayed.values(),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *height_drift(given, bundle.poses, np.unique(seen.frame)).warnings(given),
             *undetermined_wishes(shared, given.cameras),
@@ -258,6 +260,7 @@ def _outcome(work: _Work) -> Adjusted:
             *model_warnings(block, work.choice),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
+        strayed=strayed,
         figures=_figures(bundle, found.ties) | _relief(found) | _shape(block, found),
         spread=spread_of(bundle, block.lens_of, common_m2),
     )

@@ -1,0 +1,40 @@
+"""What an adjusted block says against what it was given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from adjustment_blocks import fly
+
+from geomosaic.adjustment.doubts import lying_tags, strayed_frames
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import exp_turn
+
+
+def _moved(poses: Poses, frame: int, east_m: float, tilt_deg: float) -> Poses:
+    positions, rotations = poses.positions_m.copy(), poses.rotations.copy()
+    positions[frame, 0] += east_m
+    rotations[frame] = exp_turn(np.radians([[tilt_deg, 0.0, 0.0]]))[0] @ rotations[frame]
+    return replace(poses, positions_m=positions, rotations=rotations)
+
+
+def test_a_frame_that_looks_aside_far_from_its_position_is_left_out() -> None:
+    block = fly(1).block
+    name = block.names[4]
+    for east_m, tilt_deg, strayed in ((200.0, 31.0, [4]), (200.0, 5.0, []), (3.0, 31.0, [])):
+        poses = _moved(block.poses, 4, east_m, tilt_deg)
+        found = strayed_frames(block, poses)
+        assert list(found) == strayed, (east_m, tilt_deg)
+        lies = [w.frame for w in lying_tags(block, poses, found) if w.code == "position-wrong"]
+        assert lies == ([name] if east_m > 100.0 and not strayed else [])
+        for warning in found.values():
+            assert warning.code == "frame-oblique" and warning.frame == name
+            assert "200 m from its own position" in warning.text
+
+
+def test_a_survey_that_looks_aside_keeps_its_frames() -> None:
+    block = fly(1).block
+    aside = exp_turn(np.radians(np.tile([45.0, 0.0, 0.0], (len(block.names), 1))))
+    poses = _moved(replace(block.poses, rotations=aside @ block.poses.rotations), 4, 200.0, 31.0)
+    assert strayed_frames(block, poses) == {}
