@@ -7,11 +7,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.header import FrameHeader
@@ -28,20 +29,56 @@ from geomosaic.survey.names import frame_name
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
-FILM_DIAGONAL_MM: Final = math.hypot(36.0, 24.0)
-SENSOR_WIDTHS_MM: Final = {
+FILM_DIAGONAL_MM: Annotated[
+    float,
+    Because(
+        "mm",
+        "of a picture of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
+        "CIPA DCG-001",
+    ),
+] = math.hypot(36.0, 24.0)
+SENSOR_WIDTHS_MM: Annotated[
+    dict[str, float],
+    Because(
+        "mm",
+        "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
+        "wrong one makes the focal length wrong by as much",
+        "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
+        "35.9; where the rest are from is not told",
+    ),
+] = {
     "fc300c": 6.17, "fc300s": 6.17, "fc300x": 6.17, "fc330": 6.17, "fc220": 6.17, "fc350": 6.17,
     "fc550": 17.3, "fc6310": 13.2, "fc6310r": 13.2, "fc6310s": 13.2, "fc6510": 13.2, "fc6520": 17.3,
     "l1d-20c": 13.2, "fc3411": 13.2, "l2d-20c": 17.3, "m3e": 17.3, "zenmusep1": 35.9, "s.o.d.a.": 12.75,
     "dsc-wx220": 6.17, "ilce-6000": 23.5, "ilce-7rm2": 35.9,
 }  # fmt: skip
-"""Width in mm of the whole sensor, which a frame of any shape fills from side to side."""
-
-_MAX_ASPECT_DIFFERENCE: Final = 0.003
-_BESIDE_35MM: Final = 0.15
-"""Share by which a maker's focal length may differ from the 35 mm equivalent and still be this picture's."""
-_UNLIKE_TAGS: Final = 1.5
-"""Factor between a camera file and the tags beyond which one is wrong: tags are good to a twentieth."""
+_MAX_ASPECT_DIFFERENCE: Annotated[
+    float,
+    Because(
+        "share of the ratio of the sides",
+        "between a camera and a frame of another size: resizing rounds sides to whole pixels; with more a "
+        "cropped picture would get the lens of the whole one",
+        CHOSEN,
+    ),
+] = 0.003
+_BESIDE_35MM: Annotated[
+    float,
+    Because(
+        "share of the 35 mm equivalent",
+        "by which a maker's focal length may differ from it and still be this picture's: whole millimetres "
+        "leave some per cent, a picture that was cut or taken by another lens differs by more",
+        CHOSEN,
+    ),
+] = 0.15
+_UNLIKE_TAGS: Annotated[
+    float,
+    Because(
+        "ratio",
+        "between the focal lengths of a camera file and the tags beyond which one is wrong: tags are good "
+        "to a twentieth, another unit is off by far more",
+        CHOSEN,
+    ),
+] = 1.5
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -37,13 +38,47 @@ ALIASES: Final[Aliases] = {
 """Columns of a table of control points; a point has one line per picture it was measured in, or one."""
 
 Floats = NDArray[np.float64]
-_FAR_M: Final = 5000.0
-_MOST_LINES: Final = 200_000
-_MOST_POINTS: Final = 20_000
-"""A point each two minutes for four months of working days, measured in ten pictures each."""
-_ROUNDED_M: Final = 1e-6
-LEAST_POINTS: Final = 2
-"""A similarity of the plane has four unknowns."""
+_FAR_M: Annotated[
+    float,
+    Because(
+        "m",
+        "from the farthest frame's reach to the nearest point: beyond, the CRS is another or columns are "
+        "swapped; with less, points beside frames with bad positions would be refused",
+        CHOSEN,
+    ),
+] = 5000.0
+_MOST_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "of a file of control: the most points in ten pictures each; without a limit a file of another "
+        "kind would take memory and time",
+        CHOSEN,
+    ),
+] = 200_000
+_MOST_POINTS: Annotated[
+    int,
+    Because(
+        "points", "one every two minutes for four months of working days; each adds to the solve", CHOSEN
+    ),
+] = 20_000
+_ROUNDED_M: Annotated[
+    float,
+    Because(
+        "m",
+        "two lines that are as far apart as is refused may come out nearer by so much: places are read "
+        "from decimal degrees; a metre to the digit is refused",
+        CHOSEN,
+    ),
+] = 1e-6
+LEAST_POINTS: Annotated[
+    int,
+    Because(
+        "points",
+        "that lay a block without positions onto the map; one leaves turn and scale open",
+        "a similarity of the plane has four unknowns",
+    ),
+] = 2
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 

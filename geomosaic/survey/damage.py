@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
@@ -15,20 +15,69 @@ import simplejpeg
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import JpegStructure, parse_structure
 
-_COARSE: Final = 4  # of the half-size picture: blur of some pixels doesn't show there
-_LEAST_LOOKED_AT_PX: Final = 32
+_COARSE: Annotated[
+    int,
+    Because(
+        "px of the half-size picture",
+        "side of the coarse pixels that fine detail is held against: blur of some pixels doesn't show in "
+        "them; smaller ones are blurred too, larger ones tell of the land",
+        CHOSEN,
+    ),
+] = 4
+_LEAST_LOOKED_AT_PX: Annotated[
+    int,
+    Because(
+        "px of the half-size picture",
+        "shortest side of a picture that is looked at: smaller ones have too few coarse pixels to tell "
+        "detail",
+        CHOSEN,
+    ),
+] = 32
 _EOI: Final = b"\xff\xd9"
-_MOST_SCANS: Final = 200  # a progressive JPEG has about 10; each takes as long as the whole picture
-_RUN_BYTES: Final = 64  # of one value: a disk's or a card's lost blocks; coded pictures hardly repeat a byte
+_MOST_SCANS: Annotated[
+    int,
+    Because(
+        "scans",
+        "a progressive JPEG has about 10, and each takes as long as the whole picture: a small file with "
+        "thousands would take hours",
+        CHOSEN,
+    ),
+] = 200
+_RUN_BYTES: Annotated[
+    int,
+    Because(
+        "bytes",
+        "of one value in a row that are lost blocks of a disk or a card, since coded pictures hardly "
+        "repeat a byte: fewer may be met by chance, many more miss what is left of a block",
+        CHOSEN,
+    ),
+] = 64
 _RUN: Final = re.compile(rb"(.)\1{%d,}" % (_RUN_BYTES - 1), re.DOTALL)
 _RESTART: Final = re.compile(rb"\xff[\xd0-\xd7]")
-_CONTEXT_ROWS: Final = 16  # colour is interpolated over the border of the blocks
-_TAIL: Final = np.random.default_rng(1).integers(0, 254, 4096, dtype=np.uint8).tobytes()
+_CONTEXT_ROWS: Annotated[
+    int,
+    Because(
+        "rows",
+        "left off above the damage: colour at half the size is interpolated over the border of its blocks, "
+        "which have 16 rows; fewer rows off leave its colour in, more throw whole ones away",
+        "ITU-T T.81, A.1.1 and A.2.3: sampling by 2 makes blocks of 16 rows",
+    ),
+] = 16
+_TAIL: Annotated[
+    bytes,
+    Because(
+        "bytes",
+        "put where data are lost, other than none: rows that come out differently lie below the damage; no "
+        "0xFF, so that none reads as a marker",
+        CHOSEN,
+    ),
+] = np.random.default_rng(1).integers(0, 254, 4096, dtype=np.uint8).tobytes()
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import check_name, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
@@ -16,7 +17,15 @@ from geomosaic.survey.names import frame_name, natural_key
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
 _MASK_ENDINGS: Final = ("_mask", ".mask")
-_MOST_MASK_BYTES: Final = 256 << 20  # of two values, packed: a frame of 200 megapixels takes less than 1 MB
+_MOST_MASK_BYTES: Annotated[
+    int,
+    Because(
+        "bytes",
+        "of a PNG mask: of two values, packed, one of 200 megapixels takes less than 1 MB, unpacked 200; a "
+        "larger file would take the memory",
+        CHOSEN,
+    ),
+] = 256 << 20
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
