@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,19 @@ from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix, csr_matrix
 
 from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_BATCH = 8192
+_BATCH: Annotated[
+    int,
+    Because(
+        "image observations",
+        "linearised at once, whole frames of them: their derivatives (2 to 4 MB) stay in the processor's "
+        "cache; fewer mean more calls, more go through the memory",
+        CHOSEN,
+    ),
+] = 8192
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,22 @@ from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.tracks import Tracks, nearest_to_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DATUM_IN_DOUBT = 3.0
+_DATUM_IN_DOUBT: Annotated[
+    float,
+    Because(
+        "deviations of a position",
+        "by which control lies off the block in the median before its positions are taken to be of another "
+        "datum and shifted along: with less their common noise is; with more, heights of another datum pull "
+        "against control",
+        CHOSEN,
+    ),
+] = 3.0
 
 
 @dataclass(frozen=True)

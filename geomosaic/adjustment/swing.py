@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -10,21 +11,52 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.rotation import exp_turn, log_turn
+from geomosaic.constants import Because
 
 Floats = NDArray[np.float64]
 
-TERMS = 4
-"""Functions of the row about each axis: Legendre's of degree 1 to 4, less what they are at the middle row. A
-swing of a whole period while a frame is read is met to a tenth, one of half a period to a hundredth."""
-RATE_SD_RAD_PER_S = 0.3
-"""To begin with, of what each function gives a frame's rates: 28 frames of a fixed wing of 0.7 kg have 0.26
-rad/s that they keep over a readout and 0.15 that come and go, by its gyroscope (root mean square of three
-axes). What the frames of a block really do is estimated, see `variance_components`."""
-GUST_M_PER_S = 0.5
-"""Of a velocity while a frame is read about that by positions: over the flying height it is a rate of
-turning, as far as level ground can tell. Taken as exact, chance differences of velocities would tell readout
-and scale."""
-_TABLED = 33  # times of a table of turns; linear between them: a period is met to 1 in 200
+TERMS: Annotated[
+    int,
+    Because(
+        "functions of the row",
+        "about each axis, Legendre's of degree 1 to 4, less what they are at the middle row: a swing of a "
+        "whole period while a frame is read is met to a tenth (root mean square), one of half a period to a "
+        "hundredth. Fewer can't follow motors, more are three unknowns a frame each",
+        "least squares of a sine by Legendre's polynomials; that 1 is too few: docs/design.md, swings (28 "
+        "frames of a Sequoia: 5.5 px with a constant rate, 0.91 px with four)",
+    ),
+] = 4
+RATE_SD_RAD_PER_S: Annotated[
+    float,
+    Because(
+        "rad/s",
+        "deviation, to begin with, of what each function gives a frame's rates; then it is estimated (see "
+        "`variance_components`). With much less, lens and poses take up turns first; with much more, turns "
+        "take up what poses do",
+        "gyroscope of 28 frames of a Sequoia on a fixed wing of 0.7 kg: 0.26 rad/s kept over a readout, "
+        "0.15 that come and go (root mean square of three axes)",
+    ),
+] = 0.3
+GUST_M_PER_S: Annotated[
+    float,
+    Because(
+        "m/s",
+        "deviation of a velocity while a frame is read about that by positions: over the flying height it "
+        "is a rate of turning, as far as level ground can tell. Taken as exact (0), chance differences of "
+        "velocities told readout and scale: blocks came out 12 and 21 % too large",
+        "commit 1b27d03: velocities by positions are off by 0.3 to 1 m/s; docs/results.md, velocities taken "
+        "as exact, seeds 37 and 48",
+    ),
+] = 0.5
+_TABLED: Annotated[
+    int,
+    Because(
+        "times",
+        "of a table of turns over a readout, linear between them: a swing of a period is met to 1 in 200; "
+        "with fewer its crests are cut",
+        "linear interpolation: (2 pi / 32)² / 8",
+    ),
+] = 33
 
 
 def terms_at(share: Floats, terms: int) -> tuple[Floats, Floats]:

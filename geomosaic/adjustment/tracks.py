@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,21 @@ from scipy.sparse.csgraph import connected_components
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.model import TiePoints
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_PARALLEL = float(np.radians(0.5) ** 2)
+_PARALLEL: Annotated[
+    float,
+    Because(
+        "rad²",
+        "weight of a point's given place beside its rays, half a degree squared: with less, points of rays "
+        "that are all but parallel run away along them; with more, far points are drawn to where they were "
+        "given",
+        CHOSEN,
+    ),
+] = float(np.radians(0.5) ** 2)
 
 
 @dataclass(frozen=True)

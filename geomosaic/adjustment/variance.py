@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,30 +26,131 @@ from geomosaic.adjustment.robust import TELLS, lie_weight, student_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.placement.prior import position_assumed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_LEAST_SIGMA_PX = 0.02
-_MAY_BE_CHANCE = 0.5  # of the stated variance: a dozen frames may show so little by chance
-_COMMON_SD_M = 2.5
-"""Per axis: clocks, orbits and the ionosphere move a code receiver's positions by 1 to 4 m for hours (GPS SPS
-Performance Standard 2020, table 3.8-3: 8 m at 95 % in the worst place)."""
-_DETERMINED = 0.7
-_ERRORS_ALIKE, _TELLING = 5.0, 600
-_PRIOR_FACTORS = (0.1, 10.0)
-"""EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or a car's; deviations that
-are stated in the wrong unit or for 1 of 3 axes are off by less than ten. Beyond, the tags are not what they
-say."""
-_SWING_FACTORS = (0.02, 10.0)
-"""Nobody tells what frames swing by: a copter's good mount leaves a twentieth of a small wing in gusts."""
-_LEAST_REDUNDANCY = 3.0
-_COMMON = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
-"""Unknowns that the frames of a part have in common, see `own_miss`."""
-_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of residuals (2,) with a deviation of 1 each
-_SCALINGS = 12  # each halves what a scale is off by
-_MEDIAN_ONE = 0.6745  # of the size of a residual with a deviation of 1
+_LEAST_SIGMA_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of image coordinates at least: with 0, exact tie points (simulated ones) would weigh "
+        "without bound; keypoints of clean pictures are off by 0.1 px, five times as much",
+        CHOSEN,
+    ),
+] = 0.02
+_MAY_BE_CHANCE: Annotated[
+    float,
+    Because(
+        "share of the stated variance",
+        "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
+        "may be a shift of all positions",
+        CHOSEN,
+    ),
+] = 0.5
+_COMMON_SD_M: Annotated[
+    float,
+    Because(
+        "m per axis",
+        "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
+        "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
+        "know",
+        "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
+        "%, the globe's mean, are 3.3 m per axis",
+    ),
+] = 2.5
+_DETERMINED: Annotated[
+    float,
+    Because(
+        "share of the deviation before",
+        "below which a shared unknown counts as determined, half of its variance being taken away: with "
+        "more, what pictures hardly tell goes astray; with less, what they tell is held as it was given",
+        CHOSEN,
+    ),
+] = 0.7
+_ERRORS_ALIKE: Annotated[
+    float,
+    Because(
+        "times the image deviation",
+        "with which an unknown still has to be determined, since keypoints err alike from neighbour to "
+        "neighbour. Left free, a real nadir flight's focal length went 9 % off; with more, lenses that are "
+        "told would be held",
+        CHOSEN,
+    ),
+] = 5.0
+_TELLING: Annotated[
+    int,
+    Because(
+        "image observations a frame",
+        "beyond which more tell nothing new of what all frames share: with all of 30,000 tie points a focal "
+        "length looked determined to 2 px and was 75 px off; with 192 a lens's second term was held and a "
+        "block 0.10 px off instead of 0.02",
+        "docs/results.md, surveys as people deliver them: seeds 4 and 5 of 1 to 10",
+    ),
+] = 600
+_PRIOR_FACTORS: Annotated[
+    tuple[float, float],
+    Because(
+        "times the stated deviation",
+        "least and largest: EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or "
+        "a car's; deviations that are stated in the wrong unit or for 1 of 3 axes are off by less than ten. "
+        "Beyond, the tags are not what they say",
+        CHOSEN,
+    ),
+] = (0.1, 10.0)
+_SWING_FACTORS: Annotated[
+    tuple[float, float],
+    Because(
+        "times the deviation to begin with",
+        "least and largest: nobody tells what frames swing by, and a copter's good mount leaves a twentieth "
+        "of a small wing in gusts; with less, swings could not grow again",
+        CHOSEN,
+    ),
+] = (0.02, 10.0)
+_LEAST_REDUNDANCY: Annotated[
+    float,
+    Because(
+        "redundant observations",
+        "that a variance component needs; of fewer its estimate is chance, and what was stated stands",
+        CHOSEN,
+    ),
+] = 3.0
+_COMMON: Annotated[
+    dict[str, float],
+    Because(
+        "unknowns",
+        "that the frames of a part have in common, taken off the redundancy as their miss is (see "
+        "`own_miss`): place, turn and scale; height; of tilts nothing; heading",
+        "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
+    ),
+] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
+_MEDIAN_LENGTH: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median length of residuals of two numbers with a deviation of 1 each",
+        "Rayleigh's distribution: sqrt(2 ln 2)",
+    ),
+] = float(np.sqrt(np.log(4.0)))
+_SCALINGS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "each of which halves what a scale is off by: they leave one part in 4000, with fewer the steps "
+        "that follow are weighed by a scale that has not settled",
+        CHOSEN,
+    ),
+] = 12
+_MEDIAN_ONE: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median size of a residual of one number with a deviation of 1",
+        "normal distribution: Phi^-1(3/4)",
+    ),
+] = 0.6745
 
 
 def variance_components(
