@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +52,39 @@ from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
-_FEW_PER_FRAME, _FEW_CELLS = 192, 8
-"""Enough to find poses, lens and variance components to a fraction of a pixel, at a tenth of the work."""
-_WORTHWHILE = 4
+_FEW_PER_FRAME: Annotated[
+    int,
+    Because(
+        "image observations a frame",
+        "asked for by each frame for the solves that find the block: enough for poses, lens and variance "
+        "components to a fraction of a pixel, at a tenth of the work of all; the last solve takes all",
+        CHOSEN,
+    ),
+] = 192
+_FEW_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "across and along a frame, each of which asks for 3 of the 192 observations: with fewer cells "
+        "corners, which tell the lens, may stay empty; with more than 13 they ask for more than 192",
+        CHOSEN,
+    ),
+] = 8
+_WORTHWHILE: Annotated[
+    int,
+    Because(
+        "times the few points",
+        "all must be more than that, or the block is found by all at once: thinning fewer saves too little "
+        "for a second solve",
+        CHOSEN,
+    ),
+] = 4
 
 
 def pose_block(block: Block, settings: Settings) -> Adjusted:

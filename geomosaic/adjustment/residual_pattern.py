@@ -8,20 +8,43 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
 
-CELLS = (8, 6)
-"""Columns and rows of the pattern: coarse enough that each cell sees many frames, fine enough for a lens."""
-LEAST_FRAMES = 4
-"""Frames that a cell's mean needs, so that its own deviation means something."""
-_HEARD = 0.1
+CELLS: Annotated[
+    tuple[int, int],
+    Because(
+        "columns, rows",
+        "of the pattern: coarse enough that each cell sees many frames, fine enough for what a lens does "
+        "from middle to corner",
+        CHOSEN,
+    ),
+] = (8, 6)
+LEAST_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "seen by a cell, so that its mean's own deviation means something; by fewer, chance passes for a "
+        "lens",
+        CHOSEN,
+    ),
+] = 4
+_HEARD: Annotated[
+    float,
+    Because(
+        "share of the weight of a residual of 0",
+        "residuals of less weight, beyond 5.9 deviations, are wrong matches and show no lens",
+        CHOSEN,
+    ),
+] = 0.1
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.optimize import least_squares
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
@@ -27,19 +29,94 @@ from geomosaic.survey.pixels import read_pixels
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-MOST_CAPTURES = 12
-"""Spread over the flight; each gives a hundred places and more, for three angles and a focal length."""
-_PATCH_PX, _LEAST_STEP_PX, _PLACES = 96, 16, 120
-"""Patches of the ground, and about how many of them are compared in a capture."""
-_SEARCH_PX = (96, 8)
-"""How far off a band is looked for, in ground pixels: cameras of a rig stand up to some 3 degrees apart, a
-tenth of a frame's width; after the first round no more than what is left."""
-_LEAST_CORRELATION = 0.3
-"""Of edges in two bands: half of what one band's greys show."""
-_MOST_SD_PX = 0.3
-_LEAST_PLACES = 12
-_EDGE_SIGMA_PX = 1.0
-_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
+MOST_CAPTURES: Annotated[
+    int,
+    Because(
+        "captures",
+        "looked at, spread over the flight: each gives a hundred places and more, and three angles and a "
+        "focal length are all that is asked; more take time and tell nothing new",
+        CHOSEN,
+    ),
+] = 12
+_PATCH_PX: Annotated[
+    int,
+    Because(
+        "ground px",
+        "side of a patch in which edges are compared: a smaller one holds too few edges that both bands "
+        "show, a larger one relief that shifts them apart",
+        CHOSEN,
+    ),
+] = 96
+_LEAST_STEP_PX: Annotated[
+    int,
+    Because(
+        "ground px",
+        "from patch to patch at least: closer ones share nearly all of their pixels and tell the same",
+        CHOSEN,
+    ),
+] = 16
+_PLACES: Annotated[
+    int,
+    Because(
+        "patches a capture",
+        "compared, about: many, since of some bands few correlate; more take time alone",
+        CHOSEN,
+    ),
+] = 120
+_SEARCH_PX: Annotated[
+    tuple[int, int],
+    Because(
+        "ground px",
+        "how far off a band is looked for in the first round and in the second: cameras of a rig stand up "
+        "to some 3 degrees apart, a tenth of a frame's width (of 960 px); then what is left, since a wider "
+        "search finds wrong edges",
+        CHOSEN,
+    ),
+] = (96, 8)
+_LEAST_CORRELATION: Annotated[
+    float,
+    Because(
+        "correlation coefficient",
+        "of edges in two bands, half of what one band's greys show: below it patches meet by chance, above "
+        "it few of red and infrared are left",
+        CHOSEN,
+    ),
+] = 0.3
+_MOST_SD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "stated deviation of a place by least-squares matching: patches that are less sure have next to no "
+        "edges, or edges one way only",
+        CHOSEN,
+    ),
+] = 0.3
+_LEAST_PLACES: Annotated[
+    int,
+    Because(
+        "places in all captures",
+        "three for each of the four unknowns, so that wrong ones can be told; of fewer, what the tags say "
+        "stands",
+        CHOSEN,
+    ),
+] = 12
+_EDGE_SIGMA_PX: Annotated[
+    float,
+    Because(
+        "ground px",
+        "smoothing before gradients are taken: with less, noise of single pixels counts as edges; with "
+        "more, fine edges run together",
+        CHOSEN,
+    ),
+] = 1.0
+_MEDIAN_LENGTH: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median length of plane errors with a deviation of 1 on each axis",
+        "Rayleigh's distribution: sqrt(2 ln 2)",
+    ),
+] = float(np.sqrt(np.log(4.0)))
 
 
 @dataclass(frozen=True)
