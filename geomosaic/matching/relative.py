@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +13,48 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.sparse.linalg import spsolve
 
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_ROUNDS = 12
-_LEAST_SPREAD = np.radians(0.5)
-"""Turns and logarithms of scales of pairs are no better than this: tilts that are off by so much bend a
-similarity."""
-_WEAK = 1e-6
-_ALIKE = 0.2
-"""Turns (rad) and logarithms of scales that two pairs of a frame may differ by and still say the same."""
+_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "of the vote and of the re-weighting, at most: both end by themselves when nothing changes; fewer "
+        "leave wrong pairs with a say",
+        CHOSEN,
+    ),
+] = 12
+_LEAST_SPREAD: Annotated[
+    float,
+    Because(
+        "rad, and logarithms of scales",
+        "least deviation of pairs: tilts that are off by half a degree bend a similarity by as much; a "
+        "smaller one calls such pairs wrong where most agree, a larger one keeps wrong pairs",
+        CHOSEN,
+    ),
+] = np.radians(0.5)
+_WEAK: Annotated[
+    float,
+    Because(
+        "of the largest weight of a pair",
+        "how strongly a correction is held at none, so that the system has one solution although nothing "
+        "says how a part is turned as a whole: more would hold back the corrections, less is lost in "
+        "rounding",
+        CHOSEN,
+    ),
+] = 1e-6
+_ALIKE: Annotated[
+    float,
+    Because(
+        "rad, and logarithms of scales",
+        "by which two pairs of a frame may differ and still say the same: less splits votes that tilts and "
+        "relief spread, more counts wrong pairs with right ones",
+        CHOSEN,
+    ),
+] = 0.2
 
 
 @dataclass(frozen=True)
@@ -95,7 +128,7 @@ def averaged(n: int, joints: Joints) -> Complexes:
 
 
 def _weights(off: Floats, ties: Ints) -> Floats:
-    spread = max(1.4826 * float(np.median(np.abs(off))), _LEAST_SPREAD)
+    spread = max(NORMAL_PER_MAD * float(np.median(np.abs(off))), _LEAST_SPREAD)
     return np.asarray(np.sqrt(ties) / (1.0 + (off / (2.0 * spread)) ** 2) ** 2)
 
 

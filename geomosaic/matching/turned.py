@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, courses_deg, heading_assumed
@@ -18,10 +20,25 @@ from geomosaic.placement.prior import COURSE_YAW_SD_DEG, courses_deg, heading_as
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_TOGETHER = 0.7
-_TOLERANCE_RAD = np.radians(30.0)
-"""Between a turn by a quarter and the next, less than halfway; headings of small drones are good to 5
-degrees."""
+_TOGETHER: Annotated[
+    float,
+    Because(
+        "length of the mean of unit vectors",
+        "how well directions must go together to say what is usual, 1 where all are alike and 0 where they "
+        "are scattered: with less, chance decides what is turned; with more, a few frames that stray "
+        "silence all",
+        CHOSEN,
+    ),
+] = 0.7
+_TOLERANCE_RAD: Annotated[
+    float,
+    Because(
+        "rad",
+        "about a quarter turn, less than halfway to the next: headings of small drones are good to 5 "
+        "degrees, so that less would miss turned pictures in wind; with 45 degrees any turn would be one",
+        CHOSEN,
+    ),
+] = np.radians(30.0)
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 
