@@ -5,16 +5,41 @@ from __future__ import annotations
 import mmap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
+from geomosaic.constants import Because
 from geomosaic.errors import FileError
 
 _EXIF: Final = b"Exif\x00\x00"
 _XMP: Final = b"http://ns.adobe.com/xap/1.0/\x00"
 _EOI: Final = b"\xff\xd9"
-_FRAME_HEADERS: Final = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
-_PROGRESSIVE: Final = frozenset({0xC2, 0xC6, 0xCA, 0xCE})
-_WITHOUT_LENGTH: Final = frozenset({0x01, *range(0xD0, 0xD8)})
+_MARKERS: Final = "ITU-T T.81, table B.1"
+_FRAME_HEADERS: Annotated[
+    frozenset[int],
+    Because(
+        "marker",
+        "segments that state the picture's size; of the three between them two are tables and one is "
+        "reserved",
+        _MARKERS,
+    ),
+] = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
+_PROGRESSIVE: Annotated[
+    frozenset[int],
+    Because(
+        "marker",
+        "frame headers of pictures that come in scans, each over the whole: no row of them is known to be "
+        "whole",
+        _MARKERS,
+    ),
+] = frozenset({0xC2, 0xC6, 0xCA, 0xCE})
+_WITHOUT_LENGTH: Annotated[
+    frozenset[int],
+    Because(
+        "marker",
+        "they stand alone: taken for a segment, what follows would be skipped as its content",
+        _MARKERS,
+    ),
+] = frozenset({0x01, *range(0xD0, 0xD8)})
 _TRUNCATED: Final = "copy it again from the camera, or take it out of the folder"
 
 

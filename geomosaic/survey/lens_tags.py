@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Annotated
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import TERMS, fisheye_terms
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.accuracy import FOCAL_LENGTH, MAKERS_DISTORTION
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import OFF_CENTRE, focal_length_can_be
 from geomosaic.survey.xmp import number, numbers
 
-_SQUARE: Final = 0.01
-"""Of a fisheye's affine matrix: by how much of its size it may be none of square pixels."""
+_SQUARE: Annotated[
+    float,
+    Because(
+        "share of a fisheye's affine matrix",
+        "by which it may be none of square pixels: its two sizes are then taken in their mean, and more "
+        "would leave a stretch that no lens here has",
+        CHOSEN,
+    ),
+] = 0.01
 
 
 def dji_dewarp(header: FrameHeader, blank: Camera) -> Camera | None:

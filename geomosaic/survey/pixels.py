@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.windows import Window
 
+from geomosaic.constants import Because
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded_anyway
@@ -20,8 +21,15 @@ from geomosaic.survey.model import Frame
 
 Mask = NDArray[np.uint8]
 
-# OpenCV's names: "reduced grayscale" is the reduction alone; with IMREAD_COLOR_RGB it gives colour.
-_REDUCED: Final = {
+_REDUCED: Annotated[
+    dict[int, int],
+    Because(
+        "flag by reduction",
+        "what a JPEG is decoded with: in OpenCV's names 'reduced grayscale' is the reduction alone, with "
+        "IMREAD_COLOR_RGB it gives colour",
+        "OpenCV, ImreadModes",
+    ),
+] = {
     1: 0,
     2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
     4: cv2.IMREAD_REDUCED_GRAYSCALE_4,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
@@ -19,9 +20,21 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, Table
 
 Floats = NDArray[np.float64]
-_PRJ_BYTES: Final = 64 << 10
-_FAR_OUTSIDE_M: Final = 500_000.0
-"""Areas of use are rounded boxes, and a neighbouring zone may be wanted; a UTM zone is up to 668 km wide."""
+_PRJ_BYTES: Annotated[
+    int,
+    Because(
+        "bytes", "of a .prj file: a CRS in words has some thousand, a larger file is something else", CHOSEN
+    ),
+] = 64 << 10
+_FAR_OUTSIDE_M: Annotated[
+    float,
+    Because(
+        "m",
+        "outside a CRS's area of use from which it is another place's: areas are rounded boxes, and a "
+        "neighbouring zone may be wanted (UTM's are up to 668 km wide); with more a wrong zone passes",
+        CHOSEN,
+    ),
+] = 500_000.0
 
 
 def given_crs(path: Path, crs: str | None) -> CRS | None:

@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.model import Attitude, Position, Warn
@@ -83,8 +84,15 @@ FASTEST: Final = Limit(1000.0, "m/s", "three times the speed of sound", "SR-71: 
 FASTEST_TURN: Final = Limit(
     35.0, "rad/s", "2000 degrees a second, where small gyroscopes end", "InvenSense MPU-6000, full scale"
 )
-_NEIGHBOURS: Final = 8
-_NORMAL: Final = 1.4826
+_NEIGHBOURS: Annotated[
+    int,
+    Because(
+        "frames",
+        "that a frame's height is held against, in plan as in time: of fewer two wrong ones decide, more "
+        "reach over to another slope",
+        CHOSEN,
+    ),
+] = 8
 
 
 def plausible_positions(
@@ -207,5 +215,5 @@ def _above(heights_m: Floats, groups: NDArray[np.intp]) -> Flags:
     own[~own.any(axis=1), -1] = True  # many frames at one place: another one stands for itself
     others = np.where(own, np.nan, heights_m[groups])
     middle = np.nanmedian(others, axis=1)
-    spread = _NORMAL * np.nanmedian(np.abs(others - middle[:, None]), axis=1)
+    spread = NORMAL_PER_MAD * np.nanmedian(np.abs(others - middle[:, None]), axis=1)
     return np.asarray(heights_m - middle > APART.value + SPREADS.value * spread)

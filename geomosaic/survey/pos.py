@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 from geomosaic.survey.attitude import read_angles
 from geomosaic.survey.model import Warn
@@ -70,8 +71,15 @@ ALIASES: Final[Aliases] = {
 """Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
 
 Floats = NDArray[np.float64]
-_MOST_LINES: Final = 200_000
-"""A frame each second for two days and nights; the largest blocks that are flown have some 50,000."""
+_MOST_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "of a POS file: a frame each second for two days and nights, where the largest blocks that are "
+        "flown have some 50,000; without a limit a log would take memory and time",
+        CHOSEN,
+    ),
+] = 200_000
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
 

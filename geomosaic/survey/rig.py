@@ -6,8 +6,9 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
+from geomosaic.constants import Because
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.xmp import Xmp, number
@@ -17,7 +18,12 @@ _OWN: Final = ("green", "red", "rededge", "red edge")
 """Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
 _SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
 """`IMG_0001_GRE`, `IMG_0001_4`: the capture's name and the band's."""
-LEAST_BANDS: Final = 2
+LEAST_BANDS: Annotated[
+    int,
+    Because(
+        "bands", "of a capture: files of one band alone are frames of a camera, not of a rig", "what a rig is"
+    ),
+] = 2
 
 
 @dataclass(frozen=True)
