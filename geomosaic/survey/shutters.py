@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import SLOWEST
 from geomosaic.survey.xmp import number
 
-READOUTS_S: Final = {
+READOUTS_S: Annotated[
+    dict[str, float],
+    Because(
+        "s",
+        "from the first row to the last by EXIF's model: without it lines flown to and fro shrink and "
+        "stretch; fc3582's is that of 12 MP, its pictures of 48 MP take 0.060",
+        "OpenDroneMap's list of 2022 (opendm/rollingshutter.py): its users, with a blinking light",
+    ),
+] = {
     "phantom vision fc200": 0.074, "fc300c": 0.033, "fc300s": 0.033, "fc300x": 0.033, "fc330": 0.033,
     "fc350": 0.030, "fc7203": 0.020, "fc3170": 0.027, "fc3411": 0.032, "fc3582": 0.026, "l1d-20c": 0.056,
     "e90": 0.044, "hero4 black": 0.030, "hero8 black": 0.017,
 }  # fmt: skip
-"""Seconds from the first row to the last by EXIF's model, as users of OpenDroneMap measured them with a
-blinking light (its list of 2022, opendm/rollingshutter.py)."""
-READOUT_SD_SHARE: Final = 0.1
-"""Of a readout by model: they were read off whole milliseconds of 17 to 74, and a frame that is cut to
-another shape has fewer rows: by a sixth from 3:2 to 16:9."""
+READOUT_SD_SHARE: Annotated[
+    float,
+    Because(
+        "share of a readout by model",
+        "its deviation: whole milliseconds of 17 to 74, and a frame cut to another shape has fewer rows, "
+        "by a sixth from 3:2 to 16:9; a smaller one holds what may be wrong",
+        CHOSEN,
+    ),
+] = 0.1
 GLOBAL_SHUTTERS: Final = {
     "fc6310", "fc6310r", "fc6310s", "fc6360", "fc6510", "m3e", "zenmusep1", "s.o.d.a.",
     "rededge", "rededge-m", "rededge-mx", "altum",
@@ -30,10 +43,24 @@ STILL_CAMERAS: Final = {
     "phase one", "samsung",
 }  # fmt: skip
 """Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are told not to."""
-UNTOLD_SD_S: Final = 0.04
-"""Of a camera of which nothing tells the shutter: none, or 0.02 to 0.1 s as small cameras have."""
-_BANDS_AT_ONCE: Final = {("sequoia", 1)}
-"""Model and bands of cameras that tag the time a line takes but expose all lines at once."""
+UNTOLD_SD_S: Annotated[
+    float,
+    Because(
+        "s",
+        "deviation of the readout of a camera of which nothing tells the shutter: none, or 0.02 to 0.1 s "
+        "as small cameras have; a smaller one hides what that leaves open",
+        CHOSEN,
+    ),
+] = 0.04
+_BANDS_AT_ONCE: Annotated[
+    set[tuple[str, int]],
+    Because(
+        "model and bands",
+        "of cameras that tag the time a line takes but expose all lines at once: followed, the tag would "
+        "bend each frame",
+        "docs/inputs.md, Rolling shutter: the one-band cameras of Parrot's Sequoia",
+    ),
+] = {("sequoia", 1)}
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import cameras_from_headers
@@ -33,14 +34,30 @@ LEAVE_OUT: Final = ("auto", "none")
 COPY: Final = Limit(
     0.995, "correlation", "of small versions: a copy saved anew or in another size; neighbours have less", ""
 )
-_COPY_GREYS: Final = 4.0  # of 255: copies are as bright; bands of one capture aren't
+_COPY_GREYS: Annotated[
+    float,
+    Because(
+        "grey levels of 255",
+        "by which mean and contrast of copies differ at most: they are as bright, bands of one capture "
+        "aren't",
+        CHOSEN,
+    ),
+] = 4.0
 LOW: Final = Limit(
     0.3,
     "of the usual height above the ground",
     "a frame sees less than a tenth of what others see: taken while climbing or landing",
     "",
 )
-_FEW_LOW: Final = 0.1  # of all frames, at each end of the flight; of few frames three, or a quarter
+_FEW_LOW: Annotated[
+    float,
+    Because(
+        "share of all frames",
+        "at each end of the flight that climbing or landing may take (of few frames three, or a quarter): "
+        "more of them are a low part of the survey",
+        CHOSEN,
+    ),
+] = 0.1
 TILTED: Final = Limit(
     35.0,
     "degrees beyond the usual tilt",
@@ -54,8 +71,24 @@ APART: Final = Limit(
     "between two flights: the mosaic of both would be nearly all empty",
     "",
 )
-_NEAR_M: Final = 500.0
-_LEAST_FLIGHT: Final = 3
+_NEAR_M: Annotated[
+    float,
+    Because(
+        "m",
+        "nearer to each other, flights are never two: fields of one flight lie so far apart; with less, "
+        "small surveys would be torn",
+        CHOSEN,
+    ),
+] = 500.0
+_LEAST_FLIGHT: Annotated[
+    int,
+    Because(
+        "frames",
+        "of a flight: fewer at a place of their own may have wrong positions; where there aren't twice as "
+        "many, nothing tells what is usual",
+        CHOSEN,
+    ),
+] = 3
 BLURRED: Final = Limit(
     2.3,
     "natural logarithm",
@@ -63,8 +96,15 @@ BLURRED: Final = Limit(
     "Gaussian blur of 2 px: 2.4 to 3",
 )
 SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", "")
-_BESIDE: Final = 5
-_NORMAL: Final = 1.4826
+_BESIDE: Annotated[
+    int,
+    Because(
+        "frames before and after",
+        "whose fine detail a frame's is held against: of fewer one blurred one decides, more reach over to "
+        "other land",
+        CHOSEN,
+    ),
+] = 5
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-copy": "copies of other frames",
@@ -238,7 +278,7 @@ def _low_at_ends(above_m: Floats) -> Flags:
     usual = float(np.median(known))
     low = above_m < LOW.value * usual
     most = max(int(_FEW_LOW * len(above_m)), min(_LEAST_FLIGHT, len(above_m) // 4))
-    spread = _NORMAL * float(np.median(np.abs(known - usual)))
+    spread = NORMAL_PER_MAD * float(np.median(np.abs(known - usual)))
     if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
         return out
     for order in (range(len(low)), range(len(low) - 1, -1, -1)):
@@ -287,7 +327,7 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> lis
     lack = np.array([np.nanmedian(detail[b]) if np.isfinite(detail[b]).any() else np.nan for b in beside])
     lack -= detail
     off = np.abs(lack - np.nanmedian(lack))
-    limit = max(BLURRED.value, SPREADS.value * _NORMAL * float(np.nanmedian(off)))
+    limit = max(BLURRED.value, SPREADS.value * NORMAL_PER_MAD * float(np.nanmedian(off)))
     blurry = lack > limit
     alone = [
         i for i in np.flatnonzero(blurry).tolist() if 0 < i < n - 1 and not (blurry[i - 1] or blurry[i + 1])

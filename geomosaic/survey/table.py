@@ -8,13 +8,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
@@ -23,10 +24,33 @@ Floats = NDArray[np.float64]
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
 
-_MAX_BYTES: Final = 64 << 20
-_LONGEST_LINE: Final = 20_000
-_MOST_COLUMNS: Final = 500
-_UNITS: Final = {
+_MAX_BYTES: Annotated[
+    int,
+    Because(
+        "bytes",
+        "of a table: 200,000 lines of 300 characters; a larger file is something else and would take the "
+        "memory",
+        CHOSEN,
+    ),
+] = 64 << 20
+_LONGEST_LINE: Annotated[
+    int, Because("characters", "of a line: 500 columns of 40; a longer one is no table's", CHOSEN)
+] = 20_000
+_MOST_COLUMNS: Annotated[
+    int,
+    Because(
+        "columns", "of a header: far more than programs write; each is looked up under every name", CHOSEN
+    ),
+] = 500
+_UNITS: Annotated[
+    dict[str, float],
+    Because(
+        "degrees or metres by the unit's name",
+        "what a column is multiplied by; a unit that isn't here is refused, since its numbers would be "
+        "taken for others",
+        "definitions: 180 / pi degrees a radian, 0.9 a gon; international foot of 1959",
+    ),
+] = {
     **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
     **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
     **dict.fromkeys(("gon", "grad", "grads"), 0.9),

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.damage import Look, Wholeness, wholeness
@@ -15,7 +16,14 @@ from geomosaic.survey.model import LeftOut, Warn
 
 Inspect = Callable[[list[str]], list[Wholeness]]
 DAMAGED: Final = ("leave_out", "mask")
-_LEAST_WHOLE: Final = 0.25  # of a damaged frame's rows: with less it hardly ties to its neighbours
+_LEAST_WHOLE: Annotated[
+    float,
+    Because(
+        "share of a damaged frame's rows",
+        "that are whole at least: with less it hardly ties to its neighbours",
+        CHOSEN,
+    ),
+] = 0.25
 
 
 @dataclass(frozen=True)

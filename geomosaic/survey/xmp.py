@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Final
+from typing import Annotated, Final
 from xml.etree.ElementTree import Element, ParseError
 
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import printable
 
 Xmp = dict[str, str]
@@ -17,14 +18,42 @@ Xmp = dict[str, str]
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
-_MAX_BYTES: Final = 1 << 20
-_MOST_MARKS: Final = 20_000
-"""Of `<` in a packet: the longest that cameras write has 400, a picture edited for long some 5,000."""
-_MOST_PREFIXES: Final = 100
+_MAX_BYTES: Annotated[
+    int,
+    Because(
+        "bytes",
+        "of a picture's XMP that are searched: cameras write some thousands; more only takes time",
+        CHOSEN,
+    ),
+] = 1 << 20
+_MOST_MARKS: Annotated[
+    int,
+    Because(
+        "`<` in a packet",
+        "the longest that cameras write has 400, a picture edited for long some 5,000; a packet of more "
+        "takes the XML reader's memory",
+        CHOSEN,
+    ),
+] = 20_000
+_MOST_PREFIXES: Annotated[
+    int,
+    Because(
+        "prefixes",
+        "that a packet uses: far more than programs write; each is looked for in the whole packet",
+        CHOSEN,
+    ),
+] = 100
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
-_LONGEST_NUMBER: Final = 80
+_LONGEST_NUMBER: Annotated[
+    int,
+    Because(
+        "characters",
+        "of a number or fraction: doubles have 25; thousands of digits take long to read",
+        CHOSEN,
+    ),
+] = 80
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
 
