@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import reprlib
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -60,7 +61,7 @@ def records(*rooms: str) -> Iterator[tuple[str, Any, Because]]:
 def main() -> None:
     """Prints a table."""
     for name, value, why in records(*sys.argv[1:]):
-        sys.stdout.write(f"{name} = {value} [{why.unit}]\n    {why.reason}\n    {why.source}\n")
+        sys.stdout.write(f"{name} = {reprlib.repr(value)} [{why.unit}]\n    {why.reason}\n    {why.source}\n")
 
 
 if __name__ == "__main__":

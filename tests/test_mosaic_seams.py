@@ -24,9 +24,10 @@ from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
 from geomosaic.mosaic.plan import windows
 from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
 from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.seam_cut import Glimpsed, bands, cut_seams, seam_figures
+from geomosaic.mosaic.seam_cut import Part, bands, cut_seams, giving, seam_figures
 from geomosaic.mosaic.views import frame_views
 from geomosaic.mosaic.window import Window
+from geomosaic.projection.ground import GroundSurface
 
 REACH_PX = 48.0
 
@@ -144,28 +145,43 @@ def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
     """Two frames alike in one lane of cells only, which leads beside the line halfway between them."""
     *_, scene = scene_of(tmp_path, lines=1, per_line=2)
     nearest, distance_m = nearest_nadir(scene, [True] * 2, 8)
-    parts = bands(scene, nearest, distance_m)
-    shared = sorted(
-        set(range(parts[0].of_all[1].start, parts[0].of_all[1].stop))
-        & set(range(parts[1].of_all[1].start, parts[1].of_all[1].stop))
-    )
-    rows = sorted(
-        set(range(parts[0].of_all[0].start, parts[0].of_all[0].stop))
-        & set(range(parts[1].of_all[0].start, parts[1].of_all[0].stop))
-    )
-    across = len(shared) < len(rows)
-    lane = (shared if across else rows)[len(shared if across else rows) // 2 + 2]
-    seen = []
-    for k, part in enumerate(parts):
-        row, col = np.mgrid[part.of_all]
+    found = list(bands(scene, nearest, distance_m, giving(scene, nearest)))
+    one, other = (cells.of_all for cells, *_ in found)
+    rows, cols = (range(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    across = len(cols) < len(rows)
+    shared = cols if across else rows
+    lane = shared[len(shared) // 2 + 2]
+    parts = []
+    for k, (cells, may, _) in enumerate(found):
+        row, col = np.mgrid[cells.of_all]
         off = np.abs((col if across else row) - lane) > 1
         values = np.where(off, 100.0 + 60.0 * k, 100.0).astype(np.float32)
-        seen.append(Glimpsed(values[..., None], np.ones(values.shape, dtype=bool)))
-    cut = cut_seams(nearest, parts, seen)
-    before, after = (seam_figures(o, parts, seen) for o in (nearest, cut))
+        parts.append(Part(cells.view.frame, cells.view.nadir_m, cells.row, cells.col, values[..., None], may))
+    cut = cut_seams(nearest, parts)
+    before, after = (seam_figures(o, parts) for o in (nearest, cut))
     assert before.difference_mean > 30.0 > 10.0 > after.difference_mean
     assert ((cut.owner > 0) == (nearest.owner > 0)).all(), "no gap, nothing new"
     assert (cut.owner != nearest.owner).any()
+
+
+def test_seams_keep_off_what_stands_on_the_ground(tmp_path: Path) -> None:
+    """Two frames that differ alike everywhere, and a house on the line halfway between them."""
+    off_m, up_m = np.abs(np.arange(201) - 100.0), np.zeros((201, 201))
+    up_m[np.ix_(off_m <= 5, off_m <= 5)] = 6.0
+    house = GroundSurface("dem", -100.0, -100.0, 1.0, up_m)
+    *_, scene = scene_of(tmp_path, lines=1, per_line=2, ground=house)
+    nearest, distance_m = nearest_nadir(scene, [True] * 2, 8)
+    parts = []
+    for k, (cells, may, high) in enumerate(bands(scene, nearest, distance_m, giving(scene, nearest))):
+        assert high is not None and 0.0 < high.mean() < 0.1
+        values = np.full((*may.shape, 1), 100.0 + 5.0 * k, np.float32)
+        parts.append(Part(cells.view.frame, cells.view.nadir_m, cells.row, cells.col, values, may, high))
+    cut = cut_seams(nearest, parts)
+    assert (seam_figures(nearest, parts).on_objects or 0.0) > 0.05
+    assert seam_figures(cut, parts).on_objects == 0.0
+    blind = [replace(p, standing=None) for p in parts]
+    assert seam_figures(cut_seams(nearest, blind), parts).on_objects != 0.0
+    assert seam_figures(cut, blind).on_objects is None
 
 
 def test_the_mosaic_is_made_as_it_is_owned(tmp_path: Path) -> None:

@@ -346,6 +346,10 @@ def picky(item: int) -> int:
     raise PickyError("salt", "pepper")
 
 
+def twice(item: int) -> int:
+    return 2 * item
+
+
 def threads(item: int) -> list[str]:
     return [os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]]
 
@@ -360,6 +364,22 @@ def test_an_error_that_cannot_travel_says_at_least_what_it_said(
         assert os.environ["OMP_NUM_THREADS"] == "7"
         with pytest.raises(GeomosaicError, match="PickyError: salt and pepper"):
             context.map("picky", picky, [1])
+
+
+def test_items_with_keys_are_made_as_they_are_needed(tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def items() -> Iterator[int]:
+        for i in range(8):
+            made.append(i)
+            yield i
+
+    class Seeing(Context):
+        def progress(self, done: int, total: int, words: str) -> None:
+            assert total == 8 and len(made) <= done + 1
+
+    assert Seeing(tmp_path).map("twice", twice, items(), keys=range(8)) == list(range(0, 16, 2))
+    assert len(made) == 8
 
 
 @pytest.mark.parametrize(

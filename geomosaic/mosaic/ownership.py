@@ -60,7 +60,8 @@ class Ownership:
 @dataclass(frozen=True)
 class FrameCells:
     """What a frame sees, by the mosaic's cells from `row` and `col` on: where their middles lie in the frame,
-    how far inside it (margin_px, not above 0 outside), and how far from its nadir point, (h, w) each."""
+    how far inside it (margin_px, not above 0 outside), and how far from its nadir point, (h, w) each.
+    relief_m (h, w): how high the ground is over a smooth one, None where it is smooth."""
 
     view: FrameView
     row: int
@@ -69,12 +70,27 @@ class FrameCells:
     rows_px: Floats32
     margin_px: Floats32
     distance_m: Floats32
+    relief_m: Floats32 | None
 
     @property
     def of_all(self) -> tuple[slice, slice]:
         """Their place among all cells."""
         height, width = self.margin_px.shape
         return slice(self.row, self.row + height), slice(self.col, self.col + width)
+
+    def cropped(self, rows: slice, cols: slice) -> FrameCells:
+        """Some of them."""
+        at = rows, cols
+        return replace(
+            self,
+            row=self.row + rows.start,
+            col=self.col + cols.start,
+            cols_px=self.cols_px[at],
+            rows_px=self.rows_px[at],
+            margin_px=self.margin_px[at],
+            distance_m=self.distance_m[at],
+            relief_m=None if self.relief_m is None else self.relief_m[at],
+        )
 
 
 def cell_px_of(scene: Scene) -> int:
@@ -98,9 +114,10 @@ def frame_cells(scene: Scene, view: FrameView, cell_px: int) -> FrameCells:
     last_col = min(int((east - grid.west_m) / cell_m) + 2, -(-grid.width_px // cell_px))
     size = max(last_col - first[1], 1) * cell_px, max(last_row - first[0], 1) * cell_px
     window = Window(first[1] * cell_px, first[0] * cell_px, *size)
-    cols, rows = frame_from_map(ground_of(scene, window, cell_px), view.pose, view.camera)
-    margin = margin_px(cols, rows, view.camera, None)
-    return FrameCells(view, *first, cols, rows, margin, distances_m(grid, window, view, cell_px))
+    ground = ground_of(scene, window, cell_px)
+    cols, rows = frame_from_map(ground, view.pose, view.camera)
+    margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(grid, window, view, cell_px)
+    return FrameCells(view, *first, cols, rows, margin, away_m, ground.relief_m)
 
 
 def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:

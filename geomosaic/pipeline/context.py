@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import itertools
 import math
 import os
 import typing
@@ -246,9 +247,11 @@ class Context:
         is no artefact), so any change to the stage's parameters or inputs redoes them all. With
         `reads`, which names the files the function reads for an item, they are kept under the item and
         those files' contents alone, and so outlive changes that don't touch them; the others go when
-        the run is finished.
+        the run is finished. Where `keys` tell items apart and nothing is read, items are made one after
+        the other, as workers take them.
         """
-        items = list(items)
+        if keys is None or reads is not None:
+            items = list(items)
         returns = _returns(function)
         paths = self._item_paths(name, function, items, keys, reads)
         done: dict[int, Result] = {}
@@ -259,42 +262,45 @@ class Context:
                         done[i] = decode(kept, returns)
                 except (OSError, FileError):
                     files.remove(path)
-        waiting = [i for i in range(len(items)) if i not in done]
-        waiting.reverse()
-        running: dict[Future[Any], int] = {}
-        while waiting or running:
-            self.progress(len(done), len(items), name)
-            while waiting and len(running) < (2 * self._workers.workers if self._workers.workers > 1 else 1):
-                i = waiting.pop()
-                running[self._workers.submit(functools.partial(_encoded, function), items[i])] = i
+        total = len(paths)
+        waiting = ((i, item) for i, item in enumerate(items) if i not in done)
+        running: dict[Future[Any], tuple[int, Item]] = {}
+        most = 2 * self._workers.workers if self._workers.workers > 1 else 1
+        while True:
+            self.progress(len(done), total, name)
+            for i, item in itertools.islice(waiting, most - len(running)):
+                running[self._workers.submit(functools.partial(_encoded, function), item)] = i, item
+            if not running:
+                break
             for future in wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done:
-                i = running.pop(future)
+                i, item = running.pop(future)
                 data = self._workers.result(future)
                 if (path := paths[i]) is not None:
-                    for file in () if reads is None else reads(items[i]):
+                    for file in () if reads is None else reads(item):
                         self._hashes.check_unchanged(Path(file))
                     files.write_bytes(path, data)
                 done[i] = decode(data, returns)
-        self.progress(len(items), len(items), name)
-        return [done[i] for i in range(len(items))]
+        return [done[i] for i in range(total)]
 
     def _item_paths(
         self,
         name: str,
         function: Callable[..., Any],
-        items: Sequence[Any],
+        items: Iterable[Any],
         keys: Sequence[Any] | None,
         reads: Callable[[Any], Iterable[str | Path]] | None,
     ) -> list[Path | None]:
+        """Where each result is kept, if anywhere. Items are passed over only where it depends on them."""
+        named: Sequence[Any] = list(items) if keys is None else keys
         if not self._key:
-            return [None] * len(items)
+            return [None] * len(named)
         base = [self.stage_id, self._version, name, *([self._code] if self._code else [])]
         if reads is None:
             base.append(self._key)
         elif isinstance(function, functools.partial):
             base.append(fingerprint((function.args, function.keywords)))
         paths: list[Path | None] = []
-        for item, key in zip(items, items if keys is None else keys, strict=True):
+        for item, key in zip(named if reads is None else items, named, strict=True):
             read = [] if reads is None else [self._hashes.of_input(Path(path)) for path in reads(item)]
             mark = fingerprint_of_json([*base, fingerprint(key), *read])
             paths.append(self.work_folder / "items" / mark[:2] / mark[2:])

@@ -228,4 +228,13 @@ def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, st
                 "in steps of the cells they are cut in",
             )
         )
+        if (before := nearest.get("on_objects")) is not None:
+            out.append(
+                (
+                    "seams on objects",
+                    short(100.0 * before, "%"),
+                    short(100.0 * cut["on_objects"], "%"),
+                    "of the seams' length, on what stands 2 m and more above the ground, by the elevation model",
+                )
+            )
     return out

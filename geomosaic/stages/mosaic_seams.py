@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -16,7 +16,16 @@ from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, wit
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.seam_cut import NEAREST_NADIR, SEAMS, Glimpse, Seam, bands, glimpsed, seam_figures
+from geomosaic.mosaic.seam_cut import (
+    NEAREST_NADIR,
+    SEAMS,
+    Glimpse,
+    Seam,
+    bands,
+    giving,
+    glimpsed,
+    seam_figures,
+)
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -34,7 +43,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -143,19 +152,20 @@ class MosaicSeams(Stage):
         tones: Tones | None,
         context: Context,
     ) -> Ownership:
-        parts = bands(scene, nearest, nearest_m)
-        jobs = []
-        for part in parts:
-            view = part.view
-            frame = survey.frames[view.frame]
-            brighter = np.zeros((*part.cols_px.shape, frame.bands), dtype=np.float32)
-            if tones is not None:
-                brighter += tones.brighter(view.frame, view.camera, part.cols_px, part.rows_px)
-            finer = nearest.cell_px * scene.grid.gsd_m / view.gsd_m
-            reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
-            jobs.append(Glimpse(frame, reduction, part.cols_px, part.rows_px, brighter))
-        seen = context.map("seams", glimpsed, jobs, keys=[p.view.frame for p in parts])
-        ownership = cut(nearest, parts, seen)
+        views = giving(scene, nearest)
+
+        def glimpses() -> Iterator[Glimpse]:
+            for cells, may, standing in bands(scene, nearest, nearest_m, views):
+                view, frame = cells.view, survey.frames[cells.view.frame]
+                brighter = np.zeros((1, 1, frame.bands), dtype=np.float32)
+                if tones is not None:
+                    brighter = tones.brighter(view.frame, view.camera, cells.cols_px, cells.rows_px)
+                finer = nearest.cell_px * scene.grid.gsd_m / view.gsd_m
+                reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
+                yield Glimpse(frame, reduction, cells, may, standing, brighter)
+
+        parts = context.map("seams", glimpsed, glimpses(), keys=[v.frame for v in views])
+        ownership = cut(nearest, parts)
         for how, of in ((NEAREST_NADIR, nearest), (name, ownership)):
-            context.metric(f"seams.{how}", asdict(seam_figures(of, parts, seen)))
+            context.metric(f"seams.{how}", asdict(seam_figures(of, parts)))
         return ownership
