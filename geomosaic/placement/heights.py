@@ -4,21 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import Geod
 
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 Floats = NDArray[np.float64]
-_ESTIMATED_SD_SHARE = 0.1
-_LEAST_ABOVE_M = 1.0
-"""Nobody surveys from lower; cameras that don't know write 0."""
-_ON_THE_GROUND = 0.05
-"""Of the usual height above the ground: lower, and the frame shows a few metres."""
-_FAR = 2.5
-"""Heights above the ground differ by less within a survey that goes over hills at one height."""
+_ESTIMATED_SD_SHARE: Annotated[
+    float,
+    Because(
+        "share of the height above the ground",
+        "deviation of a height that nobody told: a degree of tilt makes 1.7 % of it, hills more; a smaller "
+        "one holds poses to a guess, a larger one leaves the scale to whatever is told besides",
+        CHOSEN,
+    ),
+] = 0.1
+_LEAST_ABOVE_M: Annotated[
+    float,
+    Because(
+        "m",
+        "nobody surveys from lower, and cameras that don't know write 0; a larger one would disregard true "
+        "heights of low flights",
+        CHOSEN,
+    ),
+] = 1.0
+_ON_THE_GROUND: Annotated[
+    float,
+    Because(
+        "share of the usual height above the ground",
+        "a frame that lies lower can't be true, it would show a few metres: 0 would let it pass a little "
+        "above the ground, a larger one doubts frames over a summit",
+        CHOSEN,
+    ),
+] = 0.05
+_FAR: Annotated[
+    float,
+    Because(
+        "times the usual height above the ground",
+        "once a height can't be true, those so much higher or lower are in doubt too: heights differ by "
+        "less within a survey that goes over hills at one height; a larger one leaves wrong ones in, a "
+        "smaller one drops true ones",
+        CHOSEN,
+    ),
+] = 2.5
 
 
 def or_nan(value: float | None) -> float:
@@ -55,7 +87,7 @@ def with_missing_heights(heights_m: Floats, sd_m: Floats, ground_heights_m: Floa
     if not known.size or not missing.any():
         return heights_m, sd_m
     filled = np.interp(np.arange(len(heights_m)), known, heights_m[known])
-    spread = 1.4826 * float(np.median(np.abs(heights_m[known] - np.median(heights_m[known]))))
+    spread = NORMAL_PER_MAD * float(np.median(np.abs(heights_m[known] - np.median(heights_m[known]))))
     wide = np.maximum(spread, _ESTIMATED_SD_SHARE * np.abs(filled - ground_heights_m))
     return filled, np.where(missing, wide, sd_m)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.rotation import Rotation
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import or_nan
@@ -17,8 +19,25 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-UNKNOWN_YAW_SD_DEG = 180.0
-COURSE_YAW_SD_DEG = 20.0
+UNKNOWN_YAW_SD_DEG: Annotated[
+    float,
+    Because(
+        "deg",
+        "deviation of a heading of which nothing is known: it may be any, so that a smaller one would pull "
+        "to north",
+        "half a turn, the farthest that two headings can differ",
+    ),
+] = 180.0
+COURSE_YAW_SD_DEG: Annotated[
+    float,
+    Because(
+        "deg",
+        "deviation of a heading taken from the course over ground, and the least of one that nobody "
+        "observed: a crosswind of a third of the airspeed turns a platform by as much; a smaller one pulls "
+        "frames flown in wind, a larger one forgets that most fly ahead",
+        CHOSEN,
+    ),
+] = 20.0
 
 
 def heading_assumed(poses: Poses) -> NDArray[np.bool_]:

@@ -3,17 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-_MOST_TILT_RAD = 0.5
-_MOST_YAW_RAD = 1.0
+_MOST_TILT_RAD: Annotated[
+    float,
+    Because(
+        "rad",
+        "deviation of a tilt that is counted at most, half the height on the ground: for a tilt that nobody "
+        "knows the formula for small angles would have frames reach everywhere, while less would look for "
+        "neighbours too near",
+        CHOSEN,
+    ),
+] = 0.5
+_MOST_YAW_RAD: Annotated[
+    float,
+    Because(
+        "rad",
+        "deviation of a heading that is counted at most: turned by any angle, a place stays within twice "
+        "its distance from the nadir point, which three of these reach; more pairs distant frames in vain, "
+        "less misses true neighbours",
+        CHOSEN,
+    ),
+] = 1.0
 
 
 def half_extent_m(camera: Camera, height_m: float) -> float:
