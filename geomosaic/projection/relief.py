@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -16,9 +18,34 @@ from geomosaic.survey.dem import HeightRaster
 
 Floats = NDArray[np.float64]
 Places = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
-_KNOTS = 17  # a side: between them the Earth bends smoothly, to 1e-6 of a map's unit over 20 km
-_LIFT_M = 100.0
-_BAND = 256
+_KNOTS: Annotated[
+    int,
+    Because(
+        "knots a side",
+        "at which the map projection is asked, splines between: between fewer the Earth's bend shows on "
+        "wide surveys, more take time",
+        "computed at 48 degrees in UTM: over 20 km 6e-9 m off, over 300 km 8e-5 m, with nine 1e-3 m",
+    ),
+] = 17
+_LIFT_M: Annotated[
+    float,
+    Because(
+        "m",
+        "between the two levels that say how map places move with height: with 1 m rounding takes a share "
+        "that heights multiply, with 10 km the move is no longer straight",
+        "computed 700 m above the origin over 20 km: 1e-4 m off with 100 m, 1.6e-3 m with 10 km; heights "
+        "2e-7 m with 100 m, 3e-6 m with 1 m or 10 km",
+    ),
+] = 100.0
+_BAND: Annotated[
+    int,
+    Because(
+        "rows of nodes",
+        "worked on together, so that what places and heights take beside the ground itself stays small; "
+        "fewer cost more calls",
+        CHOSEN,
+    ),
+] = 256
 
 
 def relief(

@@ -8,7 +8,7 @@ and the collinearity equations itself, so neither tilt, distortion nor a rough D
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,74 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_NODES = 5
-_HEIGHT_ROUNDS = 3
-_ROWS_AT_ONCE = 64
-_MOVING_ROUNDS, _TURNING_ROUNDS, _STARTED_ROUNDS = 2, 5, 3
+_COMPUTED: Final = (
+    "computed of 4000 x 3000 px, f 3000 px, 100 m high at 15 m/s, rows read in 0.06 s, against 30 rounds: "
+    "moving 0.14 px off after one, 0.0015 after two; turning by 0.05 rad to each side 0.11 after four, "
+    "0.017 after five, 0.003 after six, by 0.1 rad 0.9 after five"
+)
+_NODES: Annotated[
+    int,
+    Because(
+        "nodes a side",
+        "25 places of a window at which pyproj is asked, for six terms of a polynomial: three a side leave "
+        "little to even out, more take time; odd, since the vertical is the one in the middle",
+        "chosen; computed on flat ground over 10 km: three a side 1.0 mm off, five 0.8 mm, nine 1.0 mm",
+    ),
+] = 5
+_HEIGHT_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "of the fixed point between a node's height and its place: each gains three to four digits, so that "
+        "one less shows far from the origin over hills and one more is lost in rounding",
+        "computed of hills of 800 m, 5 km from the origin: 6 cm off after one, 2e-5 m after two, 1e-8 m "
+        "after three",
+    ),
+] = 3
+_ROWS_AT_ONCE: Annotated[
+    int,
+    Because(
+        "rows",
+        "of a window worked on together, so that they stay in the processor's cache: more fall out of it, "
+        "fewer cost more calls",
+        CHOSEN,
+    ),
+] = 64
+_MOVING_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "to find the row that sees a point while the camera moves: one leaves what resampling shows, more "
+        "are lost in single precision's 0.001 px and take time for each pixel",
+        _COMPUTED,
+    ),
+] = 2
+_TURNING_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "the same while the camera turns too, which shifts rows much farther: fewer leave what shows, more "
+        "take time for each pixel",
+        _COMPUTED,
+    ),
+] = 5
+_STARTED_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "the same where the row is known to a pixel by the nodes about it: each leaves a seventh of an "
+        "error at 0.05 rad, so that three leave some thousandths of a pixel; fewer show where a table of "
+        "turns breaks",
+        _COMPUTED,
+    ),
+] = 3
 
 
 @dataclass(frozen=True)
