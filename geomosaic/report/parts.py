@@ -234,7 +234,7 @@ def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, st
                     "seams on objects",
                     short(100.0 * before, "%"),
                     short(100.0 * cut["on_objects"], "%"),
-                    "of the seams' length, on what stands 2 m and more above the ground, by the elevation model",
+                    "of their length, on what stands 2 m and more above the ground, by the elevation model",
                 )
             )
     return out
