@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import rasterio
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import FileError, InputError
 from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.figures import Figures, figures, touching_patches
@@ -21,8 +23,25 @@ from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_t
 
 Floats = NDArray[np.float64]
 
-_BLOCK_PX = 1536
-_GLANCE_PX = 1024
+_BLOCK_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "side of the blocks that rasters are compared by, so that memory doesn't grow with the mosaic: with "
+        "the usual margin of 192 px a block is 1.6 times its own pixels, smaller ones read more twice, "
+        "larger ones take memory",
+        CHOSEN,
+    ),
+] = 1536
+_GLANCE_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "longer side of the reduced pictures whose means and contrasts say one gain and offset: a million "
+        "pixels say them closely, more take time to read",
+        CHOSEN,
+    ),
+] = 1024
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +10,40 @@ from scipy.optimize import brentq
 from scipy.special import erfc
 
 from geomosaic.camera.exterior import Poses
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
 
 Floats = NDArray[np.float64]
-SHARE: Final = 0.99
-"""Of the land, as people judge a map: a corner of it may be worse, a strip along a side may not."""
-_MOST_PLACES: Final = 100_000
-_WITHIN_PX: Final = 1e6
+SHARE: Annotated[
+    float,
+    Because(
+        "share of the mosaic's land",
+        "as people judge a map: a corner of it may be worse, a strip along a side may not; with less strips "
+        "pass, with more a corner decides",
+        CHOSEN,
+    ),
+] = 0.99
+_MOST_PLACES: Annotated[
+    int,
+    Because(
+        "places",
+        "of the mosaic that are asked, evenly: a thousand of them are the share that may be worse; more "
+        "only take time and memory",
+        CHOSEN,
+    ),
+] = 100_000
+_WITHIN_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "where the search for the displacement ends, and what is said where even that isn't kept: far "
+        "beyond any limit, so that it never hides a figure that matters",
+        CHOSEN,
+    ),
+] = 1e6
 
 
 def leaning_99_px(ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface) -> float:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from geomosaic.constants import Because
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,14 @@ class Criterion:
     question: str
 
 
-CCIR_500_1 = (
+CCIR_500_1: Annotated[
+    tuple[Level, ...],
+    Because(
+        "scores",
+        "the five levels that people score a mosaic by, so that scores compare with the paper's",
+        "CCIR Recommendation 500-1, by table 1 of Yue et al. 2021 (IRLA20200529)",
+    ),
+] = (
     Level(5, "Excellent", "no loss of quality to be seen"),
     Level(4, "Good", "a loss can be seen but does not hinder viewing"),
     Level(3, "Fair", "a clear loss that hinders viewing slightly"),

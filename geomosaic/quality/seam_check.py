@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import shapely
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
@@ -30,13 +31,59 @@ from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
 
-WINDOW_PX, PATCH_PX, SEARCH_PX = 256, 64, 48
-"""Of the mosaic: a place on a seam, the patches compared there, and how far off the ground is looked for."""
-LEAST_PATCHES = 4
-"""So many patches of a place must be found again, of 49; fewer may be chance."""
-MOST_PLACES = 60
-"""Each takes two frames off the disk: some seconds for a whole survey, and a median good to a tenth."""
-_FRAMES_KEPT = 6
+WINDOW_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "side of a place on a seam: smaller ones hold too few patches, larger ones lie outside the overlap "
+        "and mix what the ground does elsewhere",
+        CHOSEN,
+    ),
+] = 256
+PATCH_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "side of the patches compared there: smaller ones are found by chance, larger ones average over "
+        "houses and ground",
+        CHOSEN,
+    ),
+] = 64
+SEARCH_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "how far off the ground is looked for: a jump beyond it counts as not found, though such a map is "
+        "wrong long before; more finds other ground and takes time",
+        CHOSEN,
+    ),
+] = 48
+LEAST_PATCHES: Annotated[
+    int,
+    Because(
+        "patches of a place",
+        "must be found again, of 49: fewer may be chance, more leave seams over woods and water unmeasured",
+        CHOSEN,
+    ),
+] = 4
+MOST_PLACES: Annotated[
+    int,
+    Because(
+        "places of a mosaic",
+        "each takes two frames off the disk, all together some seconds, and their median is good to a sixth "
+        "of their deviation: fewer say less, more take time",
+        "chosen; the median's deviation: sqrt(pi / (2 n)) deviations of n normal values",
+    ),
+] = 60
+_FRAMES_KEPT: Annotated[
+    int,
+    Because(
+        "frames",
+        "decoded, since places follow each other along the same seams: fewer are read again, more take "
+        "memory, 64 MB for 16 MP",
+        CHOSEN,
+    ),
+] = 6
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.constants import Because
+
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WINDOW_PX = 11
-_SIGMA_PX = 1.5
-_K1, _K2 = 0.01, 0.03
+_SSIM: Final = "Wang, Bovik, Sheikh and Simoncelli 2004, section III.C"
+WINDOW_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "side of the window of local means: the index is defined by it, other windows give other figures "
+        "than those published",
+        _SSIM,
+    ),
+] = 11
+_SIGMA_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of the window's Gaussian weights: the index is defined by it",
+        _SSIM,
+    ),
+] = 1.5
+_K1: Annotated[
+    float,
+    Because(
+        "share of the range of values",
+        "keeps the means' comparison from dividing by nothing in the dark: the index is defined by it",
+        _SSIM,
+    ),
+] = 0.01
+_K2: Annotated[
+    float,
+    Because(
+        "share of the range of values",
+        "the same for contrast and structure where the ground is smooth: without it, noise decides there",
+        _SSIM,
+    ),
+] = 0.03
 
 
 @dataclass(frozen=True)

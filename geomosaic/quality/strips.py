@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from geomosaic.ccd.model import (
     StripOffsets,
 )
 from geomosaic.ccd.overlaps import Strips
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.matching.least_squares_matching import bspline_weights
 from geomosaic.quality.strip_figures import (
@@ -33,17 +34,104 @@ from geomosaic.quality.strip_figures import (
     strip_figures,
 )
 
-BLOCK_LINES: Final = 64
-_PIECE_LINES = 64 * BLOCK_LINES
-_MARGIN_LINES = 2 * BLOCK_LINES
-_PATCH_PX = 28
-_SEARCH_PX = 14
-_LEAST_CORRELATION = 0.5
-_AGREE_PX = 0.5
-_LEAST_AGREEING = 0.75
-_LEAST_PATCHES = 2
-_LEAST_SD_PX = 0.01
-_LEAST_SHARE = 0.9
+BLOCK_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "that one residual is told for: two rows of patches, which fewer don't hold; over more, fast jitter "
+        "is lost in the mean",
+        CHOSEN,
+    ),
+] = 64
+_PIECE_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "4,096, read and laid on one another at once: more take memory, fewer read their margins more often",
+        CHOSEN,
+    ),
+] = 64 * BLOCK_LINES
+_MARGIN_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "read before and after a piece, whole blocks: they hold what offsets, search and spline reach "
+        "beyond it; with less, patches at the ends of pieces are lost, more is read for nothing",
+        CHOSEN,
+    ),
+] = 2 * BLOCK_LINES
+_PATCH_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "side of a patch: three fit into an overlap of 96 px and two into a block; smaller ones are found "
+        "by chance, larger ones leave nothing to agree with",
+        CHOSEN,
+    ),
+] = 28
+_SEARCH_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "how far off the ground is looked for: offsets that are farther off count as unmeasured; with more, "
+        "low texture finds peaks by chance",
+        CHOSEN,
+    ),
+] = 14
+_LEAST_CORRELATION: Annotated[
+    float,
+    Because(
+        "1",
+        "least coefficient of a patch that counts: with less, ground and cloud are taken for each other; "
+        "with more, low contrast is left unmeasured",
+        CHOSEN,
+    ),
+] = 0.5
+_AGREE_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which patches of a block, or a block and its neighbour, may differ and still say the same: half "
+        "of the limit, so that ground and clouds apart are told apart; less calls relief and noise a "
+        "disagreement",
+        CHOSEN,
+    ),
+] = 0.5
+_LEAST_AGREEING: Annotated[
+    float,
+    Because(
+        "share of a block's patches",
+        "that must say the same: where fewer do, clouds and ground lie beside each other; with all of them, "
+        "one bad patch leaves a block unmeasured",
+        CHOSEN,
+    ),
+] = 0.75
+_LEAST_PATCHES: Annotated[
+    int,
+    Because(
+        "patches of a block",
+        "that must say the same: one alone agrees with itself; more leave narrow overlaps unmeasured",
+        CHOSEN,
+    ),
+] = 2
+_LEAST_SD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "least deviation of a patch in the mean: stated ones may be smaller than what resampling leaves, "
+        "and a few patches would decide alone; a larger one makes all alike",
+        CHOSEN,
+    ),
+] = 0.01
+_LEAST_SHARE: Annotated[
+    float,
+    Because(
+        "share of a patch's pixels",
+        "in the lines that are asked for: with less, lines that don't count speak for those that do; with "
+        "all of it, patches at each change of label are lost",
+        CHOSEN,
+    ),
+] = 0.9
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.residual_pattern import ResidualPattern
+from geomosaic.constants import Because
 from geomosaic.quality.seam_check import SeamCheck
 
 GRADES = ("good", "doubtful", "bad")
@@ -160,7 +162,15 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
 }
 """Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""
-_DISREGARDED = 0.1
+_DISREGARDED: Annotated[
+    float,
+    Because(
+        "of the weight of a tie point without a residual",
+        "below it a tie point has next to no say: by chance three in a thousand; a larger one counts honest "
+        "ones too, a smaller one overlooks that pictures disagree",
+        "chosen; the chance: 10^(-5 / 2), Student's distribution of pairs with 5 degrees of freedom",
+    ),
+] = 0.1
 
 
 @dataclass(frozen=True)
