@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from geomosaic.ccd.model import Flags, Images
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import Because
 
 _BOX_PX: Annotated[
     int,

@@ -92,8 +92,8 @@ _MOST_PX: Annotated[
     float,
     Because(
         "px, and lines for a metre of height",
-        "what is expected is held to so much, far beyond any search: without it rows at hardly any angle "
-        "would give numbers that leave 64 bits; less would bind real cameras",
+        "what is expected is held to so much, far beyond any search: odd numbers of a geometry file, a "
+        "flight some metres high say, would give any; less would bind real cameras",
         CHOSEN,
     ),
 ] = 1e3
