@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.mosaic.blends import BLENDS, STEP_PX
 from geomosaic.mosaic.compose import WINDOW_PX, common_kind, walk
@@ -28,8 +29,15 @@ from geomosaic.mosaic.window import Manner, Window
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Frame, Survey
 
-_SPARE: Final = 0.02
-"""Of a frame's bounds, which are those of places along its edges: a bent edge may reach a little farther."""
+_SPARE: Annotated[
+    float,
+    Because(
+        "share of a frame's bounds",
+        "bounds are those of places along a frame's edges, and a bent edge reaches a little "
+        "farther: with less, its ortho may be cut there",
+        CHOSEN,
+    ),
+] = 0.02
 
 
 @dataclass(frozen=True)

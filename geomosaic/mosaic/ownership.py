@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.scene import CELL_PX, Scene, distances_m, ground_of, margin_px
@@ -19,17 +20,48 @@ from geomosaic.projection.warp import frame_from_map
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_LEAST_CELL_PX: Final = 8
-"""Of the mosaic. Finer cells would follow single leaves, and take as long as the composition."""
-_MOST_CELL_PX: Final = 512
-_CELLS_ACROSS: Final = 250
-"""A frame's longer side: fine enough for seams to keep to roads and around crowns, and cut in a tenth of the
-time of the composition."""
-_MOST_CELLS: Final = 16_000_000
-"""Of a mosaic, so that 128 MB always hold them: larger mosaics have larger cells."""
-
-_AROUND_AREA_PX: Final = 64
-"""As far as bands of frequencies look; by a wider feather, the nearest frame is what lies beyond."""
+_LEAST_CELL_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "finer cells would follow single leaves, and take as long as the composition",
+        CHOSEN,
+    ),
+] = 8
+_MOST_CELL_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "coarser ones could not follow a road; what has more cells than fit takes more memory",
+        CHOSEN,
+    ),
+] = 512
+_CELLS_ACROSS: Annotated[
+    int,
+    Because(
+        "cells along a frame's longer side",
+        "fine enough for seams to keep to roads and around crowns; finer ones take more than a "
+        "tenth of the time of the composition",
+        "docs/results.md, seams of 28 frames of 16 MP",
+    ),
+] = 250
+_MOST_CELLS: Annotated[
+    int,
+    Because(
+        "cells of a mosaic",
+        "128 MB of owners and distances at most: larger mosaics have larger cells",
+        CHOSEN,
+    ),
+] = 16_000_000
+_AROUND_AREA_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "as far as bands of frequencies look about an area; by a wider feather, the nearest frame"
+        " is what lies beyond",
+        "mosaic.blends: halo of multi_band",
+    ),
+] = 64
 
 
 @dataclass(frozen=True)

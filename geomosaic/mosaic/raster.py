@@ -6,21 +6,35 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal, gdal_array, osr
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.window import Composed
 
-TILE_PX: Final = 512
+TILE_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "side of a tile of a GeoTIFF: smaller ones are many to look up, larger ones much to read for a pixel",
+        "GDAL, COG driver: BLOCKSIZE's default",
+    ),
+] = 512
 BLOCK_ROWS: Final = TILE_PX
-_MOST_OVERVIEWS: Final = 7
-"""A block's rows are halved so often; its part of the smallest overview is four rows."""
+_MOST_OVERVIEWS: Annotated[
+    int,
+    Because(
+        "halvings",
+        "a block's 512 rows are halved so often that its part of the smallest overview is four rows",
+        CHOSEN,
+    ),
+] = 7
 _OPTIONS: Final = (
     "TILED=YES",
     f"BLOCKXSIZE={TILE_PX}",

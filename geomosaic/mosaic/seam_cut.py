@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.ownership import FrameCells, Ownership, frame_cells
 from geomosaic.mosaic.plugins import SEAMS_GROUP, Named
 from geomosaic.mosaic.scene import Scene
@@ -24,19 +25,81 @@ Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 _cv2: Any = cv2  # its stubs leave the stitching module out
-_BAND: Final = 0.5
-"""Of the side of a frame's own part: how much farther from its nadir point than from the nearest a frame
-may still give the ground. So seams stay in the inner half between nadirs, where frames look down most
-steeply."""
-_LEAST_BAND_CELLS: Final = 6.0
-_EDGE_PX: Final = 16.0
-"""Of a frame: seams keep off its outermost pixels, the darkest and least sharp."""
-_HIGH_M: Final = 2.0
-_WIDEST_M: Final = 60.0
-_FINE_M: Final = 2.0
-_ON_OBJECTS: Final = np.float32(40.0)
-_LEAST_WHITE: Final = 1e-6
-_WHITE: Final = 255.0
+_BAND: Annotated[
+    float,
+    Because(
+        "share of the side of a frame's own part",
+        "how much farther from its nadir point than from the nearest a frame may give the ground:"
+        " with more, frames look aside there and houses lean; with less, no way is left around "
+        "them",
+        CHOSEN,
+    ),
+] = 0.5
+_LEAST_BAND_CELLS: Annotated[
+    float,
+    Because(
+        "cells",
+        "of frames that overlap much: narrower bands leave a seam no choice",
+        CHOSEN,
+    ),
+] = 6.0
+_EDGE_PX: Annotated[
+    float,
+    Because(
+        "px of a frame",
+        "its outermost ones are the darkest and least sharp",
+        CHOSEN,
+    ),
+] = 16.0
+_HIGH_M: Annotated[
+    float,
+    Because(
+        "m over the ground",
+        "what stands is higher: cars and hedges lean too little to matter, a storey is 2.5",
+        CHOSEN,
+    ),
+] = 2.0
+_WIDEST_M: Annotated[
+    float,
+    Because(
+        "m",
+        "houses are narrower; hills are wider, so that they are no objects",
+        CHOSEN,
+    ),
+] = 60.0
+_FINE_M: Annotated[
+    float,
+    Because(
+        "m between a surface's nodes",
+        "coarser surfaces show no houses, but ridges between their nodes",
+        CHOSEN,
+    ),
+] = 2.0
+_ON_OBJECTS: Annotated[
+    np.float32,
+    Because(
+        "grey levels of 8 bits in each band",
+        "a seam on an object counts as one along which frames differ by so much; a path through a"
+        " whole picture of grass differs by 10",
+        CHOSEN,
+    ),
+] = np.float32(40.0)
+_LEAST_WHITE: Annotated[
+    float,
+    Because(
+        "the values' own",
+        "so that black pictures divide nothing by zero",
+        CHOSEN,
+    ),
+] = 1e-6
+_WHITE: Annotated[
+    float,
+    Because(
+        "grey levels",
+        "of 8 bits: what all values are brought to before they are compared",
+        "definition",
+    ),
+] = 255.0
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -11,13 +11,34 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.features import shapes
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.model import Hole, Holes, OutputGrid, Seamline
 from geomosaic.mosaic.window import Composed
 
-_MOST_LABELS = 4_000_000
-_SIMPLIFY_LABELS = 1.0
-_MOST_LISTED: Final = 20
-"""Of holes: what a person looks at."""
+_MOST_LABELS: Annotated[
+    int,
+    Because(
+        "cells",
+        "of the raster that outlines are drawn from: 16 MB, some seconds of drawing",
+        CHOSEN,
+    ),
+] = 4_000_000
+_SIMPLIFY_LABELS: Annotated[
+    float,
+    Because(
+        "cells",
+        "outlines leave their corners by no more, so that stairs become lines",
+        CHOSEN,
+    ),
+] = 1.0
+_MOST_LISTED: Annotated[
+    int,
+    Because(
+        "holes",
+        "the largest ones: what a person looks at",
+        CHOSEN,
+    ),
+] = 20
 
 
 class SeamLabels:

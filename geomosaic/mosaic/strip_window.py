@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.layout import Places
 from geomosaic.ccd.model import Floats
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.strip_lines import Lines
 from geomosaic.projection.resample import resample
 
 Floats32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-_ROWS, _COLS = 64, 4096
-"""Pieces of this size stay in the processor's cache."""
+_ROWS: Annotated[
+    int,
+    Because(
+        "px",
+        "of a piece that is resampled at once: of this size it stays in the processor's cache",
+        CHOSEN,
+    ),
+] = 64
+_COLS: Annotated[
+    int,
+    Because(
+        "px",
+        "of a piece that is resampled at once: of this size it stays in the processor's cache",
+        CHOSEN,
+    ),
+] = 4096
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.ground import GroundSurface
@@ -26,20 +27,78 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.intp]
 
-_ACROSS: Final = 24
-"""Places along a frame's longer side: some hundred in each overlap, of which a gain takes one."""
-_LEAST_SIDE_PX: Final = 64
-_TELLING: Final = (6.0, 249.0)
-"""Grey levels of 8 bits between which a camera tells how bright the ground is; of other types all but nothing
-and the most they hold."""
-_GAIN_SD, _SLOPE_SD, _VIGNETTE_SD = 0.2, 0.1, 0.5
-"""Natural logarithms, before the pictures speak: half a stop of exposure either way, a tenth from a frame's
-middle to its corner (land looks brighter with the sun behind the camera), and corners at most half as bright.
-What weakly holds each gain to nothing holds a block from growing darker from end to end."""
-_INDEPENDENT: Final = 25.0
-"""Places of a frame that tell something of their own: light changes over a field, not from place to place."""
-_LEAST_SD: Final = 0.005
-_ROUNDS: Final = 8
+_ACROSS: Annotated[
+    int,
+    Because(
+        "places along a frame's longer side",
+        "some hundred in each overlap, where a gain takes one",
+        CHOSEN,
+    ),
+] = 24
+_LEAST_SIDE_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "of the reduced picture that is sampled: of smaller ones a place would be a mean of a "
+        "tree and the field beside it",
+        CHOSEN,
+    ),
+] = 64
+_TELLING: Annotated[
+    tuple[float, float],
+    Because(
+        "grey levels of 8 bits",
+        "between them a camera tells how bright the ground is: below is noise, above it may be "
+        "saturated; of other types all but nothing and the most they hold",
+        CHOSEN,
+    ),
+] = (6.0, 249.0)
+_HELD: Final = "before the pictures speak, weakly, so that no block grows darker from end to end: "
+_GAIN_SD: Annotated[
+    float, Because("natural logarithm of brightness", _HELD + "half a stop of exposure either way", CHOSEN)
+] = 0.2
+_SLOPE_SD: Annotated[
+    float,
+    Because(
+        "natural logarithm of brightness, from a frame's middle to its corner",
+        _HELD + "land looks a tenth brighter with the sun behind the camera",
+        CHOSEN,
+    ),
+] = 0.1
+_VIGNETTE_SD: Annotated[
+    float,
+    Because(
+        "natural logarithm of brightness, from a frame's middle to its corner",
+        _HELD + "corners are at most half as bright",
+        CHOSEN,
+    ),
+] = 0.5
+_INDEPENDENT: Annotated[
+    float,
+    Because(
+        "places",
+        "of a frame that tell something of their own: light changes over a field, not from place "
+        "to place; with more, frames that overlap little would follow noise",
+        CHOSEN,
+    ),
+] = 25.0
+_LEAST_SD: Annotated[
+    float,
+    Because(
+        "natural logarithm of brightness",
+        "a half per cent, a grey level of 8 bits: places that agree better by chance would count "
+        "for too much",
+        CHOSEN,
+    ),
+] = 0.005
+_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "of weights, which leave cars and glitter out: enough for them to settle",
+        CHOSEN,
+    ),
+] = 8
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,103 @@
+"""Numbers in the maths say their unit, their reason and their source."""
+
+import ast
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from pathlib import Path
+
+import pytest
+
+import geomosaic
+from geomosaic.constants import records
+
+HOUSE = Path(geomosaic.__file__).parent
+ROOMS = (
+    "adjustment",
+    "camera",
+    "ccd",
+    "geodesy",
+    "matching",
+    "mosaic",
+    "placement",
+    "projection",
+    "quality",
+    "survey",
+)
+
+
+def numbers(tree: ast.AST) -> Iterator[ast.AST]:
+    """Numbers, other than those that choose from a sequence, say its shape, or are a table's keys."""
+    if isinstance(tree, ast.Constant):
+        if isinstance(tree.value, (int, float)) and not isinstance(tree.value, bool):
+            yield tree
+    elif isinstance(tree, ast.Dict):
+        for value in tree.values:
+            yield from numbers(value)
+    elif not isinstance(tree, (ast.Subscript, ast.Lambda)):
+        for child in ast.iter_child_nodes(tree):
+            yield from numbers(child)
+
+
+def of_structure(tree: ast.AST) -> bool:
+    """No number by itself, but one of others, or a matrix: of zeros, ones, halves and twos alone."""
+    others = any(isinstance(n, ast.List) or (isinstance(n, ast.Name) and n.id.isupper()) for n in ast.walk(tree))
+    return others and all(n.value in (0, 0.5, 1, 2) for n in numbers(tree))
+
+
+def says_why(value: object) -> bool:
+    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
+    return bool(inside) and all(is_dataclass(v) and getattr(v, "reason", "") for v in inside)
+
+
+def without_record(room: str) -> Iterator[str]:
+    for path in sorted((HOUSE / room).rglob("*.py")):
+        name = ".".join(("geomosaic", *path.relative_to(HOUSE).with_suffix("").parts)).removesuffix(
+            ".__init__"
+        )
+        for line in ast.parse(path.read_text()).body:
+            targets = (
+                line.targets
+                if isinstance(line, ast.Assign)
+                else [line.target]
+                if isinstance(line, ast.AnnAssign)
+                else []
+            )
+            value = getattr(line, "value", None)
+            if not targets or value is None or not any(numbers(value)):
+                continue
+            if isinstance(line, ast.AnnAssign) and "Because(" in ast.unparse(line.annotation):
+                continue
+            if of_structure(value):
+                continue
+            if isinstance(targets[0], ast.Name) and says_why(
+                vars(importlib.import_module(name))[targets[0].id]
+            ):
+                continue
+            yield f"{path.relative_to(HOUSE)}:{line.lineno} {ast.unparse(line)[:80]}"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_each_number_has_a_record(room: str) -> None:
+    missing = list(without_record(room))
+    assert not missing, "\n" + "\n".join(missing)
+
+
+def test_records_say_something() -> None:
+    found = list(records())
+    assert len(found) > 20
+    for name, value, why in found:
+        assert value is not None, name
+        assert why.unit, name
+        assert len(why.reason.split()) >= 3, f"{name}: {why.reason}"
+        assert len(why.source) >= 4, f"{name}: {why.source}"
+
+
+def test_a_number_without_a_record_is_found() -> None:
+    assert [n.value for n in numbers(ast.parse("_FAR = 2.5"))] == [2.5]
+    assert list(numbers(ast.parse("_FIRST = _ALL[0]"))) == []
+    assert of_structure(ast.parse("np.array([[0, -1], [1, 0]])"))
+    assert of_structure(ast.parse("_A * (1 - _B)"))
+    assert not of_structure(ast.parse("np.radians(0.5)"))
+    assert not of_structure(ast.parse("_A * (1 - 0.3)"))
+    assert not of_structure(ast.parse("np.array([0.3, 1])"))
