@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 
 Range = tuple[float, float]
@@ -35,13 +36,68 @@ STRIPS: Final = Rate(0.05, 0.5, "s/MP", "offsets to overviews; SIFT chains take 
 SCENE_MEMORY: Final = Rate(8e3, 30e3, "bytes/column", "blocks of rows at work, windows of offsets", _SCENE)
 PACKED: Final = Rate(0.3, 1.1, "share of the pixels' bytes", "lossless, with a third for overviews", _HERE)
 MEMORY: Final = Rate(0.7, 1.5, "share of the sum", "of decoded frames, windows at work and keypoints", _HERE)
-_LONGEST_MATCHED_PX: Final = 3000
-_SIFT_BYTES_PER_PX: Final = 130.0  # six blurred pictures of four bytes at twice the size, and octaves
-_PROGRAM_BYTES: Final = 250e6  # libraries and buffers of a process
-_WINDOW_BYTES: Final = 100e6  # of a thread that composes
-_PLANNED_BYTES: Final = 600.0  # of a window of 512 x 512 px in the plan
-_MASK_BYTES: Final = 1.0 / 8.0
-_SOURCE_BYTES: Final = 0.05  # frame indices are packed; they change at seams only
+_LONGEST_MATCHED_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "longer side of a frame beyond which it is halved before it is matched: the stage's own default; "
+        "another number tells times and memory that aren't taken",
+        "matching.sift.longest_px",
+    ),
+] = 3000
+_SIFT_BYTES_PER_PX: Annotated[
+    float,
+    Because(
+        "bytes/px",
+        "that SIFT takes while it looks at a frame: six blurred pictures of four bytes at twice the size, "
+        "and their octaves; with less, the memory of matching is told too low",
+        "Lowe 2004, section 3: s + 3 pictures an octave, s = 3, the first one doubled: 6 x 4 x 4 x 4/3, "
+        "rounded",
+    ),
+] = 130.0
+_PROGRAM_BYTES: Annotated[
+    float,
+    Because(
+        "bytes",
+        "libraries and buffers of a process: with less, the memory of many processes is told too low",
+        CHOSEN,
+    ),
+] = 250e6
+_WINDOW_BYTES: Annotated[
+    float,
+    Because(
+        "bytes",
+        "of the windows at work in a thread that composes: with less, the memory of many threads is told "
+        "too low",
+        CHOSEN,
+    ),
+] = 100e6
+_PLANNED_BYTES: Annotated[
+    float,
+    Because(
+        "bytes",
+        "of a window of 512 x 512 px in the plan: it matters beyond some ten thousand windows only, where "
+        "with less the memory is told too low",
+        CHOSEN,
+    ),
+] = 600.0
+_MASK_BYTES: Annotated[
+    float,
+    Because(
+        "bytes/px",
+        "of the mask beside the bands on the disk: more or less misjudges the room",
+        "one bit a pixel",
+    ),
+] = 1.0 / 8.0
+_SOURCE_BYTES: Annotated[
+    float,
+    Because(
+        "bytes/px",
+        "of the raster of frame indices, which are packed and change at seams only: with less, the room on "
+        "the disk is told too low",
+        CHOSEN,
+    ),
+] = 0.05
 
 
 @dataclass(frozen=True)

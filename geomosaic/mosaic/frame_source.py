@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.frames import Decoded
 from geomosaic.mosaic.ownership import Ownership, owner_share
 from geomosaic.mosaic.scene import Scene, distances_m, margin_px
@@ -18,8 +19,15 @@ from geomosaic.projection.lattice import MapLattice, Seen
 from geomosaic.projection.resample import resample
 
 Floats32 = NDArray[np.float32]
-_NEARER_PER_M: Final = np.float32(1e-7)
-"""What a metre to the nadir point counts beside a pixel's share in an owner: nothing, unless none sees it."""
+_NEARER_PER_M: Annotated[
+    np.float32,
+    Because(
+        "shares per m",
+        "what a metre to the nadir point counts beside a pixel's share in an owner: nothing, unless no "
+        "owner sees it; a larger one moves seams, a smaller one is the same",
+        CHOSEN,
+    ),
+] = np.float32(1e-7)
 
 
 @dataclass(frozen=True)
