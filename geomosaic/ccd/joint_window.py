@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,23 +25,145 @@ from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.second_layers import widest_step
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
+from geomosaic.constants import CHOSEN, Because
 
-_COARSE_SD_PX = 1.2
-# The way through the volumes, everywhere: little, but nothing runs off where nothing else is known.
-_ANCHOR = 40.0**-2 * np.eye(2)
-_FAR_PX = 3.5
-# A knot is of the suspect part above the one share of its pixels, of the rest below the other.
-_MOSTLY, _HARDLY = 0.6, 0.1
-# The suspect part is cloud if it lies off by more than both; neighbouring knots' errors are no independent
-# facts, one in so many counts. It is left out, too, where that could not be seen to so many pixels, or where
-# less than a share of it fits the curves at all.
-_MOVED_PX, _MOVED_DEVIATIONS, _UNSEEN_PX = 0.06, 4.0, 0.1
-_KNOTS_PER_FACT, _ENOUGH_FIT = 10.0, 0.3
-_SURE_SD_PX = 0.25
-_LEAST_FIT = 0.25
-_LEAST_KNOTS = 8
-# Of a knot's variance such a share lasts (what is left of the columns' pattern): more knots don't help.
-_LASTING_SHARE, _NEARBY_KNOTS = 0.05, 31
+_COARSE_SD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of the way through the volumes, whose bins are 2 px, for the first curves: with less, "
+        "these follow every bin, with more, what was expected beforehand",
+        CHOSEN,
+    ),
+] = 1.2
+_ANCHOR: Annotated[
+    Floats,
+    Because(
+        "px^-2",
+        "information of the way through the volumes at every knot, a deviation of 40 px: little, but "
+        "nothing runs off where nothing else is known; more would draw curves to whole bins",
+        CHOSEN,
+    ),
+] = 40.0**-2 * np.eye(2)
+_FAR_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "where curves lie farther from the way through the volumes, not quite two bins, nothing is believed "
+        "that is measured along them, since they have slid to a cloud or to nothing: with less, what moves "
+        "within a block is lost, with more, clouds are let in",
+        CHOSEN,
+    ),
+] = 3.5
+_MOSTLY: Annotated[
+    float,
+    Because(
+        "share of a knot's pixels",
+        "above which a knot is of the suspect part: with less, ground in it hides how clouds moved, with "
+        "more, small clouds are never asked",
+        CHOSEN,
+    ),
+] = 0.6
+_HARDLY: Annotated[
+    float,
+    Because(
+        "share of a knot's pixels",
+        "of the suspect part, below which a knot is of the rest: with more, clouds have a say in where the "
+        "ground lies, with less, few knots are left to say it",
+        CHOSEN,
+    ),
+] = 0.1
+_MOVED_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which the suspect part must lie off the rest to be cloud, as much as resampling and relief may "
+        "do within a cell: with less, bright ground is left out, with more, low clouds in slow wind are "
+        "believed",
+        CHOSEN,
+    ),
+] = 0.06
+_MOVED_DEVIATIONS: Annotated[
+    float,
+    Because(
+        "deviations",
+        "and by which it must lie off as well: less calls bright ground cloud by chance where little of it "
+        "is seen, more believes clouds there",
+        CHOSEN,
+    ),
+] = 4.0
+_UNSEEN_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of how far the suspect part lies off, from which on it is left out though not seen to "
+        "move: with more, clouds pass for still, with less, bright ground is lost where contrast is low",
+        CHOSEN,
+    ),
+] = 0.1
+_KNOTS_PER_FACT: Annotated[
+    float,
+    Because(
+        "knots",
+        "that count as one fact of how far the suspect part lies off, since neighbours err alike: with "
+        "fewer, still ground seems to move, with more, nothing ever does",
+        CHOSEN,
+    ),
+] = 10.0
+_ENOUGH_FIT: Annotated[
+    float,
+    Because(
+        "share of the suspect part's knots",
+        "that must fit anything, else it can't be told whether the part moves: with less, a few chance fits "
+        "decide, with more, bright ground of low contrast is lost",
+        CHOSEN,
+    ),
+] = 0.3
+_SURE_SD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of a knot from which curves' habits are learned: with less, stretches long enough are "
+        "rare, with more, noise is taken for habit and bridges are unsteady",
+        CHOSEN,
+    ),
+] = 0.25
+_LEAST_FIT: Annotated[
+    float,
+    Because(
+        "share of a knot's cells",
+        "that must fit for it to be measured itself, one of its four: with less, knots that only their "
+        "neighbours hold count, with more, a cloud over half the columns takes the knot",
+        CHOSEN,
+    ),
+] = 0.25
+_LEAST_KNOTS: Annotated[
+    int,
+    Because(
+        "knots",
+        "measured of a pair, whose middle is its level: of fewer, one cloud's may be most, and the curves' "
+        "mean stands in; more would never ask pairs that are seen in few places",
+        CHOSEN,
+    ),
+] = 8
+_LASTING_SHARE: Annotated[
+    float,
+    Because(
+        "share of a knot's variance",
+        "that lasts from knot to knot, what is left of the columns' pattern, so that more knots don't help: "
+        "with less, clean scenes claim too much, with more, too little",
+        CHOSEN,
+    ),
+] = 0.05
+_NEARBY_KNOTS: Annotated[
+    int,
+    Because(
+        "knots",
+        "over whose mean information a knot's variance is taken for what lasts, odd so that it lies in "
+        "their middle: with fewer, single knots' contrast shows, with more, that of other ground",
+        CHOSEN,
+    ),
+] = 31
 
 
 @dataclass(frozen=True)

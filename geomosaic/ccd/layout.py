@@ -9,17 +9,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 
 from geomosaic.ccd.model import Floats, PairOffsets, StripOffsets
+from geomosaic.constants import Because
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
 Ends = Literal["all", "common"]
 """Lines of the scene: those that any strip has, or those that all have."""
-_ROUNDS = 12
+_ROUNDS: Annotated[
+    int,
+    Because(
+        "rounds",
+        "to find where a strip's pixel lies in the scene: each leaves about a hundredth of what the last "
+        "one left, fewer leave what shows; beside lost or repeated lines some pixels settle slowly, and "
+        "more help them little",
+        "fixed point; computed with the true offsets of simulate.strip_plan.StripPlan, seed 71, CCDs "
+        "mounted 4 px off, 3000 m of relief: 2e-3 px after two, 8e-11 after six; with seven lines repeated "
+        "76 of 40,000 pixels are off after twelve, by up to 1.1 px, and 57 after 20",
+    ),
+] = 12
 
 
 @dataclass(frozen=True, eq=False)

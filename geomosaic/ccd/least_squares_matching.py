@@ -9,6 +9,7 @@ against what noise and resampling explain: a cloud, a misread ground or a lost l
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -17,21 +18,100 @@ from scipy.ndimage import uniform_filter1d
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
+from geomosaic.constants import CHOSEN, Because
 
-# cv2.remap knows 32 steps to a pixel, and its cubic kernel does not keep a ramp: see `_lands`.
-_STEP = 1.0 / 32.0
-# What resampling, aliasing and relief within a cell leave, as a shift of the picture by so many pixels.
-_MISFIT_PX = 0.06
-# The same within neighbouring pixels is alike: as an error of each pixel by itself it would be so much.
-_ALIKE_MISFIT_PX = 0.33
-# By so much of it a curve is drawn from which to learn how curves go: rather too close than too smooth.
-_CLOSE_MISFIT_PX = 0.117
-_MOST_RATIO = 1.8
-_HOPELESS_RATIO = 5.0
-_COL_GROUPS = 4
-# Cells count in full where the gradients' correlation is the second or more, not at all below the first.
-_UNLIKE, _ALIKE = 0.2, 0.4
-_ALIKE_KNOTS = 5
+_STEP: Annotated[
+    float,
+    Because(
+        "px",
+        "to which curves are rounded before cv2.remap, which knows no finer step: with any other one, "
+        "pictures are taken from elsewhere than `_lands` says",
+        "OpenCV: cv2.INTER_TAB_SIZE is 32 steps to a pixel",
+    ),
+] = 1.0 / 32.0
+_MISFIT_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "what resampling, aliasing and relief leave within a cell, as a shift of the picture: with less, "
+        "sharp ground is said not to fit, with more, clouds and lost lines fit",
+        CHOSEN,
+    ),
+] = 0.06
+_ALIKE_MISFIT_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "the same as an error of each pixel by itself, larger since within neighbouring pixels it is alike: "
+        "with less, stated deviations are too small where contrast is high, with more, too large",
+        "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
+        "interval",
+    ),
+] = 0.33
+_CLOSE_MISFIT_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "the same for curves from which to learn how curves go, an eighth of its variance, since they "
+        "should rather lie too close than be too smooth: with less, noise is learned, with more, jitter is "
+        "smoothed away",
+        CHOSEN,
+    ),
+] = 0.117
+_MOST_RATIO: Annotated[
+    float,
+    Because(
+        "of the mean square that noise and misfit explain",
+        "beyond which a cell counts less, by the square: with less, cells are lost by chance, with more, "
+        "those half under a cloud count in full",
+        CHOSEN,
+    ),
+] = 1.8
+_HOPELESS_RATIO: Annotated[
+    float,
+    Because(
+        "of the mean square that noise and misfit explain",
+        "beyond which a cell doesn't count at all, a cloud or a misread ground: with less, cells at the "
+        "edge of something are lost, with more, many such together still pull",
+        CHOSEN,
+    ),
+] = 5.0
+_COL_GROUPS: Annotated[
+    int,
+    Because(
+        "cells of a knot",
+        "side by side, into which the overlap's columns are parted: with fewer, a cloud's edge spoils a "
+        "whole knot, with more, each has too few pixels to judge it by",
+        CHOSEN,
+    ),
+] = 4
+_UNLIKE: Annotated[
+    float,
+    Because(
+        "1",
+        "correlation of both pictures' gradients below which a cell doesn't count: with less, smooth clouds "
+        "that fit anything pull the curve, with more, ground of low contrast is lost",
+        CHOSEN,
+    ),
+] = 0.2
+_ALIKE: Annotated[
+    float,
+    Because(
+        "1",
+        "correlation of both pictures' gradients from which on a cell counts in full: nearer to the other "
+        "limit, cells come and go by noise, with more, noisy ground counts too little",
+        CHOSEN,
+    ),
+] = 0.4
+_ALIKE_KNOTS: Annotated[
+    int,
+    Because(
+        "knots",
+        "over which that correlation is taken, odd so that the knot lies in their middle: of fewer it is "
+        "noise where contrast is low, of more a cloud's edge reaches farther",
+        CHOSEN,
+    ),
+] = 5
 
 
 @dataclass(frozen=True)
