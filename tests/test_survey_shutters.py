@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,11 +16,20 @@ def header(bands: int = 3, xmp: dict[str, str] | None = None, **exif: str) -> Fr
     return FrameHeader(Path("/f/a.jpg"), 4000, 3000, bands, "uint8", None, Exif(**exif), xmp or {})  # type: ignore[arg-type]
 
 
+def sized(width_px: int, height_px: int, model: str) -> FrameHeader:
+    exif = Exif(model=model, width_px=width_px, height_px=height_px)
+    return replace(header(), width_px=width_px // 4, height_px=height_px // 4, exif=exif)
+
+
 @pytest.mark.parametrize(
     ("told", "expected"),
     [
         (header(make="DJI", model="FC330"), Shutter(0.033, pytest.approx(0.0033), "model")),
         (header(make="Hasselblad", model="L1D-20c"), Shutter(0.056, pytest.approx(0.0056), "model")),
+        (sized(5472, 3078, "L1D-20c"), Shutter(0.047, pytest.approx(0.0047), "model")),
+        (sized(5472, 3648, "L1D-20c"), Shutter(0.056, pytest.approx(0.0056), "model")),
+        (sized(4032, 3024, "FC3582"), Shutter(0.026, pytest.approx(0.0026), "model")),
+        (sized(8064, 6048, "FC3582"), Shutter(0.060, pytest.approx(0.0060), "model")),
         (header(make="DJI", model="FC6310"), Shutter(0.0, 0.0, "global")),
         (header(make="Canon", model="Canon PowerShot S110"), Shutter(0.0, 0.0, "global")),
         (header(make="NIKON CORPORATION", model="NIKON D800"), Shutter(0.0, 0.0, "global")),

@@ -10,19 +10,28 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import SLOWEST
 from geomosaic.survey.xmp import number
 
+_LIST: Final = "OpenDroneMap's list (opendm/rollingshutter.py): its users, with a blinking light"
 READOUTS_S: Annotated[
     dict[str, float],
     Because(
         "s",
         "from the first row to the last by EXIF's model: without it lines flown to and fro shrink and "
-        "stretch; fc3582's is that of 12 MP, its pictures of 48 MP take 0.060",
-        "OpenDroneMap's list of 2022 (opendm/rollingshutter.py): its users, with a blinking light",
+        "stretch",
+        _LIST,
     ),
 ] = {
     "phantom vision fc200": 0.074, "fc300c": 0.033, "fc300s": 0.033, "fc300x": 0.033, "fc330": 0.033,
     "fc350": 0.030, "fc7203": 0.020, "fc3170": 0.027, "fc3411": 0.032, "fc3582": 0.026, "l1d-20c": 0.056,
     "e90": 0.044, "hero4 black": 0.030, "hero8 black": 0.017,
 }  # fmt: skip
+_READOUTS_BY_SIZE: Annotated[
+    dict[str, tuple[float, float, float]],
+    Because(
+        "megapixels from and to, s",
+        "pictures of other sizes than most by the model, of which other rows are read, or each",
+        _LIST,
+    ),
+] = {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)}
 READOUT_SD_SHARE: Annotated[
     float,
     Because(
@@ -87,5 +96,9 @@ def shutter(header: FrameHeader) -> Shutter:
     if mechanical or model in GLOBAL_SHUTTERS or header.exif.make.lower().strip() in STILL_CAMERAS:
         return Shutter(0.0, 0.0, "global")
     if model in READOUTS_S:
-        return Shutter(READOUTS_S[model], READOUT_SD_SHARE * READOUTS_S[model], "model")
+        width_px, height_px = header.exif.width_px, header.exif.height_px
+        size = 1e-6 * (width_px or header.width_px) * (height_px or header.height_px)
+        least, most, other_s = _READOUTS_BY_SIZE.get(model, (0.0, 0.0, 0.0))
+        seconds = other_s if least <= size < most else READOUTS_S[model]
+        return Shutter(seconds, READOUT_SD_SHARE * seconds, "model")
     return Shutter(0.0, UNTOLD_SD_S, "untold")
