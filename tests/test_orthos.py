@@ -159,9 +159,11 @@ def test_orthos_can_be_stopped(tmp_path: Path) -> None:
 def test_the_command_writes_orthos_of_a_finished_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """Resampled as the mosaic was."""
     made = small_survey(tmp_path, lines=1, frames_per_line=3, width_px=240, height_px=180)
     told = ("--pos", made.pos, "--camera", made.camera, "--adjust", "least_squares", "--ground-height", 520)
-    assert mosaic(made.frames, tmp_path / "run", *told) == 0
+    how = ("mosaic.compose.resampling=lanczos", "mosaic.compose.blend=hard")
+    assert mosaic(made.frames, tmp_path / "run", *told, *(a for h in how for a in ("--set", h))) == 0
     capfd.readouterr()
     assert geomosaic("export", "orthos", tmp_path / "run") == 0
     assert capfd.readouterr().out.strip() == str(tmp_path / "run" / "orthos")
@@ -170,3 +172,10 @@ def test_the_command_writes_orthos_of_a_finished_run(
     gsd_m = json.loads((tmp_path / "run" / "run.json").read_text())["mosaic"]["gsd_m"]
     with rasterio.open(tmp_path / "run" / "orthos" / "F0002.tif") as ortho:
         assert ortho.transform.a == gsd_m and ortho.overviews(1) == [] and ortho.count == 3
+        mine, bounds = ortho.read(), ortho.bounds
+    with rasterio.open(tmp_path / "run" / "mosaic.tif") as whole:
+        there = whole.read(window=from_bounds(*bounds, whole.transform).round())
+    with rasterio.open(tmp_path / "run" / "sources.tif") as sources:
+        given_by = sources.read(1, window=from_bounds(*bounds, sources.transform).round())
+    assert (given_by == 2).sum() > 1000
+    assert (mine == there)[:, given_by == 2].all()

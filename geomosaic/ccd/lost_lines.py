@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -17,16 +18,110 @@ from numpy.typing import NDArray
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Floats, Images
 from geomosaic.ccd.rows import RowPair
+from geomosaic.constants import CHOSEN, Because
 
 Ints = NDArray[np.intp]
-_KNOTS_APART, _KNOTS_FITTED = 10, 8
-_ENOUGH_PAIRS = 3
-# Between knots so far apart curves rise; coarse ones by as much where several lines were lost.
-_STEEP_KNOTS, _STEEP_COARSE_PX = 8, 3.5
-_LEAST_COARSE = 3
-_COARSE_PX = (-0.8, 0.0, 0.8)
-_AROUND_LINES, _SHARP_LINES = 256, 48
-_MOST_MISFIT, _LEAST_SEEN = 0.3, 0.6
+_KNOTS_APART: Annotated[
+    int,
+    Because(
+        "knots",
+        "on either side of a steep place that are left out when lines are laid through its curve before and "
+        "after: over nearer ones the smoother spreads the step, farther ones say less about the place",
+        CHOSEN,
+    ),
+] = 10
+_KNOTS_FITTED: Annotated[
+    int,
+    Because(
+        "knots",
+        "beyond those, through which a line is laid: through fewer it turns with their noise, through more "
+        "it misses how relief bends",
+        CHOSEN,
+    ),
+] = 8
+_ENOUGH_PAIRS: Annotated[
+    int,
+    Because(
+        "pairs",
+        "from which on the middle one is the motion of all: of two the middle has half of either's step",
+        "median: of three, one may be off by anything",
+    ),
+] = 3
+_STEEP_KNOTS: Annotated[
+    int,
+    Because(
+        "knots",
+        "over which a curve's rise is taken: the smoother spreads a step over some; over fewer it is a part "
+        "of the step, over more, motion and relief rise as far",
+        CHOSEN,
+    ),
+] = 8
+_STEEP_COARSE_PX: Annotated[
+    float,
+    Because(
+        "lines",
+        "rise of the way through the volumes, whose bins are 2 px, that is asked for lost lines: with less, "
+        "its own steps of a bin are, with more, steps of several lines are passed over, and matching begins "
+        "beside them",
+        CHOSEN,
+    ),
+] = 3.5
+_LEAST_COARSE: Annotated[
+    int,
+    Because(
+        "lines",
+        "least step looked for along the way through the volumes: smaller ones are lost in its bins of 2 "
+        "px, and left to the curves that follow; larger ones these may not find",
+        CHOSEN,
+    ),
+] = 3
+_COARSE_PX: Annotated[
+    tuple[float, float, float],
+    Because(
+        "px",
+        "columns and lines tried about the way through the volumes, which is good to a bin of 2 px: closer "
+        "ones leave it off by more than pictures stay alike, wider ones miss between them, more take time "
+        "by their square",
+        CHOSEN,
+    ),
+] = (-0.8, 0.0, 0.8)
+_AROUND_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "compared on either side of a steep place: a step may lie off its middle, and with fewer beyond "
+        "them; with more, lines through the curve go astray, or another step is among them",
+        CHOSEN,
+    ),
+] = 256
+_SHARP_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "on either side of a step on which the one offset must fit and the other fail, and within which two "
+        "pairs' steps are one: fewer decide by noise where contrast is low, more don't tell steps that are "
+        "near to each other",
+        CHOSEN,
+    ),
+] = 48
+_MOST_MISFIT: Annotated[
+    float,
+    Because(
+        "of the other offset's misfit",
+        "that may be left on either side of a step: with less, steps under noise are not found, with more, "
+        "relief and clouds' edges make steps",
+        CHOSEN,
+    ),
+] = 0.3
+_LEAST_SEEN: Annotated[
+    float,
+    Because(
+        "share of the pixels",
+        "beside a step that must be seen: with less, what is left beside a cloud decides, with more, steps "
+        "near saturated or missing pixels are not found",
+        CHOSEN,
+    ),
+] = 0.6
 
 
 @dataclass(frozen=True)

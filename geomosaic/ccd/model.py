@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from geomosaic.constants import Because
 
 Floats = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -21,7 +23,21 @@ Progress = Callable[[int, int], None]
 """Told how much of how much is done; may raise to stop the work."""
 
 LABELS: Final = ("measured", "bridged", "unreliable")
-MEASURED, BRIDGED, UNRELIABLE = range(3)
+_LABEL: Final = "index into LABELS"
+_RECORDED: Final = "docs/recording.md, /strip_offsets/PAIR"
+MEASURED: Annotated[
+    int, Because(_LABEL, "own evidence in the pictures; another number is misread in recordings", _RECORDED)
+] = 0
+BRIDGED: Annotated[
+    int,
+    Because(
+        _LABEL, "from neighbouring lines and other pairs; another number is misread in recordings", _RECORDED
+    ),
+] = 1
+UNRELIABLE: Annotated[
+    int,
+    Because(_LABEL, "hardly known, or seen by one strip; another number is misread in recordings", _RECORDED),
+] = 2
 
 
 @dataclass(frozen=True)

@@ -141,6 +141,7 @@ def compose(
         frames_used=tuple(sorted(gave_pixels)),
         decodes=frames.decodes,
         holes=labels.holes(),
+        resampling=resampling,
     )
 
 

@@ -80,7 +80,8 @@ class Mosaic:
 
     raster: the raster's name inside the run folder. frames_used: indices of frames that gave pixels.
     decodes: how often a frame was decoded; the number of frames where memory sufficed. band_names: of a rig's
-    bands, in the raster's order. holes: none smaller than a cell of the seamlines is seen.
+    bands, in the raster's order. holes: none smaller than a cell of the seamlines is seen. resampling: how
+    frames were.
     """
 
     grid: OutputGrid
@@ -93,3 +94,4 @@ class Mosaic:
     decodes: int
     band_names: tuple[str, ...] = ()
     holes: Holes = Holes()
+    resampling: str = "cubic"

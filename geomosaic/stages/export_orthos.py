@@ -11,6 +11,8 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS, write_cog
 from geomosaic.export.orthos import ortho_names, write_orthos_vrt
+from geomosaic.mosaic.compose import AUTO
+from geomosaic.mosaic.model import Mosaic
 from geomosaic.mosaic.orthos import orthos
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.tones import Tones
@@ -33,21 +35,25 @@ class ExportOrthos(Stage):
     id = "export.orthos"
     display_name = "Write the frames' orthos"
     group = "Export"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
         "adjusted": Adjusted,
         "ownership": Ownership,
     }
-    optional_inputs: ClassVar[dict[str, type]] = {"tones": Tones}
+    optional_inputs: ClassVar[dict[str, type]] = {"tones": Tones, "mosaic": Mosaic}
     outputs: ClassVar[dict[str, type]] = {"orthos_folder": RunFile}
     results: ClassVar[tuple[str, ...]] = (ORTHOS,)
 
     class Params(StageParams):
         """See each parameter's help."""
 
-        resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
+        resampling: str = param(
+            AUTO,
+            help="how frames are resampled; auto: as for the mosaic, cubic without one",
+            choices=(AUTO, *RESAMPLING),
+        )
         compression: str = param(
             "deflate", help="as export.cog's; webp and jpeg are smaller", choices=COMPRESSIONS
         )
@@ -58,6 +64,10 @@ class ExportOrthos(Stage):
         """Frame by frame, by the engine that composes the mosaic."""
         survey: Survey = inputs["survey"]
         ownership: Ownership = inputs["ownership"]
+        mosaic: Mosaic | None = inputs.get("mosaic")
+        resampling = params.resampling
+        if resampling == AUTO:
+            resampling = "cubic" if mosaic is None else mosaic.resampling
         names = ortho_names([f.name for f in survey.frames])
         total, written = int(ownership.used.sum()), []
         if survey.other_bands:
@@ -66,7 +76,7 @@ class ExportOrthos(Stage):
             folder.mkdir()
             made = orthos(
                 survey, inputs["adjusted"], inputs["ground"], ownership, Path(scratch),
-                resampling=params.resampling, tones=inputs.get("tones"), threads=params.threads,
+                resampling=resampling, tones=inputs.get("tones"), threads=params.threads,
                 check_cancelled=context.check_cancelled,
             )  # fmt: skip
             for done, ortho in enumerate(made):
