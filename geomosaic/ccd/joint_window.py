@@ -87,8 +87,8 @@ _MOVED_DEVIATIONS: Annotated[
     float,
     Because(
         "deviations",
-        "and by which it must lie off as well: less calls bright ground cloud by chance where little of it "
-        "is seen, more believes clouds there",
+        "by which the suspect part must lie off the rest, too, to be cloud: less calls bright ground cloud "
+        "by chance where little of it is seen, more believes clouds there",
         CHOSEN,
     ),
 ] = 4.0
@@ -106,7 +106,7 @@ _KNOTS_PER_FACT: Annotated[
     Because(
         "knots",
         "that count as one fact of how far the suspect part lies off, since neighbours err alike: with "
-        "fewer, still ground seems to move, with more, nothing ever does",
+        "fewer, still ground seems to move, with more, it can hardly be told whether anything does",
         CHOSEN,
     ),
 ] = 10.0

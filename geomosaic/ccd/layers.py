@@ -22,8 +22,8 @@ _LEAST_BINS: Annotated[
     int,
     Because(
         "bins",
-        "two layers must be farther apart than this along lines or columns: a peak's own slopes reach as "
-        "far, so that with less every scene has a second layer; more passes over lower clouds",
+        "two layers must be farther apart than this along lines or columns: with less, the slopes of one "
+        "layer's peak, which reach as far, pass for another layer, with more, lower clouds are passed over",
         CHOSEN,
     ),
 ] = 1
