@@ -8,12 +8,12 @@ and the collinearity equations itself, so neither tilt, distortion nor a rough D
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Pose
+from geomosaic.camera.exterior import MOST_ROUNDS, Pose, row_moved_px
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
 from geomosaic.constants import CHOSEN, Because
@@ -23,11 +23,6 @@ from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_COMPUTED: Final = (
-    "computed of 4000 x 3000 px, f 3000 px, 100 m high at 15 m/s, rows read in 0.06 s, against 30 rounds: "
-    "moving 0.14 px off after one, 0.0015 after two; turning by 0.05 rad to each side 0.11 after four, "
-    "0.017 after five, 0.003 after six, by 0.1 rad 0.9 after five"
-)
 _NODES: Annotated[
     int,
     Because(
@@ -56,34 +51,15 @@ _ROWS_AT_ONCE: Annotated[
         CHOSEN,
     ),
 ] = 64
-_MOVING_ROUNDS: Annotated[
-    int,
+_SETTLED_PX: Annotated[
+    float,
     Because(
-        "rounds",
-        "to find the row that sees a point while the camera moves: one leaves what resampling shows, more "
-        "are lost in single precision's 0.001 px and take time for each pixel",
-        _COMPUTED,
+        "px",
+        "the row that sees a point is found while the camera moves or turns when a round moves it no "
+        "farther: more shows where a table of turns breaks, less is lost in single precision's 0.001 px",
+        CHOSEN,
     ),
-] = 2
-_TURNING_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "the same while the camera turns too, which shifts rows much farther: fewer leave what shows, more "
-        "take time for each pixel",
-        _COMPUTED,
-    ),
-] = 5
-_STARTED_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "the same where the row is known to a pixel by the nodes about it: each leaves a seventh of an "
-        "error at 0.05 rad, so that three leave some thousandths of a pixel; fewer show where a table of "
-        "turns breaks",
-        _COMPUTED,
-    ),
-] = 3
+] = 0.004
 
 
 @dataclass(frozen=True)
@@ -190,11 +166,11 @@ class Sight:
         self._turn = self._by_step = None
         velocity = np.zeros(3) if pose.velocity_m_per_s is None else pose.velocity_m_per_s
         self._velocity = (velocity @ pose.rotation.matrix).astype(np.float32)
-        self._rounds = _MOVING_ROUNDS if camera.readout_s != 0.0 and bool(velocity.any()) else 0
+        self._still = camera.readout_s == 0.0 or not velocity.any()
         if pose.turns is not None and camera.readout_s:
             rad = pose.turns.rad.T.astype(np.float32)
             self._turn, self._by_step = rad[:, :-1].copy(), np.diff(rad)
-            self._rounds = _TURNING_ROUNDS
+            self._still = False
 
     def axes(
         self, window: GroundWindow, u: Floats, v: Floats, relief_m: Floats32 | None
@@ -215,19 +191,31 @@ class Sight:
     ) -> None:
         """Puts col and row where camera axes at the middle row are seen, NaN where they are not.
 
-        Axes are used up. started: row holds all but what there will be.
+        Axes are used up. started: row holds all but what there will be. A place that has settled stays, so that
+        what comes of it doesn't depend on the others.
         """
-        if not self._rounds:
+        if self._still:
             _image_from_camera(self._camera, x, y, z, col, row)
             return
         if not started:
             _image_from_camera(self._camera, x.copy(), y.copy(), z.copy(), col, row)
-        for _ in range(_STARTED_ROUNDS if started else self._rounds):
+        open_yet, found_col, found_row = (
+            np.ones(row.shape, dtype=bool),
+            np.empty_like(col),
+            np.empty_like(row),
+        )
+        for _ in range(MOST_ROUNDS):
             after_s = self._camera.read_after_s(row)
             u, v, w = (axis - after_s * v for axis, v in zip((x, y, z), self._velocity, strict=True))
             if self._turn is not None:
                 u, v, w = turned_by(self._turns_at(row), (u, v, w))
-            _image_from_camera(self._camera, u, v, w, col, row)
+            _image_from_camera(self._camera, u, v, w, found_col, found_row)
+            moved = row_moved_px(self._camera, row, found_row) > _SETTLED_PX
+            np.copyto(col, found_col, where=open_yet)
+            np.copyto(row, found_row, where=open_yet)
+            open_yet &= moved
+            if not open_yet.any():
+                break
 
     def _turns_at(self, row: Floats32) -> list[Floats32]:
         """From present to middle camera axes, backwards, at the picture's rows."""
