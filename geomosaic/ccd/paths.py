@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,30 +15,175 @@ from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 
 Ints = NDArray[np.intp]
-_BIN_PX = 2
-_WINDOW_BLOCKS = 8
-# What a step of one bin costs a pair taken alone, of what it costs the motion of all.
-_ALONE = 0.24
-# What any number of lost lines cost.
-_JUMP = 250.0
-# How own parts change within a window by warmth.
-_WARMTH_PX = 0.05
-# What a block's evidence varies by where nothing matches. A peak of so many deviations is a layer, and more
-# of them don't make it the ground. What speaks against a layer far from nominal, at most: where nothing else
-# is seen it may still be the ground.
-_CHANCE_SD, _PEAK_FROM, _PEAK_FULL, _THERE, _FAR_COST = 0.6, 4.0, 8.0, 8.0, 6.0
-# Pairs' own levels about the middle of all pairs; how a block holds to its pair's level.
-_LEVELS_SD_BINS, _HOLD = 1.0, 0.4
-# What speaks against dark clouds.
-_DARK_CLOUDS_COST = 3.0
-# A second layer must explain this share more than one layer does.
-_LAYER_GAIN = 0.003
-# And be seen beside the first, on such a share of the lines and in such a share of the pairs, by patches.
-_LAYER_SHARE, _LAYER_PAIRS, _LAYER_CHANGES = 0.05, 0.4, 1.5
-# What bright blocks count: enough to find bright ground, not to lead the path off to clouds.
-_BRIGHT_WEIGHT = 0.05
+_BIN_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "of a whole shift in the volumes, which are of pictures halved: any other number gives offsets of "
+        "the wrong size",
+        "structure: volumes.volume halves the pictures",
+    ),
+] = 2
+_WINDOW_BLOCKS: Annotated[
+    int,
+    Because(
+        "blocks",
+        "256 lines, over which a pair's evidence is summed for its own part: of fewer, blocks under clouds "
+        "lead it off, over more, relief moves it by more than it can follow",
+        CHOSEN,
+    ),
+] = 8
+_ALONE: Annotated[
+    float,
+    Because(
+        "share of what a step costs the motion of all",
+        "what a step of one bin costs a pair taken alone, for the first path: its evidence is a fraction of "
+        "all pairs'; with more, the path doesn't follow jitter, with less, it follows noise",
+        "chosen: 24 and 100 before commit caa242d made both follow the camera",
+    ),
+] = 0.24
+_JUMP: Annotated[
+    float,
+    Because(
+        "logarithm of a likelihood ratio",
+        "what a jump along lines costs an own part, for any number of lost lines: more than the 240 of a "
+        "window whose 8 blocks all say their most, so that no window jumps for itself; with much more, lost "
+        "lines near an end are missed",
+        CHOSEN,
+    ),
+] = 250.0
+_WARMTH_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which own parts change from window to window beside relief, by warmth: with less, steps where "
+        "the ground is level cost too much to be taken, with more, clouds lead own parts off",
+        CHOSEN,
+    ),
+] = 0.05
+_CHANCE_SD: Annotated[
+    float,
+    Because(
+        "logarithm of a likelihood ratio",
+        "least deviation of a block's evidence where nothing matches, by which peaks of all blocks' sum are "
+        "judged: with less, peaks of chance are layers, with more, ground that few blocks show is none",
+        "chosen; volumes of simulate.strip_plan.StripPlan, seeds 1 to 3, clear, at a contrast of 1 %, under "
+        "50 and 98 % of clouds, have 0.2 to 0.5, so this is what counts",
+    ),
+] = 0.6
+_PEAK_FROM: Annotated[
+    float,
+    Because(
+        "deviations of chance",
+        "from which on a peak begins to be a layer, of 120 blocks what one or two good ones say: with less, "
+        "some of the volumes' hundreds of shifts are layers by chance, with more, ground that clouds hide "
+        "but for a gap is none",
+        CHOSEN,
+    ),
+] = 4.0
+_PEAK_FULL: Annotated[
+    float,
+    Because(
+        "deviations of chance",
+        "from which on a peak is a layer for certain, and more of them don't make it the ground: with more, "
+        "clouds that hide most of the ground would win by how often they are seen",
+        CHOSEN,
+    ),
+] = 8.0
+_THERE: Annotated[
+    float,
+    Because(
+        "logarithm of a likelihood ratio",
+        "in favour of a shift at which a layer is for certain: more than what speaks against the farthest "
+        "one, else a pair that sees one layer far off would be put where it sees nothing",
+        CHOSEN,
+    ),
+] = 8.0
+_FAR_COST: Annotated[
+    float,
+    Because(
+        "logarithm of a likelihood ratio",
+        "against a layer far from nominal, at most: where nothing else is seen it may still be the ground; "
+        "with less, clouds weigh nearly as much as a layer near nominal, with as much as speaks for a "
+        "layer, far ground is lost",
+        CHOSEN,
+    ),
+] = 6.0
+_LEVELS_SD_BINS: Annotated[
+    float,
+    Because(
+        "bins",
+        "least deviation of the pairs' own levels about the middle of all: with less, CCDs mounted a bin "
+        "aside are drawn to it, with more, a pair follows its clouds",
+        CHOSEN,
+    ),
+] = 1.0
+_HOLD: Annotated[
+    float,
+    Because(
+        "logarithm of a likelihood ratio, a block and a bin's square",
+        "that holds an own part to its pair's level: with less, clouds draw it away where the ground is "
+        "hidden, with more, high relief can't",
+        CHOSEN,
+    ),
+] = 0.4
+_DARK_CLOUDS_COST: Annotated[
+    float,
+    Because(
+        "logarithm of a likelihood ratio",
+        "against clouds that are darker than the ground, odds of 20 to 1: with less, clouds near nominal "
+        "pass for the ground, with more, snow and sand pass for clouds",
+        CHOSEN,
+    ),
+] = 3.0
+_LAYER_GAIN: Annotated[
+    float,
+    Because(
+        "share of the evidence of one layer",
+        "that a second layer must explain beyond: with less, noise is a layer, since the better of two "
+        "shifts is taken in each block, with more, clouds on few lines are passed over",
+        CHOSEN,
+    ),
+] = 0.003
+_LAYER_SHARE: Annotated[
+    float,
+    Because(
+        "share of a pair's blocks",
+        "on which each of two layers must be seen: with less, single wrong blocks make a pair one with two "
+        "layers, with more, few clouds and small gaps make none",
+        CHOSEN,
+    ),
+] = 0.05
+_LAYER_PAIRS: Annotated[
+    float,
+    Because(
+        "share of the pairs",
+        "that must see both layers, since clouds lie over several: with less, lost lines of one pair are a "
+        "layer, with more, clouds over one side of the scene are none",
+        CHOSEN,
+    ),
+] = 0.4
+_LAYER_CHANGES: Annotated[
+    float,
+    Because(
+        "changes from layer to layer, in the mean of those pairs",
+        "that must be exceeded: lost lines change it once, for good, a cloud comes and goes; with less, "
+        "lost lines are clouds, with more, one large cloud is none",
+        CHOSEN,
+    ),
+] = 1.5
+_BRIGHT_WEIGHT: Annotated[
+    float,
+    Because(
+        "of the weight of other blocks",
+        "that bright blocks have: enough to find bright ground where nothing else is seen, not to lead the "
+        "path off to clouds",
+        CHOSEN,
+    ),
+] = 0.05
 
 
 @dataclass(frozen=True)
@@ -239,7 +385,7 @@ def _levels(volumes: Floats, motion: Ints, likely: Expected) -> Ints:
     k, n, h, c = volumes.shape
     total = volumes.sum(axis=1)
     above = total - np.median(total, axis=(1, 2), keepdims=True)
-    chance = 1.4826 * np.median(np.abs(above), axis=(1, 2), keepdims=True)
+    chance = NORMAL_PER_MAD * np.median(np.abs(above), axis=(1, 2), keepdims=True)
     above /= np.maximum(chance, _CHANCE_SD * np.sqrt(n))
     peak = total >= maximum_filter(total, size=(1, 3, 3))
     there = np.where(peak, np.clip((above - _PEAK_FROM) / (_PEAK_FULL - _PEAK_FROM), 0.0, 1.0), 0.0)
@@ -250,7 +396,7 @@ def _levels(volumes: Floats, motion: Ints, likely: Expected) -> Ints:
     if k < 3:
         return found
     middle = np.median(found, axis=0)
-    spread = np.maximum(1.4826 * np.median(np.abs(found - middle), axis=0), _LEVELS_SD_BINS)
+    spread = np.maximum(NORMAL_PER_MAD * np.median(np.abs(found - middle), axis=0), _LEVELS_SD_BINS)
     return _highest(score - 0.5 * (((at - middle) / spread) ** 2).sum(axis=-1))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -25,16 +26,65 @@ from geomosaic.ccd.model import (
     Settings,
 )
 from geomosaic.ccd.overlaps import Strips
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
-_AGREE_PX = 1.0
-_NEAR_PX = 0.5
-_LEAST_POINTS = 6
-_ABNORMAL_PX = 2.0
-_MOST_TRIED = 500
-NOTHING_SD_PX = 10.0
-"""The standard deviation of what nothing tells of."""
+_AGREE_PX: Annotated[
+    float,
+    Because(
+        "px, along columns and along lines",
+        "within which points agree on a shift: with less, jitter within a piece parts good ones, with more, "
+        "low clouds and wrong matches agree with the ground",
+        CHOSEN,
+    ),
+] = 1.0
+_NEAR_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which the middle of a piece's points may lie off the scene's one offset for its lines to be "
+        "called measured: with more, lines that are misplaced by a pixel are, with less, none that moves",
+        CHOSEN,
+    ),
+] = 0.5
+_LEAST_POINTS: Annotated[
+    int,
+    Because(
+        "points",
+        "that must agree: of 100 wrong matches in the search, six hardly ever do so by chance; with more, "
+        "segments of low contrast have no offset",
+        CHOSEN,
+    ),
+] = 6
+_ABNORMAL_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which a segment may leave the line between its neighbours: with less, drift and jitter are "
+        "abnormal, with more, segments on clouds are kept",
+        "chosen; that abnormal segments are left out since the platform moves slowly: Cheng et al. 2018, "
+        "Spacecraft Recovery & Remote Sensing 39(2), 84-92",
+    ),
+] = 2.0
+_MOST_TRIED: Annotated[
+    int,
+    Because(
+        "points",
+        "whose shift is tried, evenly taken from all: one point is a shift, so a few right ones among them "
+        "are enough; more take time by the square",
+        CHOSEN,
+    ),
+] = 500
+NOTHING_SD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of what nothing tells of: about as far as TH-1's ground may lie from the nominal "
+        "geometry; less would claim knowledge, more says no more",
+        CHOSEN,
+    ),
+] = 10.0
 
 
 @dataclass(frozen=True)
@@ -172,7 +222,7 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
     sd = np.full(2, NOTHING_SD_PX)
     if inside.sum() >= _LEAST_POINTS:
-        sd = np.maximum(1.4826 * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
+        sd = np.maximum(NORMAL_PER_MAD * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
         for first, stop, part in parts:
             enough = len(part) >= _LEAST_POINTS
             near = enough and np.hypot(*(np.median(part.moved_px, axis=0) - shift)) <= _NEAR_PX
