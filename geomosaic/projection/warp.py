@@ -191,8 +191,8 @@ class Sight:
     ) -> None:
         """Puts col and row where camera axes at the middle row are seen, NaN where they are not.
 
-        Axes are used up. started: row holds all but what there will be. A place that has settled stays, so that
-        what comes of it doesn't depend on the others.
+        Axes are used up. started: row holds all but what there will be. A place that has settled stays:
+        it comes out the same whatever others are asked for with it.
         """
         if self._still:
             _image_from_camera(self._camera, x, y, z, col, row)
