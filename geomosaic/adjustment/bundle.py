@@ -37,6 +37,7 @@ from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import student_weight
 from geomosaic.adjustment.swing import with_swing
 from geomosaic.adjustment.tracks import Tracks
+from geomosaic.adjustment.unrest import unrest
 from geomosaic.adjustment.variance import (
     change_of,
     median_px,
@@ -159,6 +160,7 @@ def _solve(
         swing=_first_swing(priors, again),
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
+    priors = replace(priors, unrest=again.unrest if again else None)
     held = again.held if again else np.full(shared_miss(priors, state).size, lens_held)
     strayed = np.zeros_like(held)
     iterations, may_free, shown = 0, again is not None, np.zeros(len(priors.cameras))
@@ -257,6 +259,10 @@ def _settle(
             tracks, camera_of, priors, state, factors, _STEPS_BETWEEN if iterations else _MOST_STEPS, _ROUGH
         )
         iterations += used
+        if settled:
+            counts = ~priors.control[tracks.point] & has_say(tracks, priors)
+            length_px = lengths_px(tracks, camera_of, priors, state)
+            priors = replace(priors, unrest=unrest(tracks, state.points, length_px, counts))
         before = factors
         factors = variance_components(tracks, camera_of, priors, state, before, image_only=not settled)
         image_changed, priors_changed = change_of(before, factors)
@@ -363,6 +369,7 @@ def _finish(
         residual_px=residual,
         weight=np.nan_to_num(student_weight(standardised) / student_weight(np.zeros(1)))
         * has_say(tracks, priors),
+        unrest=priors.unrest,
         factors=factors,
         trust=trust_of(priors),
         left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,

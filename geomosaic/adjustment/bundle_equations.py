@@ -203,7 +203,14 @@ def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) ->
 
 def image_sd_px(tracks: Tracks, priors: Priors, factors: Factors) -> Floats:
     """Present deviation of each observation, (m,): hand-measured control apart from tie points."""
-    return np.where(priors.control[tracks.point], factors.control_px, factors.image_px)
+    return np.where(
+        priors.control[tracks.point], factors.control_px, factors.image_px * unrest_of(tracks, priors)
+    )
+
+
+def unrest_of(tracks: Tracks, priors: Priors) -> Floats:
+    """Factor of each observation's deviation, (m,)."""
+    return np.ones(len(tracks.point)) if priors.unrest is None else priors.unrest[tracks.point]
 
 
 def share_shown(tracks: Tracks, priors: Priors) -> Floats:

@@ -67,7 +67,8 @@ class Priors:
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
     determine them; left_out (f,): frames whose pictures have no say, since they made the system unsolvable;
-    all three set by the solver.
+    unrest (p,): how many times the image's deviation tie points have, 1 where None, see `unrest`; all four
+    set by the solver.
     """
 
     poses: Poses
@@ -85,6 +86,7 @@ class Priors:
     trust: Floats | None = None
     held: Bools | None = None
     left_out: Bools | None = None
+    unrest: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,8 @@ class Bundle:
     mounting's; held (s,): which of them the block does not determine. Held numbers keep what they were
     given, and the covariances hold what is not known of them. strayed (s,): those held since the pictures
     drew them where no lens has them. residual_px: (m, 2) observed minus computed.
-    weight: (m,) robust weights, 1 for a good observation. factors: the estimated variance components.
+    weight: (m,) robust weights, 1 for a good observation; unrest: see `Priors`. factors: the estimated
+    variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
     swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the
     terrain's own. reduced: the last normal equations. readout_shown (c,): by how many of its deviations the
@@ -117,6 +120,7 @@ class Bundle:
     strayed: Bools
     residual_px: Floats
     weight: Floats
+    unrest: Floats | None
     factors: Factors
     trust: Floats
     left_out: Bools

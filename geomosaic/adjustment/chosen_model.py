@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Setti
 from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays, thin_tracks
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
 
@@ -26,17 +28,52 @@ that is matched at its size or half of it."""
 _PATTERN_PX = 0.25
 """Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own
 error."""
-_BETTER = 0.9
-"""Of the last model's residuals a richer one has to leave less than this share; of two that leave as much but
-for so little the simpler one is taken."""
+_BETTER: Annotated[
+    float,
+    Because(
+        "share of the residuals of left-out points",
+        "that a richer model has to stay below, beside the last one; of two that leave as much but for so "
+        "little the simpler one is taken: with more, models that say nothing new would be taken; with less, "
+        "turns that bend a block are not",
+        "docs/results.md, surveys as people deliver them: models that were not true left 0.98 to 1.04 in 12 "
+        "surveys, true ones 0.45 to 0.93",
+    ),
+] = 0.95
+_SURELY: Annotated[
+    float,
+    Because(
+        "deviations",
+        "of a median that so many tracks give, above which it has to be less: with less, a small block takes "
+        "a model by chance; with more, it takes none",
+        "normal distribution: 2 % by chance",
+    ),
+] = 2.0
 _LEFT_OUT = 5  # one track of so many
 _TOO_FEW, _LEAST_TRACKS = 100, 300
 _PER_FRAME, _CELLS = 64, 8  # asked for by each frame: enough to tell models apart by a tenth
-_LEAST_PX = 0.1
-"""Of tracks left out, what keypoints of clean pictures are off by: nothing is to be gained below. Above it a
-shutter may hide though all looks well, or turns that no gyroscope tells of or not well enough: along straight
-lines a shutter only stretches the block, and the principal point takes up how frames turn while they are
-read. 3 degrees a second over a readout of 0.1 s bent a block by 8 px and left 0.2 px at its tracks."""
+_LEAST_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "of tracks left out: nothing is to be gained below. Above it a shutter may hide though all looks "
+        "well, or turns that no gyroscope tells of or not well enough: along straight lines a shutter only "
+        "stretches the block, and the principal point takes up how frames turn while they are read. 3 "
+        "degrees a second over a readout of 0.1 s bent a block by 8 px and left 0.2 px at its tracks",
+        "docs/results.md, surveys as people deliver them: seed 792, bent by 1.1 px, left 0.098",
+    ),
+] = 0.03
+_SURE: Annotated[
+    float,
+    Because(
+        "share of the median",
+        "of what both models leave together, below which a point tells no more than others: with less, a few "
+        "points that happen to fit would decide",
+        CHOSEN,
+    ),
+] = 0.25
+_EXACT_PX: Annotated[
+    float, Because("px", "residuals of a point at least, so that two exact ones have a ratio", CHOSEN)
+] = 1e-4
 _CONTRADICTS = 1.2
 """Positions that fit worse by more than this are against a model, however well it pleases the tie points: a
 block that is bent or stretched pleases them too."""
@@ -46,6 +83,9 @@ _SLOWEST_READOUT_S = 0.2
 _SHOWN = 5.0
 """Deviations by which the solution would leave a readout of none: of cameras that read all rows at once none
 came to more than 3, since image errors are alike along a track; see `bundle._with_untold_shutters`."""
+_NOT_SEEN_PX: Annotated[
+    float, Because("px", "residual of a point behind a camera: as far off as any picture is wide", CHOSEN)
+] = 1e5
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",
@@ -65,9 +105,9 @@ def chosen_model(
     """Block and settings of the model to solve with, and how it was chosen; None where the given one is good
     from the start.
 
-    What is missing is added one by one, each time what helps most, as long as it helps by a tenth; what makes
-    it worse by as much is not tried again. Every model is judged on the same tracks, which took no part in
-    its solve.
+    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; what
+    makes it worse by as much is not tried again. Every model is judged on the same tracks, which took no part
+    in its solve, track by track (`_Tried.beside`).
 
     Args: first: the solution as given; solve: of tracks with a model.
     """
@@ -86,38 +126,65 @@ def chosen_model(
         try:
             solved = solve(its_block, its_settings, rest)
         except NotSolvableError:
-            return _Tried(its_block, its_settings, None, np.inf)
+            return _Tried(its_block, its_settings, None, np.full(judges.points, np.inf))
         return _Tried(its_block, its_settings, solved, _left_out_px(judges, its_block, solved))
 
     taken: tuple[str, ...] = ()
     worse: set[str] = set()
     now = tried(block, settings)
-    left_px, contradicted = {_GIVEN: now.left_px}, []
-    while now.left_px > _LEAST_PX:
+    now_px = _median(now.each_px)
+    left_px, contradicted = {_GIVEN: now_px}, []
+    while now_px > _LEAST_PX:
         candidates = {n: model for n, model in _candidates(now.block, now.settings, taken) if n not in worse}
         more = {name: tried(*model) for name, model in candidates.items()}
-        worse |= {name for name, model in more.items() if now.left_px < _BETTER * model.left_px}
-        left_px |= {"+".join((*taken, name)): model.left_px for name, model in more.items()}
+        share = {name: model.beside(now)[0] for name, model in more.items()}
+        worse |= {name for name in share if _BETTER * share[name] > 1.0}
+        left = {n: _median(m.each_px) if now.solved is None else share[n] * now_px for n, m in more.items()}
+        left_px |= {"+".join((*taken, name)): px for name, px in left.items()}
         for name in [name for name, model in more.items() if contradicts(model.solved, now.solved)]:
-            if more.pop(name).left_px < _BETTER * now.left_px:
+            if more.pop(name).beats(now):
                 contradicted.append("+".join((*taken, name)))
-        least = min((model.left_px for model in more.values()), default=np.inf)
-        if not least < _BETTER * now.left_px:
+        better = [name for name, model in more.items() if model.beats(now)]
+        if not better:
             break
-        best = next(name for name, model in more.items() if _BETTER * model.left_px <= least)
-        taken, now = (*taken, best), more[best]
+        least = more[min(better, key=lambda name: share[name])]
+        best = next(name for name in better if not least.beats(more[name]))
+        taken, now, now_px = (*taken, best), more[best], left[best]
     choice = ModelChoice(taken, tuple(left_px), tuple(left_px.values()), tuple(contradicted))
     return now.block, now.settings, choice
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """A model, its solution (None where there is none), and the residual of tracks left out."""
+    """A model, its solution (None where there is none), and the residual of each track left out, (t,)."""
 
     block: Block
     settings: Settings
     solved: Bundle | None
-    left_px: float
+    each_px: Floats
+
+    def beats(self, other: _Tried) -> bool:
+        """Whether it leaves clearly less, and not by chance."""
+        share, at_most = self.beside(other)
+        return share < _BETTER and at_most < 1.0
+
+    def beside(self, other: _Tried) -> tuple[float, float]:
+        """The share of another model's residuals that this one leaves, and what it is at most: the median of
+        the tracks' own shares.
+
+        So what moves in the wind, and fits no model, decides nothing. Tracks count the more the less both
+        models leave of them together, which favours neither, down to a quarter of the median.
+        """
+        if self.solved is None or other.solved is None:
+            return (0.0, 0.0) if self.solved is not None else (np.inf, np.inf)
+        mine, others = (np.maximum(a, _EXACT_PX) for a in (self.each_px, other.each_px))
+        both = np.hypot(mine, others)
+        weight = 1.0 / np.maximum(both, _SURE * np.median(both))
+        order = np.argsort(mine / others)
+        shares, below = (mine / others)[order], np.cumsum(weight[order]) / weight.sum()
+        as_many = weight.sum() ** 2 / (weight**2).sum()
+        half, most = np.searchsorted(below, [0.5, 0.5 + 0.5 * _SURELY / np.sqrt(as_many)])
+        return float(shares[half]), float(shares[min(most, len(shares) - 1)])
 
 
 def contradicts(its: Bundle | None, now: Bundle | None) -> bool:
@@ -201,8 +268,8 @@ def _as_fisheye(camera: Camera) -> Camera:
     return replace(camera, kind="fisheye", k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
 
 
-def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> float:
-    """Median residual of tracks that a solution has not seen, their points put nearest to their rays."""
+def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> Floats:
+    """Deviations (t,) of tracks that a solution has not seen, their points put nearest to their rays."""
     number = {c.name: k for k, c in enumerate(solved.cameras)}
     cameras = [solved.cameras[number[c.name]] for c in block.cameras]
     centre = np.median(solved.points_m, axis=0)
@@ -213,7 +280,12 @@ def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> float:
         mine = np.flatnonzero(tracks.frame == i)
         seen[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
     length = np.linalg.norm(tracks.image_px - seen, axis=1)
-    return float(np.median(np.nan_to_num(length, nan=1e6)))
+    squares = np.bincount(tracks.point, np.nan_to_num(length, nan=_NOT_SEEN_PX) ** 2, tracks.points)
+    return np.asarray(np.sqrt(squares / np.maximum(2.0 * tracks.lengths - 3.0, 1.0)))
+
+
+def _median(values: Floats) -> float:
+    return float(np.median(values))
 
 
 def _pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:

@@ -114,7 +114,7 @@ def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: Solutio
     priors = replace(priors_of(block, settings, block.lenses, points, terrain), poses=few.priors.poses)
     seen, priors = with_control(kept, priors, block.control)
     control_m = few.bundle.points_m[few.ties.points :]
-    again = replace(few.bundle, points_m=np.concatenate([points, control_m]))
+    again = replace(few.bundle, points_m=np.concatenate([points, control_m]), unrest=None)
     solved = solve_bundle(seen, block.lens_of, priors, poses, again=again)
     ground = few.ground if surface else levelled(few.ground, _of_ties(solved, kept))
     return Solution(kept, seen, priors, solved, ground, few.relief_px)
@@ -147,7 +147,7 @@ def _held_by_control(
         priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + shift))
     if free is not None:
         points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
-        free = replace(free, points_m=points, level_m=free.level_m + float(shift[2]))
+        free = replace(free, points_m=points, unrest=None, level_m=free.level_m + float(shift[2]))
     return priors, solve_bundle(seen, block.lens_of, priors, start, again=free)
 
 
@@ -159,6 +159,7 @@ def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
         points_sd_m=bundle.points_sd_m[:p],
         residual_px=bundle.residual_px[:m],
         weight=bundle.weight[:m],
+        unrest=None if bundle.unrest is None else bundle.unrest[:p],
     )
 
 

@@ -19,6 +19,7 @@ from geomosaic.adjustment.bundle_equations import (
     shared_sd,
     swing_sd_rad,
     trust_of,
+    unrest_of,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import reduce_normals
@@ -187,7 +188,8 @@ def variance_components(
             settled += float((variances[:, 6:] / of_swing.reshape(len(variances), -1) ** 2).sum())
         unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
-        image_px = _scale_px(length_px[tied] / np.sqrt(shown), shown, redundancy, factors.image_px)
+        error_px = length_px[tied] / np.sqrt(shown) / unrest_of(tracks, priors)[tied]
+        image_px = _scale_px(error_px, shown, redundancy, factors.image_px)
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH))
     if image_only:
