@@ -41,7 +41,9 @@ def numbers(tree: ast.AST) -> Iterator[ast.AST]:
 
 def of_structure(tree: ast.AST) -> bool:
     """No number by itself, but one of others, or a matrix: of zeros, ones, halves and twos alone."""
-    others = any(isinstance(n, ast.List) or (isinstance(n, ast.Name) and n.id.isupper()) for n in ast.walk(tree))
+    others = any(
+        isinstance(n, ast.List) or (isinstance(n, ast.Name) and n.id.isupper()) for n in ast.walk(tree)
+    )
     return others and all(n.value in (0, 0.5, 1, 2) for n in numbers(tree))
 
 

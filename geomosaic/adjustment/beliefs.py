@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,28 +15,125 @@ from geomosaic.adjustment.mounting import Mounting
 from geomosaic.adjustment.swing import GUST_M_PER_S, RATE_SD_RAD_PER_S, TERMS
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import heights_above_ground_m
 
 Floats = NDArray[np.float64]
 
-# Prior deviations of what a lens is not known to do, in the order of `lens.TERMS`; 0 for a fisheye's even
-# powers, which no lens has. And of a focal length without a stated one.
-_LENS_SD = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)}
-_FOCAL_SD = 0.005
-_PRINCIPAL_SD = 0.003, 0.01
-_READOUT_SD_S = 0.05
-NOMINAL_READOUT_S = 0.05  # where one is asked for and nothing tells it: of small cameras 0.01 to 0.1 s
-_ZERO_SD_RAD_PER_S = 0.05  # a small gyroscope's zero is off by a degree or two a second
-_MOUNTING_SD = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
-_DEM_LEVEL_SD_M = 2.0
-_ANY_RELIEF = 0.3
-_HILLS = 50.0
-_LEVEL_SD_SHARE = 0.04
-_BEGUN_SD_SHARE = 0.1
-"""Of the flying height: tilts of 5 degrees put frames so far off at the start."""
-_LEAST_LEVEL_SD_M = 2.0
+_LENS_SD: Annotated[
+    dict[str, tuple[float, float, float, float, float]],
+    Because(
+        "the terms' own, in the order of `lens.TERMS`",
+        "prior deviations of what a lens is not known to do: wide lenses reach 0.3 and more in k1, and k2"
+        " and k3 follow it; decentring is a hundredth of that; 0 for a fisheye's even powers, which no "
+        "lens has",
+        CHOSEN,
+    ),
+] = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)}
+_FOCAL_SD: Annotated[
+    float,
+    Because(
+        "share of the focal length",
+        "where none is stated: see survey.accuracy, a calibrated one",
+        CHOSEN,
+    ),
+] = 0.005
+_PRINCIPAL_SD: Annotated[
+    tuple[float, float],
+    Because(
+        "share of the picture's longer side",
+        "least and largest deviation of a principal point: small drones' are off by one in a hundred, "
+        "whatever is known of their focal length; with more, a point goes where turns while rows are read"
+        " draw it",
+        "chosen; docs/results.md, real flights: a Sequoia's is 0.8 % of the side off its maker's",
+    ),
+] = (0.003, 0.01)
+_READOUT_SD_S: Annotated[
+    float,
+    Because(
+        "s",
+        "of a readout that nothing tells: small cameras take 0.01 to 0.1 s",
+        CHOSEN,
+    ),
+] = 0.05
+NOMINAL_READOUT_S: Annotated[
+    float,
+    Because(
+        "s",
+        "where one is asked for and nothing tells it: small cameras take 0.01 to 0.1 s",
+        CHOSEN,
+    ),
+] = 0.05
+_ZERO_SD_RAD_PER_S: Annotated[
+    float,
+    Because(
+        "rad/s",
+        "a small gyroscope's zero is off by a degree or two a second; with less it would be followed",
+        CHOSEN,
+    ),
+] = 0.05
+_MOUNTING_SD: Annotated[
+    Floats,
+    Because(
+        "rad, m, s",
+        "three angles of a camera in its mount, three of its lever arm, and how late positions are: of "
+        "small drones; with less, what is asked for would be held",
+        CHOSEN,
+    ),
+] = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
+_DEM_LEVEL_SD_M: Annotated[
+    float,
+    Because(
+        "m",
+        "by which a DEM and the frames' heights may differ as a whole: datums and models of the geoid "
+        "that are alike but not the same",
+        CHOSEN,
+    ),
+] = 2.0
+_ANY_RELIEF: Annotated[
+    float,
+    Because(
+        "share of the flying height",
+        "that ground may rise or fall where nothing is known of it: with less, hills would be pressed flat",
+        CHOSEN,
+    ),
+] = 0.3
+_HILLS: Annotated[
+    float,
+    Because(
+        "points",
+        "that relief is independent at: all tie points together say no more, else their number tilts a "
+        "block until its hills lie level in the mean",
+        "docs/results.md, accuracy on simulated surveys: hills without a DEM tilted blocks by up to 34 mrad",
+    ),
+] = 50.0
+_LEVEL_SD_SHARE: Annotated[
+    float,
+    Because(
+        "share of the flying height",
+        "of the ground's level below frames: heights above it come from barometers and from a ground that"
+        " is flat in no survey",
+        CHOSEN,
+    ),
+] = 0.04
+_BEGUN_SD_SHARE: Annotated[
+    float,
+    Because(
+        "share of the flying height",
+        "by which frames without a position are off at the start: tilts of 5 degrees put them so far",
+        CHOSEN,
+    ),
+] = 0.1
+_LEAST_LEVEL_SD_M: Annotated[
+    float,
+    Because(
+        "m",
+        "of the ground's level, however low the flight: barometers drift by as much in an hour",
+        CHOSEN,
+    ),
+] = 2.0
 
 
 def priors_of(

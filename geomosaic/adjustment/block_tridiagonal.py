@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,19 @@ from scipy.linalg.lapack import dpotrf
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_LEAST_FRAMES = 16
+_LEAST_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "below which a dense matrix is as fast",
+        CHOSEN,
+    ),
+] = 16
 _UNDETERMINED = "the block does not determine the poses of its frames"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ from geomosaic.adjustment.variance import (
     variance_components,
 )
 from geomosaic.camera.exterior import Poses
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
@@ -64,19 +66,97 @@ class _Stop:
     move: float
 
 
-_ROUGH, _FINE = _Stop(1e-3, 0.3), _Stop(1e-4, 0.01)
-_STANDS, _ROUGHLY = 0.03, 0.15
-"""Variance components that change by less than this share stand, and do so well enough to compare models."""
-_STEPS_BETWEEN, _MOST_STEPS = 2, 30
-_DAMPING, _MOST_DAMPING = 1e-9, 1e6
-"""Damping is relative to the diagonal, where thousands of sharp image coordinates stand: the least of it
-holds up scale, turn and place of the whole block, which only the positions know. So there is none unless a
-step fails."""
-_SHARES = (1.0, 0.5, 0.25, 0.1)
-"""Of a step that would raise the cost, a part is tried first: it goes the same way, also for the block as a
-whole."""
-_MOST_LEFT_OUT = 0.5
-_ANYWHERE_M = 1e3
+_ROUGH: Annotated[
+    _Stop,
+    Because(
+        "share of the cost, share of a position's deviation",
+        "a block that is to be judged, not to be used: what is left moves no judgement",
+        CHOSEN,
+    ),
+] = _Stop(1e-3, 0.3)
+_FINE: Annotated[
+    _Stop,
+    Because(
+        "share of the cost, share of a position's deviation",
+        "what is left is a hundredth of what a position is good to",
+        CHOSEN,
+    ),
+] = _Stop(1e-4, 0.01)
+_STANDS: Annotated[
+    float,
+    Because(
+        "share of a variance component",
+        "by which it may still change when it stands: of a dozen frames it is known to a third itself",
+        CHOSEN,
+    ),
+] = 0.03
+_ROUGHLY: Annotated[
+    float,
+    Because(
+        "share of a variance component",
+        "the same, well enough to compare models",
+        CHOSEN,
+    ),
+] = 0.15
+_STEPS_BETWEEN: Annotated[
+    int,
+    Because(
+        "steps",
+        "between estimates of the variance components: a block that all but stands needs no more",
+        CHOSEN,
+    ),
+] = 2
+_MOST_STEPS: Annotated[
+    int,
+    Because(
+        "steps",
+        "of a block that begins anywhere: those that settle take 5 to 15",
+        CHOSEN,
+    ),
+] = 30
+_DAMPING: Annotated[
+    float,
+    Because(
+        "share of the diagonal",
+        "least damping once a step fails: the diagonal holds thousands of sharp image coordinates, so "
+        "that even this holds up scale, turn and place of the whole block, which only the positions know",
+        CHOSEN,
+    ),
+] = 1e-9
+_MOST_DAMPING: Annotated[
+    float,
+    Because(
+        "share of the diagonal",
+        "steps are next to none with more: the system is broken",
+        CHOSEN,
+    ),
+] = 1e6
+_SHARES: Annotated[
+    tuple[float, ...],
+    Because(
+        "of a step",
+        "that are tried before damping if the whole would raise the cost: a part goes the same way, also "
+        "for the block as a whole",
+        CHOSEN,
+    ),
+] = (1.0, 0.5, 0.25, 0.1)
+_MOST_LEFT_OUT: Annotated[
+    float,
+    Because(
+        "share of the frames",
+        "that may be left out since the system breaks down at them: what is left is half a survey",
+        CHOSEN,
+    ),
+] = 0.5
+_ANYWHERE_M: Annotated[
+    float,
+    Because(
+        "m",
+        "deviation of a frame that is left out and whose position nobody told: with more, the equations "
+        "lose their digits",
+        CHOSEN,
+    ),
+] = 1e3
 Step = tuple[Floats, Floats, Floats, float, Floats]
 
 

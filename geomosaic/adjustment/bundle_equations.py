@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,21 @@ from geomosaic.adjustment.normal import Normals, build_normals
 from geomosaic.adjustment.robust import TELLS, student_cost, student_weight
 from geomosaic.adjustment.terrain import add_terrain, terrain_cost
 from geomosaic.adjustment.tracks import Tracks
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.plausible import OFF_CENTRE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
-KNOWN = 1e-6
-"""Prior deviation of what is known or held: next to nothing, in its unit or as a share of its deviation."""
+KNOWN: Annotated[
+    float,
+    Because(
+        "px, rad, m or s, or share of a deviation",
+        "prior deviation of what is known or held: next to nothing; with 0 the equations could not be solved",
+        CHOSEN,
+    ),
+] = 1e-6
 
 
 def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:

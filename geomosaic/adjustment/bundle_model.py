@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,28 @@ from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import exp_turn
+from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-MEASURED_SD_PX = 0.5
-"""Of a control or check point measured by hand in a picture: about half a pixel."""
+MEASURED_SD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "of a control or check point measured by hand in a picture: a signal is hit to half a pixel",
+        CHOSEN,
+    ),
+] = 0.5
 READOUT = INTERIOR.index("readout_s")
 NO_MOUNTING = Mounting(np.zeros(len(MOUNTING)))
-GROUPS: dict[str, tuple[int, ...]] = {"horizontal": (0, 1), "vertical": (2,), "tilt": (3, 4), "yaw": (5,)}
-"""Of the pose priors' six columns, each group with a variance component and a trust of its own."""
+GROUPS: Annotated[
+    dict[str, tuple[int, ...]],
+    Because(
+        "columns of the pose priors",
+        "each group has a variance component and a trust of its own: what one sensor measures goes together",
+        "structure: east, north, up, and turns about them",
+    ),
+] = {"horizontal": (0, 1), "vertical": (2,), "tilt": (3, 4), "yaw": (5,)}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,23 +11,66 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.surface import level_m, tie_surface
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-DEM_SD_M = 1.0
-"""What a DEM without a stated deviation is good to."""
-LEAST_POINTS = 50
-"""Fewer make no surface."""
-_SEEN_THRICE = 0.1
-_AS_WELL = 1.1
-_NEAR_FLAT = 3.0
-_LEVEL: Final = 11.3
-"""By how much the squares of heights or tilts, in variances of the free block, may grow if it is bound to
-level ground: 99 % of chi-square with three degrees of freedom, the block's level and its two tilts. Over land
-that slopes by 3 degrees they grow by 70 and more, over level land by 1."""
+DEM_SD_M: Annotated[
+    float,
+    Because(
+        "m",
+        "what a DEM without a stated deviation is good to: national models of 1 to 10 m nodes state less,"
+        " those of satellites more",
+        CHOSEN,
+    ),
+] = 1.0
+LEAST_POINTS: Annotated[
+    int,
+    Because(
+        "points",
+        "fewer make no surface: a dozen nodes of three points each, and some to judge it by",
+        CHOSEN,
+    ),
+] = 50
+_SEEN_THRICE: Annotated[
+    float,
+    Because(
+        "share of the tie points",
+        "seen in three frames or more, without which nothing tells relief from tilts",
+        CHOSEN,
+    ),
+] = 0.1
+_AS_WELL: Annotated[
+    float,
+    Because(
+        "times the image deviation",
+        "of the free block, up to which one that is bound to level ground fits as well: with less, level "
+        "land would get a surface that follows noise",
+        CHOSEN,
+    ),
+] = 1.1
+_NEAR_FLAT: Annotated[
+    float,
+    Because(
+        "px",
+        "that relief may move the picture by where land counts as flat: with more, hills would be pressed"
+        " flat",
+        CHOSEN,
+    ),
+] = 3.0
+_LEVEL: Annotated[
+    float,
+    Because(
+        "variances of the free block",
+        "by which the squares of heights or tilts may grow if it is bound to level ground, three degrees "
+        "of freedom: the block's level and its two tilts. Over land that slopes by 3 degrees they grow by"
+        " 70 and more, over level land by 1",
+        "chi-squared, 3 degrees of freedom, 99 %",
+    ),
+] = 11.3
 
 
 def flying_height_m(block: Block) -> float:

@@ -22,12 +22,24 @@ from geomosaic.survey.model import Warn
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-GOOD_PX = 1.0
-"""Image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a picture
-that is matched at its size or half of it."""
-_PATTERN_PX = 0.25
-"""Root mean square of what residuals have in common by their place in the picture: half of a keypoint's own
-error."""
+GOOD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a "
+        "picture that is matched at its size or half of it",
+        CHOSEN,
+    ),
+] = 1.0
+_PATTERN_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "root mean square of what residuals have in common by their place in the picture: half of a "
+        "keypoint's own error",
+        CHOSEN,
+    ),
+] = 0.25
 _BETTER: Annotated[
     float,
     Because(
@@ -48,9 +60,47 @@ _SURELY: Annotated[
         "normal distribution: 2 % by chance",
     ),
 ] = 2.0
-_LEFT_OUT = 5  # one track of so many
-_TOO_FEW, _LEAST_TRACKS = 100, 300
-_PER_FRAME, _CELLS = 64, 8  # asked for by each frame: enough to tell models apart by a tenth
+_LEFT_OUT: Annotated[
+    int,
+    Because(
+        "tracks",
+        "one of so many takes no part in the solve: with more left out the solve is poorer, with fewer "
+        "the judgement",
+        CHOSEN,
+    ),
+] = 5
+_TOO_FEW: Annotated[
+    int,
+    Because(
+        "tracks",
+        "with fewer nothing is chosen: twenty would judge",
+        CHOSEN,
+    ),
+] = 100
+_LEAST_TRACKS: Annotated[
+    int,
+    Because(
+        "tracks",
+        "that thinning leaves: with fewer all are taken",
+        CHOSEN,
+    ),
+] = 300
+_PER_FRAME: Annotated[
+    int,
+    Because(
+        "tracks",
+        "asked for by each frame: enough to tell models apart by a twentieth",
+        CHOSEN,
+    ),
+] = 64
+_CELLS: Annotated[
+    int,
+    Because(
+        "cells a side",
+        "of a picture over which they are spread: the corners tell lenses apart",
+        CHOSEN,
+    ),
+] = 8
 _LEAST_PX: Annotated[
     float,
     Because(
@@ -74,15 +124,41 @@ _SURE: Annotated[
 _EXACT_PX: Annotated[
     float, Because("px", "residuals of a point at least, so that two exact ones have a ratio", CHOSEN)
 ] = 1e-4
-_CONTRADICTS = 1.2
-"""Positions that fit worse by more than this are against a model, however well it pleases the tie points: a
-block that is bent or stretched pleases them too."""
-_LEAST_SCATTER = 0.2  # of what is stated of positions; less is the luck of a few dozen
-_SLOWEST_READOUT_S = 0.2
-"""The slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it."""
-_SHOWN = 5.0
-"""Deviations by which the solution would leave a readout of none: of cameras that read all rows at once none
-came to more than 3, since image errors are alike along a track; see `bundle._with_untold_shutters`."""
+_CONTRADICTS: Annotated[
+    float,
+    Because(
+        "times as much",
+        "that positions may fit worse by: beyond, they are against a model, however well it pleases the "
+        "tie points; a block that is bent or stretched pleases them too",
+        CHOSEN,
+    ),
+] = 1.2
+_LEAST_SCATTER: Annotated[
+    float,
+    Because(
+        "share of what is stated",
+        "of positions; less is the luck of a few dozen",
+        CHOSEN,
+    ),
+] = 0.2
+_SLOWEST_READOUT_S: Annotated[
+    float,
+    Because(
+        "s",
+        "the slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else "
+        "with it",
+        "a Sequoia's LineReadoutTime: 0.164 s",
+    ),
+] = 0.2
+_SHOWN: Annotated[
+    float,
+    Because(
+        "deviations",
+        "by which the solution would leave a readout of none: cameras that read all rows at once came to "
+        "3 at most, since image errors are alike along a track; see `bundle._with_untold_shutters`",
+        "docs/results.md, surveys as people deliver them",
+    ),
+] = 5.0
 _NOT_SEEN_PX: Annotated[
     float, Because("px", "residual of a point behind a camera: as far off as any picture is wide", CHOSEN)
 ] = 1e5

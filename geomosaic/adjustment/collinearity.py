@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS, Lens
 from geomosaic.camera.rotation import exp_turn
+from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -31,8 +33,15 @@ def interior_of(camera: Camera) -> Floats:
     return np.array([getattr(camera, name) for name in INTERIOR])
 
 
-_MOST_BY_ROW = 0.5
-"""Frames that are read stretched to twice or to two thirds of their height are no pictures."""
+_MOST_BY_ROW: Annotated[
+    float,
+    Because(
+        "rows a row",
+        "by which a frame is stretched while it is read: one of twice or two thirds of its height is no "
+        "picture",
+        CHOSEN,
+    ),
+] = 0.5
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.swing import with_swing
+from geomosaic.constants import CHOSEN, Because
 
-_LEAST_FRAMES = 5
-_OWN_SD_RAD_PER_S = 0.012
-"""Of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts."""
+_LEAST_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "of which a median is no chance",
+        CHOSEN,
+    ),
+] = 5
+_OWN_SD_RAD_PER_S: Annotated[
+    float,
+    Because(
+        "rad/s",
+        "of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts",
+        CHOSEN,
+    ),
+] = 0.012
 
 
 def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[Block, Settings]:

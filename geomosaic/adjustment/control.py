@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,30 @@ from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import ControlPoint, Survey, Warn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DISAGREES = 5.0
-_UNKNOWN_SD = 1e3
+_DISAGREES: Annotated[
+    float,
+    Because(
+        "deviations",
+        "beyond which a control point is called wrong: of a hundred thousand none is by chance, and what "
+        "a stated deviation forgets is below it",
+        CHOSEN,
+    ),
+] = 5.0
+_UNKNOWN_SD: Annotated[
+    float,
+    Because(
+        "m",
+        "of a coordinate that nobody told: farther than any frame sees",
+        CHOSEN,
+    ),
+] = 1e3
 
 Spread = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +14,70 @@ from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
 from geomosaic.survey.strays import UPRIGHT
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-_POSITION_LIES = 6.0
-_YAW_LIES_DEG = 8.0
-_SAME_PLACE_M = 1e-3  # positions given alike say nothing of the scale
-_SCALE_IN_DOUBT = 4.0
-_WITHIN_FLIGHT_M = 1.0  # to what a code receiver's positions of one flight agree, whatever is stated of them
-_SHIFT_IN_DOUBT = 5.0
-_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
+_POSITION_LIES: Annotated[
+    float,
+    Because(
+        "deviations",
+        "beyond which a position is called wrong: of a million honest ones none is",
+        CHOSEN,
+    ),
+] = 6.0
+_YAW_LIES_DEG: Annotated[
+    float,
+    Because(
+        "degrees",
+        "least that a heading is off to be called wrong: compasses are off by as much beside motors, and "
+        "nobody minds",
+        CHOSEN,
+    ),
+] = 8.0
+_SAME_PLACE_M: Annotated[
+    float,
+    Because(
+        "m",
+        "positions given alike say nothing of the scale",
+        CHOSEN,
+    ),
+] = 1e-3
+_SCALE_IN_DOUBT: Annotated[
+    float,
+    Because(
+        "deviations",
+        "by which scales of tie points and positions may differ: of ten thousand blocks one by chance",
+        CHOSEN,
+    ),
+] = 4.0
+_WITHIN_FLIGHT_M: Annotated[
+    float,
+    Because(
+        "m",
+        "to what a code receiver's positions of one flight agree, whatever is stated of them",
+        CHOSEN,
+    ),
+] = 1.0
+_SHIFT_IN_DOUBT: Annotated[
+    float,
+    Because(
+        "deviations",
+        "by which control and positions may be apart: datums differ by more",
+        CHOSEN,
+    ),
+] = 5.0
+_MEDIAN_LENGTH: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median length of plane errors with a deviation of 1 on each axis",
+        "Rayleigh's distribution: sqrt(2 ln 2)",
+    ),
+] = float(np.sqrt(np.log(4.0)))
 
 
 def strayed_frames(block: Block, poses: Poses) -> dict[int, Warn]:

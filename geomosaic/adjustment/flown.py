@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.chain import fit_similarity
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.velocity import flown_m_per_s
 
-_OTHER_VELOCITY = 0.1
-_MOST_SCALE = 1.5
-"""Beyond that the positions are no measure of the scale either."""
+_OTHER_VELOCITY: Annotated[
+    float,
+    Because(
+        "share of the velocity",
+        "by which one differs so that the block is solved anew: less changes nothing that shows",
+        CHOSEN,
+    ),
+] = 0.1
+_MOST_SCALE: Annotated[
+    float,
+    Because(
+        "times",
+        "between solved and told paths: beyond, the positions are no measure of the scale either",
+        CHOSEN,
+    ),
+] = 1.5
 
 
 def flown(block: Block, poses: Poses) -> tuple[Block, bool]:

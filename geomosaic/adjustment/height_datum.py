@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.constants import NORMAL_PER_MAD, Because
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
-_DRIFT_CLEARLY = 3.0
-_NORMAL = 1.4826
+_DRIFT_CLEARLY: Annotated[
+    float,
+    Because(
+        "deviations",
+        "of the scatter about it, beyond which heights drift: one flight in 400 by chance",
+        "normal distribution: 0.3 %",
+    ),
+] = 3.0
 
 
 def common_height_sd_m(survey: Survey, adjusted: Adjusted) -> float:
@@ -35,7 +43,7 @@ def common_height_sd_m(survey: Survey, adjusted: Adjusted) -> float:
     datum_m = float(np.median(stated)) if unknown_datum.mean() > 0.5 else 0.0
     found = survey.work_frame.geodetic_from_enu(adjusted.poses.positions_m[told])[:, 2]
     off = heights[told] - found
-    spread_m = _NORMAL * float(np.median(np.abs(off - np.median(off))))
+    spread_m = NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off))))
     drift_m = spread_m if spread_m > _DRIFT_CLEARLY * float(np.median(stated)) or datum_m else 0.0
     return float(np.hypot(datum_m, drift_m))
 

@@ -3,19 +3,49 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.robust import lie_weight
+from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-_DRAWS = 300
-_MEDIAN_LENGTH = float(np.sqrt(np.log(4.0)))  # of plane errors with a deviation of 1 on each axis
-_ALIKE_RAD = 0.2
-_LEAST_SHARE = 0.2
-"""A position's noise is not below this share of what is stated, as far as laying goes."""
+_DRAWS: Annotated[
+    int,
+    Because(
+        "pairs of frames",
+        "that are tried: of positions of which half are wrong, a quarter of the pairs are right",
+        CHOSEN,
+    ),
+] = 300
+_MEDIAN_LENGTH: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median length of plane errors with a deviation of 1 on each axis",
+        "Rayleigh's distribution: sqrt(2 ln 2)",
+    ),
+] = float(np.sqrt(np.log(4.0)))
+_ALIKE_RAD: Annotated[
+    float,
+    Because(
+        "rad",
+        "by which headings and positions may turn a part differently: compasses are off by 10 degrees",
+        CHOSEN,
+    ),
+] = 0.2
+_LEAST_SHARE: Annotated[
+    float,
+    Because(
+        "share of what is stated",
+        "a position's noise is not below it, as far as laying goes: else a few that agree by chance would"
+        " outvote the rest",
+        CHOSEN,
+    ),
+] = 0.2
 
 
 @dataclass(frozen=True)

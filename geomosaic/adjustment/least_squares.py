@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import splu
 
 from geomosaic.adjustment.misalignment import OffsetNet
+from geomosaic.constants import Because
 
 Floats = NDArray[np.float64]
-_HUBER = 1.5
+_HUBER: Annotated[
+    float,
+    Because(
+        "deviations",
+        "beyond which a misalignment pulls no harder: with 1.345 a normal error loses 5 % of its say, "
+        "with more, wrong pairs pull",
+        "chosen above Huber's 1.345 (Huber 1981, Robust statistics)",
+    ),
+] = 1.5
 
 
 def least_squares(
