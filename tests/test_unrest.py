@@ -1,0 +1,75 @@
+"""Places whose tie points are less sure than others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjustment_blocks import fly
+from test_chosen_model import _bent_m
+
+from geomosaic.adjustment import bundle
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Settings
+from geomosaic.adjustment.tracks import Tracks
+from geomosaic.adjustment.unrest import unrest
+
+
+def residuals(views: np.ndarray, sd_px: np.ndarray, seed: int) -> tuple[Tracks, np.ndarray]:
+    """Of points seen so often, as their own place in the pictures leaves them: 2 k - 3 normal numbers each."""
+    rng = np.random.default_rng(seed)
+    point = np.repeat(np.arange(len(views)), views)
+    left = np.array([rng.chisquare(2 * k - 3) for k in views]) * sd_px**2
+    length = np.sqrt(left / views)[point]
+    return Tracks(np.zeros(len(point), np.intp), point, np.zeros((len(point), 2))), length
+
+
+@pytest.mark.parametrize("sd_px", [0.1, 3.0])
+def test_where_all_places_are_alike_all_points_count_alike(sd_px: float) -> None:
+    rng = np.random.default_rng(1)
+    points_m, views = rng.uniform(0.0, 100.0, (2000, 3)), rng.integers(2, 8, 2000)
+    tracks, length = residuals(views, np.full(2000, sd_px), 2)
+    found = unrest(tracks, points_m, length, np.ones(len(length), bool))
+    assert np.abs(np.log(found)).max() < 0.12
+
+
+def test_crowns_in_the_wind_are_told_from_still_ground() -> None:
+    rng = np.random.default_rng(3)
+    points_m, views = rng.uniform(0.0, 100.0, (4000, 3)), rng.integers(2, 8, 4000)
+    crowns = np.floor(points_m[:, :2] / 25.0).sum(axis=1) % 2.0 == 0.0
+    tracks, length = residuals(views, np.where(crowns, 1.2, 0.15), 4)
+    found = unrest(tracks, points_m, length, np.ones(len(length), bool))
+    assert np.median(found[crowns]) / np.median(found[~crowns]) == pytest.approx(8.0, rel=0.1)
+    sure = found < np.sqrt(found.min() * found.max())
+    assert (sure == ~crowns).mean() > 0.9
+
+
+def test_what_is_unknown_counts_as_ever() -> None:
+    """Points that nobody sees, or that have no say; and blocks too small to tell places apart."""
+    rng = np.random.default_rng(5)
+    points_m, views = rng.uniform(0.0, 100.0, (300, 3)), np.full(300, 3)
+    tracks, length = residuals(views, np.where(np.arange(300) < 150, 0.1, 2.0), 6)
+    none = unrest(tracks, points_m, length, np.zeros(len(length), bool))
+    assert none.tolist() == [1.0] * 300
+    length[:3] = np.nan
+    assert unrest(tracks, points_m, length, np.ones(len(length), bool))[0] == 1.0
+    few = tracks.point < 50
+    small = Tracks(tracks.frame[few], tracks.point[few], tracks.image_px[few])
+    assert unrest(small, points_m[:50], length[few], np.ones(int(few.sum()), bool)).tolist() == [1.0] * 50
+
+
+def test_still_ground_holds_a_block_of_which_half_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Good to 0.1 px beside 1.5 px: taken alike, all count as if they were good to 0.3 px."""
+    flights = [fly(seed, 3, 5, points=2500, noise_px=0.1, swaying_px=1.5) for seed in (31, 32, 33, 34)]
+
+    def bent_m() -> float:
+        off = [
+            _bent_m(
+                METHODS["bundle"](f.block, Settings(model="given")).poses.positions_m, f.truth.positions_m
+            )
+            for f in flights
+        ]
+        return float(np.sqrt(np.mean(np.square(off))))
+
+    told_apart = bent_m()
+    monkeypatch.setattr(bundle, "unrest", lambda tracks, points_m, *_: np.ones(len(points_m)))
+    assert told_apart < 0.75 * bent_m()
