@@ -240,6 +240,26 @@ def test_an_area_decodes_no_frame_that_gives_nothing(
     assert decoded == {"frame 03.jpg"}
 
 
+def test_an_area_beyond_the_frames_is_told(tmp_path: Path) -> None:
+    """One frame: of an area within it, of one that goes on for 1000 km, and of one of 2 km about it."""
+    given = given_for(tmp_path, lines=1, per_line=1)
+    owned, notes = seams(tmp_path, given)
+    east, north, gsd_m = owned.grid.west_m, owned.grid.north_m, owned.grid.gsd_m
+    rows, cols = (np.flatnonzero((owned.owner > 0).any(axis=axis)) for axis in (1, 0))
+    e, n = east + 8.0 * gsd_m * float(cols.mean()), north - 8.0 * gsd_m * float(rows.mean())
+    for name, ring, share in (
+        ("within", box(e - 5.0, n - 5.0, e + 5.0, n + 5.0), 1.0),
+        ("half", box(e - 5.0, n - 5.0, e + 1_000_000.0, n + 5.0), None),
+        ("far", box(e - 1000.0, n - 1000.0, e + 1000.0, n + 1000.0), None),
+    ):
+        area = polygons(tmp_path / f"{name}.gpkg", CRS, [ring])
+        owned, notes = seams(tmp_path, given, aoi=area)
+        seen_m2 = float((owned.owner > 0).sum()) * (owned.cell_px * owned.grid.gsd_m) ** 2
+        wanted = share if share is not None else seen_m2 / shapely.Polygon(ring).area
+        assert notes.metrics["seams"]["area_seen"] == pytest.approx(wanted, rel=0.1)
+        assert [w["code"] for w in notes.warnings] == ([] if share else ["aoi-beyond"])
+
+
 def test_holes_are_those_in_the_area(tmp_path: Path) -> None:
     """One frame with an invalid patch: an area through it has one hole, an area beside it none."""
     given = given_for(tmp_path, lines=1, per_line=1)

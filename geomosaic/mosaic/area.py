@@ -42,10 +42,12 @@ class Area:
     """Ground on the map.
 
     polygons: each a tuple of closed rings (n, 2) of easting and northing, the outer one first; they don't
-    overlap. A pixel is inside if its middle is.
+    overlap. A pixel is inside if its middle is. near: the share of the whole outline that it is; the rest
+    lies far from the frames.
     """
 
     polygons: tuple[tuple[NDArray[np.float64], ...], ...]
+    near: float = 1.0
 
     @cached_property
     def geometry(self) -> Any:
@@ -65,6 +67,12 @@ class Area:
     def cells(self, grid: OutputGrid, window: Window, cell_px: int) -> Bools:
         """Which cells of cell_px x cell_px pixels of a window it touches, (rows, cols)."""
         return self._burnt(grid, window, cell_px, touched=True)
+
+    def seen(self, grid: OutputGrid, cells: Bools, cell_px: int) -> float:
+        """The share of the whole outline that lies in these cells (rows, cols) of the grid."""
+        inside = self._burnt(grid, Window(0, 0, grid.width_px, grid.height_px), cell_px, touched=False)
+        seen_m2 = float((inside & cells).sum()) * (cell_px * grid.gsd_m) ** 2
+        return self.near * seen_m2 / float(self.geometry.area)
 
     def _burnt(self, grid: OutputGrid, window: Window, step_px: int, touched: bool) -> Bools:
         shape = -(-window.height // step_px), -(-window.width // step_px)
@@ -118,7 +126,7 @@ def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[A
         raise InputError(problem, file=outline.file, mend="give the frames positions, or control points")
     boxes = shapely.box(*np.array([v.bounds_m for v in views]).T)
     frames = shapely.union_all(boxes)
-    geometry = _on_map(outline, crs, frames.bounds)
+    geometry, near = _on_map(outline, crs, frames.bounds)
     shown = _polygonal(shapely.intersection(geometry, frames))
     if shown.is_empty:
         raise elsewhere(outline, crs, views)
@@ -133,11 +141,12 @@ def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[A
         tuple(np.asarray(r.coords, dtype=np.float64) for r in (p.exterior, *p.interiors))
         for p in shapely.get_parts(geometry)
     ]
-    return Area(tuple(rings)), tuple(seeing)
+    return Area(tuple(rings), near), tuple(seeing)
 
 
-def _on_map(outline: Outline, crs: str, bounds_m: Sequence[float]) -> Any:
-    """What of an outline lies about bounds on the map; its edges are divided first, as they bend there."""
+def _on_map(outline: Outline, crs: str, bounds_m: Sequence[float]) -> tuple[Any, float]:
+    """What of an outline lies about bounds on the map, and the share of it that this is; edges are divided
+    first, as they bend there."""
     west, south, east, north = bounds_m
     spare_m = 0.1 * max(east - west, north - south) + 1.0
     try:
@@ -149,15 +158,16 @@ def _on_map(outline: Outline, crs: str, bounds_m: Sequence[float]) -> Any:
         problem = f"PROJ knows no way from its coordinate reference system to the map's ({error})"
         raise InputError(problem, file=outline.file, mend="write it in one with an EPSG code") from error
     if not np.isfinite([west, south, east, north]).all():
-        return shapely.MultiPolygon()
+        return shapely.MultiPolygon(), 0.0
     boxes = [shapely.box(west, south, east, north)]
     if east < west:  # across longitude 180
         boxes = [shapely.box(west, south, 180.0, north), shapely.box(-180.0, south, east, north)]
     near = _polygonal(shapely.intersection(outline.geometry, shapely.union_all(boxes)))
     longest = max(max(b.bounds[2] - b.bounds[0], b.bounds[3] - b.bounds[1]) for b in boxes)
+    share = near.area / outline.geometry.area
     near = shapely.segmentize(near, longest / _STEPS_ALONG)
     there = shapely.transform(near, lambda at: np.column_stack(way.transform(at[:, 0], at[:, 1])))
-    return _polygonal(shapely.union_all(shapely.make_valid(shapely.get_parts(there))))
+    return _polygonal(shapely.union_all(shapely.make_valid(shapely.get_parts(there)))), share
 
 
 def _polygonal(geometry: Any) -> Any:

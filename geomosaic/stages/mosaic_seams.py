@@ -34,6 +34,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.survey.model import Survey
 
+_SEEN = 0.98  # of an area; what is less isn't cells cut at its edge
 _MENDED = "polygons that cross themselves were mended; is the mosaic's edge the one that was meant?"
 
 
@@ -43,7 +44,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -136,6 +137,11 @@ class MosaicSeams(Stage):
             nearest_m[ownership.owner == 0] = -np.inf  # nothing is looked at there
             if not ownership.owner.any():
                 raise elsewhere(extent.outline, survey.map_crs, views)
+            seen = extent.area.seen(grid, ownership.owner > 0, ownership.cell_px)
+            context.metric("seams.area_seen", seen)
+            if seen < _SEEN:
+                beyond = f"{100.0 * (1.0 - seen):.0f} % of the area lies beyond what the frames see"
+                context.warn("aoi-beyond", "", f"{extent.outline.file.name}: {beyond}")
         if params.seam != NEAREST_NADIR:
             tones, cut = inputs.get("tones"), SEAMS[params.seam]
             ownership = self._cut(cut, params.seam, scene, ownership, nearest_m, survey, tones, context)
