@@ -61,10 +61,11 @@ def fly(
     rate_sd_rad_per_s: float = 0.0,
     shaking_hz: float = 0.0,
     swaying_px: float = 0.0,
+    gusts_px: float = 0.0,
     lens: Camera | None = None,
 ) -> Flown:
     """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise. While they are read, frames turn at a
-    rate of their own, or shake. What stands on every second square of 20 m sways in the wind. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
+    rate of their own, or shake. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
     camera = lens or Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
@@ -97,7 +98,11 @@ def fly(
     measured = [px + rng.normal(0, noise_px, px.shape) for px in seen]
     sways = np.floor(plan / 20.0).sum(axis=1) % 2.0 == 0.0
     for i, px in enumerate(measured):
-        px[sways] += np.random.default_rng([seed, i]).normal(0.0, swaying_px, px[sways].shape)
+        wind = np.random.default_rng([seed, i])
+        px[sways] += wind.normal(0.0, swaying_px, px[sways].shape)
+        if gusts_px:
+            waves, phases = wind.normal(0.0, 0.2, (12, 2)), wind.uniform(0.0, 6.3, 12)
+            px += gusts_px / np.sqrt(6.0) * np.sin(plan @ waves.T + phases) @ wind.normal(0.0, 1.0, (12, 2))
     ties = []
     for i in range(n):
         for j in range(i + 1, n):

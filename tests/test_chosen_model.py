@@ -55,6 +55,16 @@ def test_small_turns_are_found_too() -> None:
     assert bent_m[1] < 0.3 * bent_m[0], bent_m
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_gusts_over_all_land_are_not_taken_for_a_camera_that_turns(seed: int) -> None:
+    """A camera whose frames turn while they are read would follow 5 to 10 % of them, and the block would bend."""
+    flown = fly(seed, 2, 6, points=350, there_and_back=True, gusts_px=2.0)
+    adjusted = METHODS["bundle"](flown.block, Settings())
+    assert adjusted.model is not None and adjusted.model.taken == ()
+    assert adjusted.figures["sigma_px"] > 1.0
+    assert not [w for w in adjusted.warnings if w.code in ("model-chosen", "shutter-doubtful")]
+
+
 def test_frames_that_turn_while_they_are_read() -> None:
     """0.1 s at 0.2 rad/s: 20 px from the first row to the last, each frame another way."""
     flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
