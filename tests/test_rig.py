@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from mosaic_scenes import CAMERA, make_survey, write_frame
 from scipy.spatial.transform import Rotation as Turn
-from small_surveys import mosaic, small_survey, summary
+from small_surveys import geomosaic, mosaic, small_survey, summary
 from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
 from geomosaic.adjustment.rig import RigPoses, band_poses, register_bands
@@ -155,6 +155,7 @@ def test_a_folder_of_a_rig_becomes_one_mosaic_with_named_bands(tmp_path: Path) -
         csv.writer(file).writerows(rows)
     run = tmp_path / "run"
     assert mosaic(folder, run, "--pos", tmp_path / "pos.csv", "--camera", simulated.camera) == 0
+    assert geomosaic("export", "orthos", run) == 0
     told = summary(run)
     assert told["frames"]["tied"] == 3 and told["metrics"]["bands"]["NIR"]["after_px"] < 0.3
     (band,) = load_artefact(run, told, "rig", RigPoses).bands
@@ -164,3 +165,8 @@ def test_a_folder_of_a_rig_becomes_one_mosaic_with_named_bands(tmp_path: Path) -
         green, nir = found.read().astype(float)
         valid = found.dataset_mask() == 255
     assert np.corrcoef(green[valid], nir[valid])[0, 1] < -0.9
+    for name in sorted(path.name for path in (run / "orthos").iterdir()):
+        with rasterio.open(run / "orthos" / name) as ortho:
+            assert ortho.descriptions == ("Green", "NIR") and ortho.dtypes[0] == "uint8"
+            shown, there = ortho.read().astype(float), ortho.dataset_mask() == 255
+            assert np.corrcoef(shown[0][there], shown[1][there])[0, 1] < -0.9, name

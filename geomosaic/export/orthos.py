@@ -37,9 +37,14 @@ def ortho_names(frames: Sequence[str]) -> list[str]:
 
 
 def write_orthos_vrt(rasters: Sequence[Path], out: Path) -> None:
-    """A VRT beside rasters of one grid, the last on top; masked pixels let those below be seen.
+    """A VRT beside rasters of one grid, the last on top, bands named as theirs; masked pixels let those below
+    be seen.
 
     Raises: `OSError` if it can't be written.
     """
     with gdal_failures(out):
-        close(gdal.BuildVRT(str(out), [str(path) for path in rasters]))
+        made = gdal.BuildVRT(str(out), [str(path) for path in rasters])
+        top = gdal.Open(str(rasters[-1]))
+        for band in range(1, made.RasterCount + 1):
+            made.GetRasterBand(band).SetDescription(top.GetRasterBand(band).GetDescription())
+        close(made)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,23 +41,45 @@ def compose_bands(
     """
     rasters = [folder / f"{k}.tif" for k in range(1 + len(rig.bands))]
     mosaic = composing(survey, poses, cameras, used, rasters[0], sources_path)
-    for other, pose, path in zip(survey.other_bands, rig.bands, rasters[1:], strict=True):
-        frames = tuple(f or g for f, g in zip(other.frames, survey.frames, strict=True))
-        there = [use and f is not None for use, f in zip(used, other.frames, strict=True)]
-        shown = replace(survey, frames=frames, cameras=(pose.camera,))
-        composing(shown, band_poses(poses, pose), [pose.camera] * len(frames), there, path, None)
-    names = (survey.band, *(b.name for b in survey.other_bands))
+    for band, path in zip(other_bands(survey, poses, used, rig), rasters[1:], strict=True):
+        composing(band.survey, band.poses, band.cameras, band.used, path, None)
+    names = band_names(survey)
     stack_bands(rasters, names, mosaic.grid, mosaic.dtype, raster_path)
     return replace(mosaic, raster=raster_path.name, bands=len(names), band_names=names)
 
 
+@dataclass(frozen=True)
+class BandOfRig:
+    """What one of a rig's other bands shows, as a survey of its own: used (n,) where it has the capture."""
+
+    survey: Survey
+    poses: Poses
+    cameras: tuple[Camera, ...]
+    used: tuple[bool, ...]
+
+
+def other_bands(survey: Survey, poses: Poses, used: Sequence[bool], rig: RigPoses) -> Iterator[BandOfRig]:
+    """Each of the rig's other bands, with its own files, lens and turn."""
+    for other, pose in zip(survey.other_bands, rig.bands, strict=True):
+        frames = tuple(f or g for f, g in zip(other.frames, survey.frames, strict=True))
+        there = tuple(use and f is not None for use, f in zip(used, other.frames, strict=True))
+        shown = replace(survey, frames=frames, cameras=(pose.camera,))
+        yield BandOfRig(shown, band_poses(poses, pose), (pose.camera,) * len(frames), there)
+
+
+def band_names(survey: Survey) -> tuple[str, ...]:
+    """In the order of the mosaic's bands: the captures' own, then the others."""
+    return survey.band, *(b.name for b in survey.other_bands)
+
+
 def stack_bands(
     rasters: Sequence[Path], names: Sequence[str], grid: OutputGrid, dtype: str, path: Path
-) -> None:
-    """Rasters of one band and one grid as one with named bands; valid is what all of them show.
+) -> bool:
+    """Rasters of one band and one grid as one with named bands; valid is what all of them show, if anything.
 
     Raises: `OSError` if it can't be written.
     """
+    shows = False
     with ExitStack() as files:
         bands = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
         out = files.enter_context(writing_mosaic(path, grid, len(bands), dtype, None, (), names))
@@ -65,6 +87,8 @@ def stack_bands(
             at = RasterWindow(window.col, window.row, window.width, window.height)
             valid = np.all([band.dataset_mask(window=at) for band in bands], axis=0)
             if valid.any():
+                shows = True
                 pixels = np.stack([band.read(1, window=at) for band in bands], axis=-1)
                 pixels[~valid] = 0
                 out.write(Composed(window, pixels, valid, valid.astype(np.int16) - 1, (0,), ()))
+    return shows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +12,12 @@ from typing import Annotated
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.rig import RigPoses
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import unreferenced_is_fine
+from geomosaic.mosaic.bands import band_names, other_bands, stack_bands
 from geomosaic.mosaic.blends import BLENDS, STEP_PX
 from geomosaic.mosaic.compose import WINDOW_PX, common_kind, walk
 from geomosaic.mosaic.frame_source import FrameSource
@@ -56,6 +60,7 @@ def orthos(
     ownership: Ownership,
     folder: Path,
     *,
+    rig: RigPoses | None = None,
     resampling: str = "cubic",
     tones: Tones | None = None,
     threads: int = 2,
@@ -64,52 +69,88 @@ def orthos(
     """For each frame that may give pixels its raster in folder, with a mask; None where it shows nothing.
 
     A raster is the caller's to take away before the next one is asked for. Pixels are those of the mosaic
-    where the frame alone gives them, cut to its area. In memory are one frame and the windows at work.
+    where the frame alone gives them, cut to its area. Of a rig a frame is a capture with all its bands, and
+    valid is what all of them show. In memory are one frame and the windows at work.
 
     Raises: as `compose`.
     """
-    grid = ownership.grid
-    views = frame_views(
-        survey.work_frame, grid.crs, adjusted.poses, adjusted.cameras, ownership.used.tolist(), ground
-    )
-    kind = common_kind([survey.frames[v.frame] for v in views])
-    scene = Scene(survey.work_frame, ground, grid, views)
-    manner = Manner(BLENDS["hard"], kind.bands, kind.dtype, scene.lattice)
+    used = ownership.used.tolist()
+    bands = [_BandOrthos.of(survey, adjusted.poses, adjusted.cameras, used, ground, ownership)]
+    if rig is not None and rig.bands:
+        for band in other_bands(survey, adjusted.poses, used, rig):
+            bands.append(_BandOrthos.of(band.survey, band.poses, band.cameras, band.used, ground, ownership))
     cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)
-    for view in views:
-        source = FrameSource(scene, ownership, view, resampling, tones)
-        path = folder / f"{view.frame}.tif"
-        shows = _write(source, survey, manner, kind, path, threads, check_cancelled)
-        yield Ortho(view.frame, path, int(cells[view.frame + 1])) if shows else None
+    for number, view in bands[0].views.items():
+        path, within = folder / f"{number}.tif", _window(ownership.grid, view)
+        shows = within is not None and all(number in band.views for band in bands)
+        if shows and within is not None:
+            rasters = [path] if len(bands) == 1 else [folder / f"{number}.{k}.tif" for k in range(len(bands))]
+            shows = all(
+                band.write(number, within, raster, resampling, tones, threads, check_cancelled)
+                for band, raster in zip(bands, rasters, strict=True)
+            )
+            if shows and len(bands) > 1:
+                part = _part(ownership.grid, within)
+                shows = stack_bands(rasters, band_names(survey), part, bands[0].kind.dtype, path)
+            for raster in rasters if len(bands) > 1 else ():
+                raster.unlink(missing_ok=True)
+        yield Ortho(number, path, int(cells[number + 1])) if shows else None
 
 
-def _write(
-    source: FrameSource,
-    survey: Survey,
-    manner: Manner,
-    kind: Frame,
-    path: Path,
-    threads: int,
-    check_cancelled: Callable[[], None] | None,
-) -> bool:
-    """One frame's raster, and whether it shows anything."""
-    grid, frame = source.scene.grid, survey.frames[source.number]
-    within = _window(grid, source.view)
-    if within is None:
-        return False
-    planning = Planning({source.number: source}, 0, 0.0, source.ownership.area)
-    part, shows = _part(grid, within), False
-    order = [_moved(w, within.col, within.row) for w in windows(part, WINDOW_PX)]
-    with unreferenced_is_fine(), ThreadPoolExecutor(threads) as pool:
-        _, done = walk(
-            planning, manner, grid, survey.frames, order, source.resampling,
-            memory_bytes=decoded_bytes(frame), pool=pool, threads=threads, check_cancelled=check_cancelled,
-        )  # fmt: skip
-        with writing_mosaic(path, part, kind.bands, kind.dtype, None, ()) as raster:
-            for window in done:
-                shows |= bool(window.valid.any())
-                raster.write(replace(window, window=_moved(window.window, -within.col, -within.row)))
-    return shows
+@dataclass(frozen=True)
+class _BandOrthos:
+    """One band of all frames: their views by number, and the scene that they are of."""
+
+    survey: Survey
+    ownership: Ownership
+    scene: Scene
+    views: dict[int, FrameView]
+    kind: Frame
+
+    @classmethod
+    def of(
+        cls,
+        survey: Survey,
+        poses: Poses,
+        cameras: Sequence[Camera],
+        used: Sequence[bool],
+        ground: GroundSurface,
+        ownership: Ownership,
+    ) -> _BandOrthos:
+        grid = ownership.grid
+        views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
+        kind = common_kind([survey.frames[v.frame] for v in views])
+        scene = Scene(survey.work_frame, ground, grid, views)
+        return cls(survey, ownership, scene, {v.frame: v for v in views}, kind)
+
+    def write(
+        self,
+        number: int,
+        within: Window,
+        path: Path,
+        resampling: str,
+        tones: Tones | None,
+        threads: int,
+        check_cancelled: Callable[[], None] | None,
+    ) -> bool:
+        """One frame's raster of a window, and whether it shows anything."""
+        source = FrameSource(self.scene, self.ownership, self.views[number], resampling, tones)
+        grid, frames, kind = self.ownership.grid, self.survey.frames, self.kind
+        planning = Planning({number: source}, 0, 0.0, self.ownership.area)
+        manner = Manner(BLENDS["hard"], kind.bands, kind.dtype, self.scene.lattice)
+        part, shows = _part(grid, within), False
+        order = [_moved(w, within.col, within.row) for w in windows(part, WINDOW_PX)]
+        with unreferenced_is_fine(), ThreadPoolExecutor(threads) as pool:
+            _, done = walk(
+                planning, manner, grid, frames, order, resampling,
+                memory_bytes=decoded_bytes(frames[number]), pool=pool, threads=threads,
+                check_cancelled=check_cancelled,
+            )  # fmt: skip
+            with writing_mosaic(path, part, kind.bands, kind.dtype, None, ()) as raster:
+                for window in done:
+                    shows |= bool(window.valid.any())
+                    raster.write(replace(window, window=_moved(window.window, -within.col, -within.row)))
+        return shows
 
 
 def _moved(window: Window, cols: int, rows: int) -> Window:

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.rig import RigPoses
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS, write_cog
 from geomosaic.export.orthos import ortho_names, write_orthos_vrt
@@ -28,21 +29,21 @@ VRT = "orthos.vrt"
 class ExportOrthos(Stage):
     """Writes orthos/FRAME.tif, a COG with a mask of each frame in use, and orthos/orthos.vrt over them.
 
-    On the mosaic's grid and in its tones, cut to its area. In the VRT the frames that give most of the mosaic
-    lie on top.
+    On the mosaic's grid and in its tones, cut to its area; of a rig with all its bands. In the VRT the frames
+    that give most of the mosaic lie on top.
     """
 
     id = "export.orthos"
     display_name = "Write the frames' orthos"
     group = "Export"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
         "adjusted": Adjusted,
         "ownership": Ownership,
     }
-    optional_inputs: ClassVar[dict[str, type]] = {"tones": Tones, "mosaic": Mosaic}
+    optional_inputs: ClassVar[dict[str, type]] = {"rig": RigPoses, "tones": Tones, "mosaic": Mosaic}
     outputs: ClassVar[dict[str, type]] = {"orthos_folder": RunFile}
     results: ClassVar[tuple[str, ...]] = (ORTHOS,)
 
@@ -70,13 +71,17 @@ class ExportOrthos(Stage):
             resampling = "cubic" if mosaic is None else mosaic.resampling
         names = ortho_names([f.name for f in survey.frames])
         total, written = int(ownership.used.sum()), []
-        if survey.other_bands:
-            context.warn("bands-left-out", "", f"orthos show only {survey.band} of the rig's bands")
+        rig = inputs.get("rig", RigPoses())
+        if survey.other_bands and not rig.bands:
+            text = (
+                f"orthos show only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
+            )
+            context.warn("bands-left-out", "", text)
         with context.writing(ORTHOS) as folder, TemporaryDirectory(dir=context.work_folder) as scratch:
             folder.mkdir()
             made = orthos(
                 survey, inputs["adjusted"], inputs["ground"], ownership, Path(scratch),
-                resampling=resampling, tones=inputs.get("tones"), threads=params.threads,
+                rig=rig, resampling=resampling, tones=inputs.get("tones"), threads=params.threads,
                 check_cancelled=context.check_cancelled,
             )  # fmt: skip
             for done, ortho in enumerate(made):
