@@ -26,6 +26,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from geomosaic.errors import FileError
+from geomosaic.recording.fingerprints import fingerprint_of_bytes
 
 T = TypeVar("T")
 
@@ -40,19 +41,9 @@ _TIMELESS = (1980, 1, 1, 0, 0, 0)
 _KINDS = "biufcSU"
 
 
-def fingerprint_of_bytes(data: bytes) -> str:
-    """BLAKE2b with 160 bits, in hexadecimal: the one hash of the pipeline."""
-    return blake2b(data, digest_size=20).hexdigest()
-
-
 def fingerprint_of_file(file: BinaryIO) -> str:
     """As `fingerprint_of_bytes`, of an open file, piece by piece."""
     return hashlib.file_digest(file, lambda: blake2b(digest_size=20)).hexdigest()  # type: ignore[arg-type]
-
-
-def fingerprint_of_json(value: Any) -> str:
-    """The fingerprint of plain values, by their canonical JSON."""
-    return fingerprint_of_bytes(json.dumps(value, sort_keys=True, separators=(",", ":")).encode())
 
 
 def fingerprint(artefact: Any) -> str:
@@ -148,7 +139,7 @@ def decode(data: bytes | BinaryIO, as_type: type[T] | Any, also: Iterable[type] 
         dataclasses_in(cls, known)
     try:
         with _opened(data) as file:
-            value = _value(json.loads(file.read(_TREE)), file, known)
+            value = _value(json.loads(file.read(_TREE)), _Members(file), known)
     except _NOT_WHOLE as error:
         raise FileError(f"this is no whole artefact of type {type_name(as_type)} ({error})") from error
     if isinstance(as_type, type) and as_type not in (object, Any) and not isinstance(value, as_type):
@@ -193,12 +184,14 @@ def _fields(cls: Any) -> tuple[tuple[str, Any], ...]:
 
 
 def _opened(data: bytes | BinaryIO) -> zipfile.ZipFile:
-    """Raises `ValueError` for a member that is not stored as it is, or tells of more than the file holds."""
+    """Raises `ValueError` for members that aren't stored as they are, or tell of more than the file holds."""
     stream = io.BytesIO(data) if isinstance(data, bytes) else data
     size = stream.seek(0, io.SEEK_END)
     file = zipfile.ZipFile(stream)
-    if any(m.compress_type != zipfile.ZIP_STORED or m.file_size > size for m in file.infolist()):
+    if any(m.compress_type != zipfile.ZIP_STORED for m in file.infolist()):
         raise ValueError("it is compressed")
+    if sum(m.file_size for m in file.infolist()) > size:
+        raise ValueError("its members take more than the file")
     return file
 
 
@@ -220,7 +213,21 @@ def texts_in(data: bytes | BinaryIO) -> list[str]:
     return found
 
 
-def _value(tree: Any, file: zipfile.ZipFile, known: dict[str, type]) -> Any:
+class _Members:
+    """The arrays and bytes of an artefact, each for one place in it, as they are written: so a value takes no
+    more memory than the file."""
+
+    def __init__(self, file: zipfile.ZipFile) -> None:
+        self._file = file
+        self._left = {name for name in file.namelist() if name != _TREE}
+
+    def take(self, number: Any) -> bytes:
+        """Raises `KeyError` for one that isn't there, or has been taken."""
+        self._left.remove(str(int(number)))
+        return self._file.read(str(int(number)))
+
+
+def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
     if not isinstance(tree, dict):
         if isinstance(tree, list):
             raise ValueError("a bare list")
@@ -239,9 +246,9 @@ def _value(tree: Any, file: zipfile.ZipFile, known: dict[str, type]) -> Any:
         case "path":
             return Path(str(content))
         case "bytes":
-            return file.read(str(int(content)))
+            return file.take(content)
         case "array":
-            return _array(file.read(str(int(content))))
+            return _array(file.take(content))
         case "tuple":
             return tuple(_value(v, file, known) for v in content)
         case "list":

@@ -15,9 +15,7 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import (
     decode,
     encode,
-    fingerprint_of_bytes,
     fingerprint_of_file,
-    fingerprint_of_json,
     texts_in,
 )
 from geomosaic.pipeline.context import Context, Notes
@@ -27,6 +25,7 @@ from geomosaic.pipeline.params import output_values
 from geomosaic.pipeline.recipe import Step
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
+from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes, fingerprint_of_json
 
 _KEY = re.compile(r"(given-)?[0-9a-f]{40}")
 _ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))
@@ -73,12 +72,15 @@ class Finished:
 
     calls: what it told; None for a stage from a recording, whose messages are copied.
     used: the folders and files it lives on.
+    written: hashes of the files that the stage wrote, by name; with the lineage part of each fingerprint.
     """
 
     outputs: dict[str, Held]
     notes: Notes
     calls: Path | None
     used: tuple[Path, ...]
+    written: Mapping[str, str]
+    lineage: Iterable[str]
 
 
 def file_manifest(
@@ -109,10 +111,6 @@ def stage_key(step: Step, inputs: Mapping[str, Held], seed: int, lineage: Lineag
     )
 
 
-def _fingerprint(content: str, written: Mapping[str, str], lineage: Lineage) -> str:
-    return fingerprint_of_json([content, dict(written), sorted(lineage)])
-
-
 class StageCache:
     """RUN/work: a folder for each finished stage, whole once its `entry.json` is there.
 
@@ -141,7 +139,7 @@ class StageCache:
                     content = fingerprint_of_file(file)
                     if content != entry["outputs"][name] or not self._names_only_inputs(file):
                         return None
-                outputs[name] = Held(kind, _fingerprint(content, written, lineage), path, lineage)
+                outputs[name] = Held(kind, artefact_fingerprint(content, written, lineage), path, lineage)
             calls = folder / _CALLS
             with files.open_own(calls) as file:
                 if fingerprint_of_file(file) != entry["calls"]:
@@ -149,7 +147,7 @@ class StageCache:
             beside = [self._folder.within(name) for name in (*written, *entry["items"])]
             notes = Notes.from_plain(entry["notes"])
             self._folder.note(written)
-            return Finished(outputs, notes, calls, (folder, *beside))
+            return Finished(outputs, notes, calls, (folder, *beside), written, lineage)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError):
             return None
 
@@ -181,7 +179,7 @@ class StageCache:
             contents[name] = fingerprint_of_bytes(data)
             path = folder / f"{name}{_ARTEFACT}"
             files.write_bytes(path, data)
-            mark = _fingerprint(contents[name], written, lineage)
+            mark = artefact_fingerprint(contents[name], written, lineage)
             outputs[name] = Held(kind, mark, path, lineage, values[name])
         with files.open_own(calls) as file:
             told = fingerprint_of_file(file)
@@ -196,7 +194,8 @@ class StageCache:
         }
         self._folder.note(written)
         files.write_json(folder / _ENTRY, entry)
-        return Finished(outputs, context.notes, calls, (folder, *context.kept, *context.lasting_items))
+        used = (folder, *context.kept, *context.lasting_items)
+        return Finished(outputs, context.notes, calls, used, written, lineage)
 
     def keep_given(self, stage: type[Stage], given: Given, lineage: Lineage) -> Finished:
         """Stores the outputs of a stage as a recording has them, under their recorded fingerprints."""
@@ -209,7 +208,8 @@ class StageCache:
             files.write_bytes(path, given.data(name))
             outputs[name] = Held(kind, marks[name], path, lineage, given.outputs[name])
         brought = [self._folder.within(name) for name in given.files()]
-        return Finished(outputs, given.notes, None, (folder, *brought))
+        record = given.record
+        return Finished(outputs, given.notes, None, (folder, *brought), record.written, record.lineage)
 
     def spool(self, stage: type[Stage]) -> Path:
         """Where a stage's calls go while it runs."""

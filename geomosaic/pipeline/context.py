@@ -23,13 +23,12 @@ from geomosaic.pipeline.artefacts import (
     decode,
     encode,
     fingerprint,
-    fingerprint_of_bytes,
-    fingerprint_of_json,
 )
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.pipeline.run_folder import WORK, RunFolder
+from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -15,6 +15,7 @@ from geomosaic.pipeline.context import Notes, RunFile
 from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
+from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
 from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
 from geomosaic.recording.reader import artefact_data, stage_messages
 
@@ -84,13 +85,23 @@ def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
         raise FileError(problem, file=recording.path, mend=mend)
     try:
         outputs: dict[str, Any] = {
-            name: decode(artefact_data(recording, entries[name]), kind)
+            name: decode(_as_recorded(recording, record, entries[name]), kind)
             for name, kind in stage.outputs.items()
         }
         notes = Notes.from_plain(record.notes)
     except FileError as error:
         raise FileError(error.problem, file=recording.path, mend=mend) from error
     return Given(recording, record, entries, outputs, notes)
+
+
+def _as_recorded(recording: Recording, record: StageRecord, entry: ArtefactEntry) -> bytes:
+    """An artefact's bytes, held against its fingerprint. Raises `FileError` where they are others."""
+    data = artefact_data(recording, entry)
+    content = fingerprint_of_bytes(data)
+    if record.lineage and artefact_fingerprint(content, record.written, record.lineage) != entry.fingerprint:
+        problem = f"artefact '{entry.name}' of stage {record.stage_id} isn't what its fingerprint says"
+        raise FileError(f"{problem}: it was altered since", file=recording.path)
+    return data
 
 
 def bring_files(recipe: Recipe, given: Mapping[int, Given], folder: RunFolder) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from geomosaic.errors import CancelledError, GeomosaicError, OutputError, StageFaultError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import fingerprint_of_file, fingerprint_of_json
+from geomosaic.pipeline.artefacts import fingerprint_of_file
 from geomosaic.pipeline.registry import GROUP
 from geomosaic.pipeline.stage import Stage
+from geomosaic.recording.fingerprints import fingerprint_of_json
 
 _OWN = __name__.partition(".")[0]
 _CODE = (".py", ".so", ".pyd")

@@ -281,7 +281,13 @@ class _Run:
             self._summary["cached_stages" if source == "cache" else "recorded_stages"].append(stage.id)
         marks = {name: held.fingerprint for name, held in finished.outputs.items()}
         self._recorder.stage_finished(
-            stage.id, marks, None if self._fixed_time else seconds, source != "work", asdict(finished.notes)
+            stage.id,
+            marks,
+            None if self._fixed_time else seconds,
+            source != "work",
+            asdict(finished.notes),
+            finished.written,
+            finished.lineage,
         )
         if not self._fixed_time:
             how = {"work": "done", "cache": "from the cache", "recording": "from the recording"}[source]

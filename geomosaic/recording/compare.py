@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.recording.fingerprints import altered_artefacts
 from geomosaic.recording.model import Recording, StageRecord, StripCurve, StripResidual
 from geomosaic.recording.summary import largest_length, rms_length
 
@@ -21,11 +22,17 @@ def compare(a: Recording, b: Recording) -> dict[str, Any]:
     what they leave, the warnings, and how far each got. Durations, what came from the cache, the outputs
     of stages that tell of the run itself (the report), and the environment don't count; the environment's
     differences are listed.
+    `altered`: artefacts whose bytes aren't those that their fingerprints name; nothing is equal to them.
     `first_stage` names the first stage that differs.
     """
     stages = _stages(a.stages, b.stages)
     out: dict[str, Any] = {
         "whole": [] if a.whole == b.whole else [a.whole, b.whole],
+        "altered": [
+            {"in": where, "stage": stage, "artefact": name}
+            for where, recording in (("a", a), ("b", b))
+            for stage, name in altered_artefacts(recording)
+        ],
         "recipe": list(
             difflib.unified_diff(
                 a.recipe_yaml.splitlines(), b.recipe_yaml.splitlines(), "a", "b", lineterm="", n=1

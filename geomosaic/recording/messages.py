@@ -26,6 +26,8 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
     "Fingerprint": ("string name", "string fingerprint"),
     # One at a stage's start and one at its end. `seconds` is absent at the start and in a recording
     # with fixed times. `params_json` and `inputs` stand at the start, `outputs` and `notes_json` at the end.
+    # An output's fingerprint is of its bytes, of files that the stage wrote (`written`, name and hash) and
+    # of all files that it goes back to (`lineage`, sorted), both at the end (`recording/fingerprints.py`).
     # `reads_run`: the stage tells of the run itself, durations included, so its outputs differ every time.
     "StageEvent": (
         "string stage_id",
@@ -39,6 +41,8 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "repeated Fingerprint outputs",
         "string notes_json",
         "bool reads_run",
+        "repeated Fingerprint written",
+        "repeated string lineage",
     ),
     # One round of an adjustment: (left, right, east_m, north_m) are the misalignments of the pairs
     # before the moves, right minus left, NaN where unknown; (frame, move_east_m, move_north_m) the moves.

@@ -18,6 +18,7 @@ class StageRecord:
 
     `finished` is False where the run ended within it; seconds are None where unknown.
     `reads_run`: it tells of the run itself, so that equal runs differ in its outputs.
+    `written` and `lineage` are what its outputs' fingerprints hold besides their bytes.
     `notes` is what it added to run.json besides its artefacts.
     """
 
@@ -32,6 +33,8 @@ class StageRecord:
     finished: bool = False
     notes: dict[str, Any] = field(default_factory=dict)
     reads_run: bool = False
+    written: dict[str, str] = field(default_factory=dict)
+    lineage: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,9 @@ from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, R
 
 MAX_KEPT_BYTES = 512 * 2**20
 MAX_ARTEFACT_BYTES = 4 * 2**30
+MOST_UNPACKED = 100
+"""Times a recording's own size that its artefacts may take, beside 64 MiB; those of runs take 2 to 10."""
+_ALWAYS_BYTES = 64 * 2**20
 _KEPT_WHOLE = (
     "geomosaic.StageEvent",
     "geomosaic.PairOffsets",
@@ -70,6 +73,9 @@ def read_recording(path: Path) -> Recording:
                 )
             if item.record is None and not recording.problem:
                 recording.problem = printable(item.problem)
+    most_bytes = MOST_UNPACKED * path.stat().st_size + _ALWAYS_BYTES
+    if sum(a.total_bytes for a in recording.artefacts) > most_bytes:
+        raise FileError(f"its artefacts would take more than {most_bytes} bytes", file=path, mend=MEND)
     recording.stages.sort(key=lambda stage: stage.index)
     return recording
 
@@ -115,6 +121,8 @@ def artefact_data(recording: Recording, entry: ArtefactEntry) -> bytes:
                         message = Artefact.FromString(record.data)
                         if (message.name, message.part) == (entry.name, part):
                             data += message.data
+                            if len(data) > entry.total_bytes:
+                                raise ValueError("it is longer than it says")
             except BROKEN as error:
                 text = f"artefact '{printable(entry.name)}' is damaged ({printable(str(error))})"
                 raise FileError(text, file=recording.path, mend="run again") from error
@@ -215,6 +223,8 @@ def _take_stage(stages: list[StageRecord], event: Any) -> None:
     stages[-1].outputs = {f.name: f.fingerprint for f in event.outputs}
     stages[-1].seconds = event.seconds if event.HasField("seconds") else None
     stages[-1].notes = _json_object(event.notes_json) if event.notes_json else {}
+    stages[-1].written = {f.name: f.fingerprint for f in event.written}
+    stages[-1].lineage = tuple(event.lineage)
     stages[-1].cached, stages[-1].finished = event.cached, True
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.recording.fingerprints import altered_artefacts
 from geomosaic.recording.model import Jitter, Recording, RoundOffsets, StripCurve, StripResidual
 
 _PEAKS = 3
@@ -16,7 +17,7 @@ def summary(recording: Recording) -> dict[str, Any]:
     """What `geomosaic inspect --json` prints.
 
     Keys: path, whole, problem, recipe, environment, manifest, stages, rounds, strips, strip_residuals,
-    jitter, warnings, artefacts, topics.
+    jitter, warnings, altered, artefacts, topics.
     """
     ids = {stage.index: stage.stage_id for stage in recording.stages}
     return {
@@ -60,6 +61,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "warnings": [
             {"level": w.level, "stage": w.stage, "frame": w.frame, "text": w.text} for w in recording.warnings
         ],
+        "altered": [{"stage": stage, "artefact": name} for stage, name in altered_artefacts(recording)],
         "artefacts": [
             {
                 "stage": ids.get(a.stage_index, a.stage_id),

@@ -79,6 +79,9 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
             for peak in j["peaks"]:
                 _row(table, j["what"], *(_number(peak[k]) for k in ("frequency_hz", "across_px", "along_px")))
         console.print(table)
+    for a in short["altered"]:
+        text = f"artefact '{a['artefact']}' of stage {a['stage']} isn't what its fingerprint says"
+        _line(console, f"altered: {text}")
     for warning in short["warnings"]:
         about = f"{warning['frame']}: " if warning["frame"] else ""
         _line(console, f"{warning['level']}: {about}{warning['text']}")
@@ -95,6 +98,9 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
     else:
         first = difference["first_stage"]
         _line(console, f"the runs differ; first stage that differs: {first}" if first else "the runs differ")
+    for a in difference["altered"]:
+        path = difference["paths"][a["in"] == "b"]
+        _line(console, f"altered: {path}: artefact '{a['artefact']}' of stage {a['stage']}")
     if difference["whole"]:
         whole, cut = (0, 1) if difference["whole"][0] else (1, 0)
         _line(console, f"only {difference['paths'][whole]} is whole, not {difference['paths'][cut]}")

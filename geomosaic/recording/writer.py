@@ -132,10 +132,13 @@ class Recorder:
         seconds: float | None,
         cached: bool,
         notes: Mapping[str, Any] | None = None,
+        written: Mapping[str, str] | None = None,
+        lineage: Iterable[str] = (),
     ) -> None:
         """A stage is done and its artefacts are recorded: all of it is put on the disk.
 
-        `notes` is what it adds to run.json besides, so that a replay can add it again.
+        `notes` is what it adds to run.json besides, so that a replay can add it again. `written`, `lineage`:
+        what the fingerprints hold besides the artefacts' bytes (`artefact_fingerprint`).
         """
         event = StageEvent(
             stage_id=stage_id, stage_index=max(self._stage_index, 0), finished=True, cached=cached
@@ -144,6 +147,9 @@ class Recorder:
             event.seconds = seconds
         for name, fingerprint in output_fingerprints.items():
             event.outputs.add(name=name, fingerprint=fingerprint)
+        for name, fingerprint in (written or {}).items():
+            event.written.add(name=name, fingerprint=fingerprint)
+        event.lineage.extend(sorted(lineage))
         if notes is not None:
             event.notes_json = _json(notes)
         self._file.write("/stages", event)

@@ -1,0 +1,170 @@
+"""Recordings that somebody changed: what isn't as it was made is found, and takes no more than the file holds."""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from test_recording_replay import recorded, replay
+
+from geomosaic.cli.main import main
+from geomosaic.errors import FileError
+from geomosaic.pipeline.artefacts import decode, encode
+from geomosaic.recording import compare, read_recording, summary
+from geomosaic.recording.messages import Artefact, StageEvent
+
+__all__ = ["recorded"]
+
+
+def rewritten(source: Path, out: Path, change: Callable[[str, bytes], bytes]) -> None:
+    """The same recording, each message as `change` (schema, bytes) gives it, written by mcap's own writer."""
+    with source.open("rb") as file, out.open("wb") as target:
+        reader, writer = make_reader(file), Writer(target, compression=CompressionType.ZSTD)
+        header = reader.get_header()
+        writer.start(header.profile, header.library)
+        channels: dict[int, int] = {}
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        for a in reader.iter_attachments():
+            writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, channel.metadata
+                )
+            data = change(schema.name, message.data)
+            writer.add_message(
+                channels[channel.id], message.log_time, data, message.publish_time, message.sequence
+            )
+        writer.finish()
+
+
+def heights_raised(schema: str, data: bytes) -> bytes:
+    """Of replayed.raise's artefact: the last height is another one, as many bytes, the same fingerprint."""
+    if schema != "geomosaic.Artefact":
+        return data
+    message = Artefact.FromString(data)
+    if message.name != "raised":
+        return data
+    with zipfile.ZipFile(io.BytesIO(message.data)) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    members["0"] = members["0"][:-8] + np.array([99.0]).tobytes()
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:
+        for name, member in members.items():
+            file.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), member)
+    message.data = out.getvalue()
+    assert len(message.data) == message.total_bytes
+    return message.SerializeToString()  # type: ignore[no-any-return]
+
+
+def test_an_unchanged_copy_is_equal_and_replayed(recorded: Path) -> None:
+    """The copy's chunks are other ones: content counts."""
+    before = read_recording(recorded / "run.mcap")
+    rewritten(recorded / "run.mcap", recorded / "copy.mcap", lambda _, data: data)
+    copy = read_recording(recorded / "copy.mcap")
+    assert all(stage.lineage for stage in copy.stages) and list(copy.stages[1].written) == [
+        "work/replayed.raise/raster.bin"
+    ]
+    assert compare(before, copy)["equal"] and summary(copy)["altered"] == []
+    (recorded / "copy.mcap").replace(recorded / "run.mcap")
+    assert replay(recorded, "--from", "replayed.read")[0] == 0
+
+
+def test_an_altered_artefact_is_named_by_diff_and_inspect_and_not_replayed(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rewritten(recorded / "run.mcap", recorded / "changed.mcap", heights_raised)
+    assert main(["diff", str(recorded / "run.mcap"), str(recorded / "changed.mcap"), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["altered"] == [{"in": "b", "stage": "replayed.raise", "artefact": "raised"}]
+    assert not told["equal"] and told["stages"] == []
+    assert main(["inspect", str(recorded / "changed.mcap")]) == 0
+    assert "'raised' of stage replayed.raise isn't what its fingerprint says" in capsys.readouterr().out
+    (recorded / "changed.mcap").replace(recorded / "run.mcap")
+    code, out = replay(recorded, "--from", "replayed.read")
+    said = capsys.readouterr().err
+    assert code == 2 and "'raised' of stage replayed.raise" in said and "replay with --from" in said
+    assert not (out / "sum.txt").exists()
+    assert replay(recorded, "--from", "replayed.raise")[0] == 0
+
+
+def test_a_replay_of_a_replay_still_holds(recorded: Path) -> None:
+    code, out = replay(recorded, "--from", "replayed.read")
+    assert code == 0 and summary(read_recording(out / "run.mcap"))["altered"] == []
+    assert main(["replay", str(out), "-o", str(recorded.parent / "RUN3"), "--from", "replayed.read"]) == 0
+
+
+def test_an_array_belongs_to_one_place() -> None:
+    """Each of thousands of references would be a copy: 1 MB as 4 GB."""
+    data = encode([np.zeros(125_000)])
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
+        array = file.read("0")
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:
+        file.writestr("tree.json", json.dumps({"list": [{"array": 0}] * 4000}))
+        file.writestr("0", array)
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(FileError, match="no whole artefact"):
+        decode(out.getvalue(), list)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000
+
+
+def test_members_that_lie_on_each_other_are_refused() -> None:
+    """A thousand names of the same megabyte."""
+    data = bytearray(encode([np.zeros(125_000)]))
+    at = data.rindex(b"PK\x01\x02")  # the directory's entry of "0"
+    end = data.rindex(b"PK\x05\x06")
+    tail, entry = bytearray(data[end:]), bytes(data[at:end])
+    again = b"".join(entry.replace(b"0", str(k % 10).encode()) for k in range(1000))
+    first = data.index(b"PK\x01\x02")
+    directory = bytes(data[first:at]) + again
+    tail[8:12] = (1001).to_bytes(2, "little") * 2
+    tail[12:16] = len(directory).to_bytes(4, "little")
+    with pytest.raises(FileError, match="no whole artefact"):
+        decode(bytes(data[:first]) + directory + bytes(tail), list)
+
+
+def test_artefacts_that_would_burst_are_refused(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """300 MB of zeros in a recording of some kilobytes."""
+
+    def swollen(schema: str, data: bytes) -> bytes:
+        if schema != "geomosaic.Artefact":
+            return data
+        message = Artefact.FromString(data)
+        message.data = bytes(100 * 2**20)
+        message.total_bytes = len(message.data)
+        return message.SerializeToString()  # type: ignore[no-any-return]
+
+    rewritten(recorded / "run.mcap", recorded / "swollen.mcap", swollen)
+    assert (recorded / "swollen.mcap").stat().st_size < 2**20
+    assert main(["inspect", str(recorded / "swollen.mcap")]) == 2
+    assert "its artefacts would take more than" in capsys.readouterr().err
+
+
+def test_a_damaged_event_is_one_line(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its chunk is whole and its sums are right; what it holds is no event."""
+
+    def damaged(schema: str, data: bytes) -> bytes:
+        if schema != "geomosaic.StageEvent" or StageEvent.FromString(data).stage_id != "replayed.raise":
+            return data
+        return b"\xff" * len(data)
+
+    rewritten(recorded / "run.mcap", recorded / "damaged.mcap", damaged)
+    assert main(["inspect", str(recorded / "damaged.mcap")]) == 0
+    assert "is damaged" in capsys.readouterr().out
+    (recorded / "damaged.mcap").replace(recorded / "run.mcap")
+    code, out = replay(recorded, "--from", "replayed.read")
+    said = capsys.readouterr().err
+    assert code == 2 and said.count("\n") == 1 and "replayed.raise" in said
+    assert not (out / "sum.txt").exists()
