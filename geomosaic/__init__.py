@@ -1,4 +1,4 @@
-"""geomosaic: overlapping pictures of the ground in, one map-true picture out."""
+"""geomosaic: overlapping images of the ground in, one map-true image out."""
 
 __version__ = "0.1.0"
 

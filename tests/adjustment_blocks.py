@@ -1,4 +1,4 @@
-"""Blocks of frames with known truth and stated noise, without pictures, for the tests of the bundle."""
+"""Blocks of frames with known truth and stated noise, without images, for the tests of the bundle."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Flown:
     rng: np.random.Generator
 
     def seen(self, ground_m: np.ndarray, noise_px: float = 0.0) -> list[tuple[int, float, float]]:
-        """Frame, col and row of every picture of a ground point (3,), with noise."""
+        """Frame, col and row of every image of a ground point (3,), with noise."""
         out = []
         for i, camera in enumerate(self.block.cameras):
             col, row = self.truth[i].image_from_ground(camera, ground_m) + self.rng.normal(0, noise_px, 2)

@@ -1,4 +1,4 @@
-"""Small surveys with a known picture on the ground, for the tests of mosaic and export."""
+"""Small surveys with a known image on the ground, for the tests of mosaic and export."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CAMERA = Camera("cam", 240, 180, 200.0, 121.3, 88.6, -0.11, 0.03, 0.0, 0.0008, -
 
 
 def truth(easting: np.ndarray, northing: np.ndarray, bands: int = 3, top: float = 255.0) -> np.ndarray:
-    """The ground's picture: smooth waves of 9 to 30 m in map coordinates, other ones in each band."""
+    """The ground's image: smooth waves of 9 to 30 m in map coordinates, other ones in each band."""
     e, n = easting - 553_000.0, northing - 5_231_000.0
     out = []
     for b in range(bands):
@@ -101,23 +101,23 @@ def make_survey(
         )
     survey = Survey(tuple(frames), (camera,), HOME, CRS)
     for i, frame in enumerate(frames):
-        picture = truth_of(survey, ground, poses, i, bands, top) * (1.0 if gains is None else gains[i])
-        write_frame(Path(frame.path), picture if dtype == "float32" else np.rint(picture), dtype)
+        image = truth_of(survey, ground, poses, i, bands, top) * (1.0 if gains is None else gains[i])
+        write_frame(Path(frame.path), image if dtype == "float32" else np.rint(image), dtype)
     return survey, poses, ground
 
 
-def write_frame(path: Path, picture: np.ndarray, dtype: str) -> None:
+def write_frame(path: Path, image: np.ndarray, dtype: str) -> None:
     if path.suffix == ".jpg":
-        bgr = np.ascontiguousarray(picture.astype(np.uint8)[..., ::-1])
+        bgr = np.ascontiguousarray(image.astype(np.uint8)[..., ::-1])
         best = [cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111]
         assert cv2.imwrite(str(path), bgr, best)
         return
-    height, width, bands = picture.shape
+    height, width, bands = image.shape
     shape = {"width": width, "height": height, "count": bands, "dtype": dtype}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path, "w", driver="GTiff", photometric="minisblack", **shape) as tiff:
-            tiff.write(np.moveaxis(picture, -1, 0).astype(dtype))
+            tiff.write(np.moveaxis(image, -1, 0).astype(dtype))
 
 
 def paint(frame: Frame, pixels: np.ndarray) -> None:

@@ -25,8 +25,8 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     recorder.stage_started("survey.read", 1, {"frames": "images", "crs": "auto"}, {})
     recorder.camera(CAMERA.name, CAMERA)
     for i, frame in enumerate(FRAMES):
-        picture = np.full((60, 90, 3), (200 - 40 * i, 30, 60), dtype=np.uint8)
-        recorder.image("/images/before", frame, thumbnail(picture))
+        image = np.full((60, 90, 3), (200 - 40 * i, 30, 60), dtype=np.uint8)
+        recorder.image("/images/before", frame, thumbnail(image))
         recorder.location(frame, -91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5, 1.5, 2.0, 3.0, "observed")
     recorder.artefact("survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, ARTEFACT)
     recorder.log("info", "3 frames", stage="survey.read")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from quality_pictures import eight_bits, moved, texture, write_tif
+from quality_images import eight_bits, moved, texture, write_tif
 
 from geomosaic.adjustment.model import Adjusted, Round
 from geomosaic.camera.exterior import Poses

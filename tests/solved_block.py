@@ -1,4 +1,4 @@
-"""A block without pictures, adjusted by the bundle, as the survey that the exports take."""
+"""A block without images, adjusted by the bundle, as the survey that the exports take."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ALONE = 7
 
 @dataclass(frozen=True)
 class Solved:
-    """What `write_layers` and `render_report` take, but for the pictures."""
+    """What `write_layers` and `render_report` take, but for the images."""
 
     survey: Survey
     placement: Placement

@@ -100,8 +100,8 @@ def segment(marker: int, body: bytes) -> bytes:
     return struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body
 
 
-def picture(width: int = 120, height: int = 80, bands: int = 3, seed: int = 1) -> np.ndarray:
-    """A smooth picture that is alike nowhere."""
+def image(width: int = 120, height: int = 80, bands: int = 3, seed: int = 1) -> np.ndarray:
+    """A smooth image that is alike nowhere."""
     rng = np.random.default_rng(seed)
     small = rng.integers(0, 255, (height // 8 + 2, width // 8 + 2, bands)).astype(np.float32)
     return np.atleast_3d(
@@ -144,9 +144,7 @@ def drone_frame(
         "GimbalPitchDegree": "-90.00", "GimbalRollDegree": "+0.00", "FlightYawDegree": "+41.00",
         "FlightPitchDegree": "-4.00", "FlightRollDegree": "+2.00",
     } | xmp  # fmt: skip
-    return write_jpeg(
-        path, picture(*size), exif, dji_xmp(**{k: v for k, v in values.items() if v is not None})
-    )
+    return write_jpeg(path, image(*size), exif, dji_xmp(**{k: v for k, v in values.items() if v is not None}))
 
 
 def survey_folder(folder: Path, count: int = 4) -> Path:

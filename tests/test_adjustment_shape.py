@@ -19,7 +19,7 @@ IMAGE_PX = np.array([[col, row] for col in (80.0, 400.0, 720.0) for row in (60.0
 
 
 def solved(seed: int, readout_sd_s: float = 0.0) -> tuple[float, float]:
-    """What is stated of the shape, and how far the pictures' places on level ground are off after the best
+    """What is stated of the shape, and how far the images' places on level ground are off after the best
     similarity, both in pixels."""
     flown = fly(seed, 3, 5, points=250, relief=level)
     cameras = tuple(replace(c, readout_sd_s=readout_sd_s) for c in flown.block.cameras)
@@ -63,7 +63,7 @@ def test_rays_that_hardly_cut_leave_the_shape_as_sure_as_it_is() -> None:
     assert METHODS["bundle"](block, free).figures["shape_sd_px"] == pytest.approx(known, rel=0.05)
 
 
-def test_a_shutter_that_nobody_told_of_counts_by_what_pictures_leave_open() -> None:
+def test_a_shutter_that_nobody_told_of_counts_by_what_images_leave_open() -> None:
     """Lines that cross see a readout apart from all else: it stretches each along its own way."""
     flown = fly(24, 4, 6, points=900, relief=level, crossed=True)
     cameras = tuple(replace(c, readout_sd_s=0.04) for c in flown.block.cameras)

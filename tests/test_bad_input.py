@@ -124,7 +124,7 @@ def test_a_folder_that_is_not_there_and_one_that_is_a_file(tmp_path: Path, refus
     "content", [b"I am a text file.\n", b"", b"\xff\xd8\xff\xe0", b"MM\x00*" + b"\0" * 40]
 )
 @pytest.mark.parametrize("name", ["notes.jpg", "notes.TIF"])
-def test_a_file_that_is_no_picture(survey: Survey, refused: Refused, content: bytes, name: str) -> None:
+def test_a_file_that_is_no_image(survey: Survey, refused: Refused, content: bytes, name: str) -> None:
     """Alone it is refused; among good frames it is left out (see test_damaged_frames.py)."""
     for frame in survey.frames.iterdir():
         frame.unlink()
@@ -280,7 +280,7 @@ def test_a_frame_without_a_line(survey: Survey, refused: Refused) -> None:
 
 
 def test_heights_below_the_ground(survey: Survey, refused: Refused) -> None:
-    """Of one frame it is set by the pictures; of all, the ground is what is wrong."""
+    """Of one frame it is set by the images; of all, the ground is what is wrong."""
     survey.change(3, height_ellipsoidal_m=-200)
     refused(survey.mosaic("--set", "projection.ground.height_m=5200"), survey.run, "below the ground")
     assert survey.mosaic("--set", "projection.ground.height_m=520") == 0
@@ -444,7 +444,7 @@ def test_control_points_in_a_wrong_crs(survey: Survey, refused: Refused) -> None
 
 
 def test_control_points_outside_every_frame(survey: Survey, refused: Refused) -> None:
-    """On the ground: named in a warning. In the picture: wrong."""
+    """On the ground: named in a warning. In the image: wrong."""
     lon, lat = (float(survey.rows()[0][k]) for k in ("lon_deg", "lat_deg"))
     gcp = survey.run.with_name("gcp.csv")
     header = "name,lon_deg,lat_deg,height_ellipsoidal_m,image,col,row\n"

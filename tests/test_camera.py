@@ -108,7 +108,7 @@ def test_body_pitch_is_gimbal_pitch_plus_90() -> None:
     )
 
 
-def test_a_picture_turned_clockwise_points_its_top_to_the_left_of_before() -> None:
+def test_an_image_turned_clockwise_points_its_top_to_the_left_of_before() -> None:
     """Turned by one quarter clockwise in a viewer, what was left is now on top."""
     turned = Rotation.from_yaw_pitch_roll(*deg(30, 0, 0)).turned(1)
     assert np.degrees(turned.yaw_pitch_roll()[0]) == pytest.approx(-60.0)
@@ -208,7 +208,7 @@ def test_single_precision_is_the_same_lens(kind: str) -> None:
 
 
 def test_where_a_fisheye_is_no_lens_any_more() -> None:
-    """It may not fold back (here at 0.79 rad) and ends at 86 degrees; a picture turned keeps its even terms."""
+    """It may not fold back (here at 0.79 rad) and ends at 86 degrees; an image turned keeps its even terms."""
     folding = replace(FISHEYE, k1=-0.6, k2=0.0, k3=0.0, focal_length_px=4000.0, width_px=9000)
     assert np.isnan(folding.image_from_camera([1.1, 0.0, -1.0])).all()
     assert folding.radius_limit == pytest.approx(np.tan(np.sqrt(1.0 / 1.8)), rel=1e-2)
@@ -241,7 +241,7 @@ READ = Camera("read", 800, 600, 1000.0, 400.0, 300.0, readout_s=0.1)
 
 def test_a_camera_that_turns_while_it_reads_by_hand() -> None:
     """A quarter of the readout before the middle row, at 0.4 rad/s: 0.01 rad the other way. Turning about y, the
-    picture's top, leaves its right side behind: a ray seen there pointed to the left of what it would."""
+    image's top, leaves its right side behind: a ray seen there pointed to the left of what it would."""
     rate = np.array([0.0, 0.4, 0.0])
     pose = Pose(np.zeros(3), Rotation(np.eye(3)), None, Turns(0.1, np.outer([-0.05, 0.05], rate)))
     ray = pose.ray_from_image(READ, [400.0, 150.0])
@@ -270,8 +270,8 @@ def test_turning_and_moving_there_and_back(col: float, row: float, seed: int) ->
     assert pose.image_from_ground(READ, point) == pytest.approx([col, row], abs=1e-3)
 
 
-def test_turns_of_a_picture_turned_by_180_degrees() -> None:
-    """The same rays for the same places of the sensor, whichever way up its picture lies."""
+def test_turns_of_an_image_turned_by_180_degrees() -> None:
+    """The same rays for the same places of the sensor, whichever way up its image lies."""
     turns = Turns(0.1, np.array([[[-0.01, 0.02, -0.03], [0.01, -0.02, 0.03]]]))
     pose = Pose(np.zeros(3), Rotation.from_yaw_pitch_roll(0.3, 0.1, 0.0), None, turns[0])
     over = Pose(np.zeros(3), pose.rotation.turned(2), None, turns.turned([0], 2)[0])

@@ -70,7 +70,7 @@ def test_clean_scene_to_hundredths_of_a_pixel():
 
 
 def test_signs_and_sides():
-    """Both strips' pictures of one ground, moved by hand: right = left + (dcol, side lag + dline)."""
+    """Both strips' images of one ground, moved by hand: right = left + (dcol, side lag + dline)."""
     rng = np.random.default_rng(5)
     geometry = replace(PLAN.geometry(), lines=(4000, 4000, 4000, 4000), row_separation_lines=1000.0)
     fine = rng.normal(size=(6200, 160))

@@ -226,7 +226,7 @@ def test_a_target_in_two_ccds_has_one_place(made: Made) -> None:
 
 
 def test_the_composed_scene_is_the_true_one(made: Made, tmp_path: Path) -> None:
-    """Against the picture of the simulation's own ideal line: no shift of 0.01 px is left."""
+    """Against the image of the simulation's own ideal line: no shift of 0.01 px is left."""
     layout = virtual_layout(made.geometry, made.space, "common")
     compose_strips(made.geometry, layout, None, tmp_path / "scene.tif", blend="feather", resampling="lanczos")
     with open_raster(tmp_path / "scene.tif", OWN) as raster:
@@ -240,7 +240,7 @@ def test_the_composed_scene_is_the_true_one(made: Made, tmp_path: Path) -> None:
     ground = layout.camera.ground_from_image(0, x, t, 900.0)
     seen = made.scene.cameras.ideal.image_from_ground(0, ground, t, x)
     assert 1.0 < np.abs(seen - np.stack([x, t], axis=-1)).max() < 60.0
-    # Where the true picture has each raster pixel: smooth, so straight between every 8th
+    # Where the true image has each raster pixel: smooth, so straight between every 8th
     wide = cv2.resize(
         (seen - np.stack([x, t], axis=-1)).astype(np.float32), (8 * len(cols), 8 * len(rows)),
         interpolation=cv2.INTER_LINEAR,

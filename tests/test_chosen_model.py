@@ -100,7 +100,7 @@ def test_frames_that_shake_while_they_are_read() -> None:
 
 
 @pytest.mark.parametrize("readout_s", [0.02, 0.0])
-def test_all_pictures_together_show_a_readout_that_is_below_the_noise_of_each(readout_s: float) -> None:
+def test_all_images_together_show_a_readout_that_is_below_the_noise_of_each(readout_s: float) -> None:
     """15 m/s and 0.02 s stretch crossing lines by half a percent, which positions and tilts take up but for 0.15 px."""
     flown = fly(7, 4, 6, points=900, crossed=True, readout_s=readout_s)
     silent = tuple(replace(c, readout_s=0.0, readout_sd_s=0.04) for c in flown.block.cameras)
@@ -125,7 +125,7 @@ def test_turns_that_are_told_wrongly_are_not_followed() -> None:
 
 
 def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
-    """Corners at 82 degrees: Brown's terms don't bend a pinhole's picture so far."""
+    """Corners at 82 degrees: Brown's terms don't bend a pinhole's image so far."""
     eye = Camera("eye", 1600, 1200, 700.0, 802.0, 597.0, k1=0.01, kind="fisheye")
     flown = fly(6, 2, 3, points=500, relief=hills, lens=eye)
     told = replace(eye, kind="brown", k1=0.0)
@@ -149,7 +149,7 @@ def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
 
 
 def test_the_zero_of_a_gyroscope_is_common_to_all_frames() -> None:
-    """0.04 rad/s about the picture's right in every frame's turns: taken off as one. (Keypoints good to 0.3 px
+    """0.04 rad/s about the image's right in every frame's turns: taken off as one. (Keypoints good to 0.3 px
     don't tell it in eight frames: it stretches them all by 3 px.)"""
     flown = fly(3, 2, 4, noise_px=0.1, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
     zero = np.linspace(-0.05, 0.05, 41)[:, None] * np.array([0.04, 0.0, 0.0])

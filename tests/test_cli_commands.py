@@ -345,7 +345,7 @@ def test_export_works_on_a_finished_run(plugged: Desk) -> None:
     assert (plugged.folder / "run" / "export.txt").read_text() == "30.000 3"
 
 
-def test_evaluate_takes_a_run_or_a_picture(desk: Desk) -> None:
+def test_evaluate_takes_a_run_or_an_image(desk: Desk) -> None:
     truth = np.kron(np.random.default_rng(5).integers(0, 255, (100, 100)), np.ones((3, 3))).astype(np.uint8)
     truth = np.asarray(cv2.GaussianBlur(truth, (0, 0), 1.5))
     desk.folder.joinpath("run").mkdir()

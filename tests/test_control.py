@@ -78,7 +78,7 @@ def test_residual_is_surveyed_minus_found() -> None:
     block = replace(flown.block, poses=flown.truth, control=(many, once))
     found = control_residuals(block, flown.truth, block.cameras, block.ground)
     assert [f.name for f in found] == ["many", "once"] and behind.observations == ()
-    assert found[0].pictures == len(seen) > 3
+    assert found[0].images == len(seen) > 3
     for f in found:
         assert f.residual_m == pytest.approx([0.3, -0.2, 0.5], abs=1e-6)
     pixel = 0.5 * 0.1 / np.sqrt(len(seen))
@@ -105,7 +105,7 @@ def test_five_points_of_two_centimetres(relief: Relief, seed: int, blocks: int) 
     horizontal = {n: float(np.hypot(*rms(np.concatenate(v))[:2])) for n, v in off.items()}
     assert 0.25 < horizontal[0] < 1.0
     assert horizontal[0] > horizontal[2] > horizontal[5]
-    # A check point's own error: 0.5 px of 0.1 m in some 5 pictures, and its 0.02 m.
+    # A check point's own error: 0.5 px of 0.1 m in some 5 images, and its 0.02 m.
     noise = np.hypot(0.022, 0.02)
     block_only = np.sqrt(np.maximum(rms(np.concatenate(off[5]))[:2] ** 2 - noise**2, 0.0))
     assert np.all(block_only < 0.05)
@@ -177,8 +177,8 @@ def test_other_methods_only_judge_by_it(method: str) -> None:
     assert 0.2 < np.hypot(*rms(found)[:2]) < 8.0 and np.all(sd[:, :2] > 0.1)
 
 
-def test_half_turned_pictures_turn_their_measurements() -> None:
-    """800 x 600 pixels: 123, 45 of a picture in its file was taken at 677, 555."""
+def test_half_turned_images_turn_their_measurements() -> None:
+    """800 x 600 pixels: 123, 45 of an image in its file was taken at 677, 555."""
     flown = fly(8, 1, 3)
     point = GroundControl("GCP", np.zeros(3), SD_M, False, ((0, 123.0, 45.0), (2, 123.0, 45.0)))
     block = replace(flown.block, control=(point,), turned=(0, 0, 2))

@@ -24,7 +24,7 @@ from geomosaic.survey.read import read_survey
 HEIGHT, WIDTH = 400, 600
 
 
-def picture(**options: int) -> bytes:
+def image(**options: int) -> bytes:
     """A JPEG of something to see."""
     rng = np.random.default_rng(4)
     coarse = cv2.resize(rng.integers(0, 255, (25, 38, 3), dtype=np.uint8), (WIDTH, HEIGHT))
@@ -57,9 +57,9 @@ KINDS = [{}, {"PROGRESSIVE": 1}, {"RST_INTERVAL": 20}, {"OPTIMIZE": 1}, {"SAMPLI
 
 
 @pytest.mark.parametrize("options", KINDS)
-def test_whole_pictures_are_whole(tmp_path: Path, options: dict[str, int]) -> None:
-    """Also with previews behind the picture, padding before its end, and an odd version in its header."""
-    data = picture(**options)
+def test_whole_images_are_whole(tmp_path: Path, options: dict[str, int]) -> None:
+    """Also with previews behind the image, padding before its end, and an odd version in its header."""
+    data = image(**options)
     preview = cv2.imencode(".jpg", np.full((50, 60, 3), 90, np.uint8))[1].tobytes()
     odd = bytearray(data)
     odd[data.index(b"JFIF\0") + 5] = 3
@@ -71,7 +71,7 @@ def test_whole_pictures_are_whole(tmp_path: Path, options: dict[str, int]) -> No
 
 @pytest.mark.parametrize("options", KINDS)
 def test_damage_is_heard_and_the_rows_above_it_told(tmp_path: Path, options: dict[str, int]) -> None:
-    data = picture(**options)
+    data = image(**options)
     start, end = coded(data)
     middle = (start + end) // 2
     noise = np.random.default_rng(9).integers(1, 255, 400, dtype=np.uint8).tobytes()
@@ -106,7 +106,7 @@ def frame(path: Path, bands: int = 3, whole_rows: int | None = None) -> Frame:
 
 def test_what_is_below_the_damage_is_masked(tmp_path: Path) -> None:
     path = tmp_path / "a.jpg"
-    path.write_bytes(zeroed(picture(), 0.5)[:-2])
+    path.write_bytes(zeroed(image(), 0.5)[:-2])
     with pytest.raises(FileError, match="truncated"):
         read_pixels(frame(path))
     pixels, valid = read_pixels(frame(path, whole_rows=170))
@@ -119,7 +119,7 @@ def test_what_is_below_the_damage_is_masked(tmp_path: Path) -> None:
 @pytest.mark.parametrize("compress", ["deflate", "lzw", "jpeg"])
 def test_a_tiff_that_does_not_decode(tmp_path: Path, compress: str) -> None:
     path = tmp_path / "a.tif"
-    pixels = np.moveaxis(cv2.imdecode(np.frombuffer(picture(), np.uint8), cv2.IMREAD_COLOR), -1, 0)
+    pixels = np.moveaxis(cv2.imdecode(np.frombuffer(image(), np.uint8), cv2.IMREAD_COLOR), -1, 0)
     with rasterio.open(
         path, "w", driver="GTiff", width=WIDTH, height=HEIGHT, count=3, dtype="uint8", compress=compress,
         interleave="pixel", blockysize=16, crs="EPSG:32632", transform=rasterio.Affine(1, 0, 5, 0, -1, 5),
@@ -157,11 +157,11 @@ def frames(line: SimulatedSurvey, tmp_path: Path) -> Path:
 def test_the_rest_is_mosaicked_and_the_damaged_are_named(
     line: SimulatedSurvey, frames: Path, tmp_path: Path
 ) -> None:
-    """One zeroed, one cut, one that is no picture; their lines in the POS file do no harm."""
+    """One zeroed, one cut, one that is no image; their lines in the POS file do no harm."""
     second, last = frames / "F0002.jpg", frames / "F0005.jpg"
     second.write_bytes(zeroed(second.read_bytes(), 0.5))
     last.write_bytes(last.read_bytes()[:-4000])
-    (frames / "notes.jpg").write_text("not a picture")
+    (frames / "notes.jpg").write_text("not an image")
     (frames / "folder.jpg").mkdir()
     run = tmp_path / "run"
     given = ["--pos", line.pos, "--camera", line.camera, "--adjust", "least_squares"]

@@ -172,21 +172,21 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
         valid = np.argwhere(ortho.dataset_mask() > 0)
         (top, left), (end, right) = valid.min(axis=0), valid.max(axis=0) + 1
         part = Window(int(left), int(top), int(right - left), int(end - top))
-        picture, mask = ortho.read(window=part), ortho.dataset_mask(window=part)
+        image, mask = ortho.read(window=part), ortho.dataset_mask(window=part)
         profile = {**ortho.profile, "width": part.width, "height": part.height}
         profile["transform"] = ortho.transform @ Affine.translation(int(left), int(top))
     (tmp_path / "t" / "truth").mkdir(parents=True)
     shutil.copy(tmp_path / "s" / "truth" / "truth.json", tmp_path / "t" / "truth")
     with rasterio.open(tmp_path / "t" / "truth" / "ortho.tif", "w", **profile) as out:
-        out.write(picture)
+        out.write(image)
         out.write_mask(mask)
     for name, step in (("whole", 0), ("torn", 3)):
-        torn = picture.copy()
-        half = picture.shape[2] // 2
+        torn = image.copy()
+        half = image.shape[2] // 2
         if step:
-            torn[:, step:, half:] = picture[:, :-step, half:]
-        turn = cv2.getRotationMatrix2D((picture.shape[2] / 2, picture.shape[1] / 2), 25.0, 0.75)
-        size = picture.shape[2], picture.shape[1]
+            torn[:, step:, half:] = image[:, :-step, half:]
+        turn = cv2.getRotationMatrix2D((image.shape[2] / 2, image.shape[1] / 2), 25.0, 0.75)
+        size = image.shape[2], image.shape[1]
         away = cv2.warpAffine(np.moveaxis(torn, 0, -1), turn, size, flags=cv2.INTER_CUBIC)
         alpha = cv2.warpAffine(mask, turn, size, flags=cv2.INTER_NEAREST)
         path = tmp_path / f"{name}.tif"

@@ -1,4 +1,4 @@
-"""Rasters of strangers: no connection, no other file, no picture larger than its bytes can hold."""
+"""Rasters of strangers: no connection, no other file, no image larger than its bytes can hold."""
 
 from __future__ import annotations
 
@@ -323,7 +323,7 @@ def test_rasters_and_outlines_are_opened_by_their_one_door_alone() -> None:
     assert not found
 
 
-# Pictures that ask for more than their bytes can hold.
+# Images that ask for more than their bytes can hold.
 
 
 def jpeg_of(path: Path, width: int, height: int) -> Path:

@@ -334,7 +334,7 @@ def test_a_number_that_never_ends_is_judged_at_once(tmp_path: Path, digits: int)
     assert seconds(read) < 2.0
 
 
-def test_a_point_in_ten_thousands_of_pictures_is_one_point(tmp_path: Path) -> None:
+def test_a_point_in_ten_thousands_of_images_is_one_point(tmp_path: Path) -> None:
     path = tmp_path / "gcp.csv"
     path.write_text(
         "name,lon,lat,h_ell,image,col,row\n" + "".join(f"p,9,47,5,{i}.jpg,1,2\n" for i in range(30_000))

@@ -195,7 +195,7 @@ def test_control_stands_where_it_was_surveyed(solved, package):
     told = [points["B"][f"residual_{axis}_m"] for axis in "enu"]
     assert told == pytest.approx([east, north, b.residual_m[2]], rel=2e-3, abs=1e-5)
     assert points["B"]["sd_u_m"] == pytest.approx(b.sd_m[2], rel=1e-4)
-    assert points["B"]["pictures"] == b.pictures >= 3
+    assert points["B"]["pictures"] == b.images >= 3
     at = points["B"].GetGeometryRef()
     lon, lat, height = WORK.geodetic_from_enu(np.array([20.05, 8.0, 0.0]))
     expected = Transformer.from_crs(4326, 32632, always_xy=True).transform(lon, lat)

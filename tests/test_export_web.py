@@ -53,15 +53,15 @@ def test_tiles_lie_where_the_mosaic_lies(cog, tmp_path, tile_format):
     tiles = list((tmp_path / "tiles" / "23").rglob(f"*.{tile_format}"))
     lon = (index["bounds"][0] + index["bounds"][2]) / 2
     assert str(int((lon + 180) / 360 * 2**23)) in {t.parent.name for t in tiles}
-    picture = cv2.imread(str(tiles[len(tiles) // 2]), cv2.IMREAD_UNCHANGED)
-    assert picture.shape == (256, 256, 4)
+    image = cv2.imread(str(tiles[len(tiles) // 2]), cv2.IMREAD_UNCHANGED)
+    assert image.shape == (256, 256, 4)
 
 
 def test_tiles_of_sixteen_bits_and_five_bands_are_stretched(tmp_path):
     raw_raster(tmp_path / "raw.tif", bands=5, dtype="uint16", side=400)
     write_tiles(tmp_path / "raw.tif", tmp_path / "tiles", max_zoom=22, min_zoom=22, processes=1)
-    pictures = [cv2.imread(str(t), cv2.IMREAD_UNCHANGED) for t in (tmp_path / "tiles").rglob("*.png")]
-    seen = np.concatenate([p[p[..., 3] == 255] for p in pictures])
+    images = [cv2.imread(str(t), cv2.IMREAD_UNCHANGED) for t in (tmp_path / "tiles").rglob("*.png")]
+    seen = np.concatenate([p[p[..., 3] == 255] for p in images])
     assert seen[:, :3].min() < 10
     assert seen[:, :3].max() > 245
 

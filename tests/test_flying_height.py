@@ -1,4 +1,4 @@
-"""Surveys without any height above the ground: it is taken from the pictures, and said."""
+"""Surveys without any height above the ground: it is taken from the images, and said."""
 
 from dataclasses import replace
 from pathlib import Path

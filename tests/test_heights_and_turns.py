@@ -1,9 +1,9 @@
-"""Tags that can't be believed: heights on the ground, quarter turns of pictures that lie as all others do."""
+"""Tags that can't be believed: heights on the ground, quarter turns of images that lie as all others do."""
 
 import numpy as np
 import pytest
 
-from geomosaic.matching.turned import possible_quarters, turned_by_pictures, turned_frames
+from geomosaic.matching.turned import possible_quarters, turned_by_images, turned_frames
 from geomosaic.pipeline.reporter import warning_lines
 from geomosaic.placement.graph import flown_beside
 from geomosaic.placement.heights import believable_heights_m, ground_height_m
@@ -38,7 +38,7 @@ def test_a_height_of_nothing_above_the_take_off_says_no_ground() -> None:
     assert ground_height_m((frame(420.0, None),)) is None
 
 
-def test_only_a_picture_that_lies_across_can_have_been_turned_by_a_quarter() -> None:
+def test_only_an_image_that_lies_across_can_have_been_turned_by_a_quarter() -> None:
     possible = possible_quarters([(3600, 2700), (3600, 2700), (2700, 3600), (1000, 1000), (800, 600)])
     half, any_of = [True, False, True, False], [True] * 4
     assert possible.tolist() == [half, half, any_of, any_of, half]
@@ -49,12 +49,12 @@ def test_only_a_picture_that_lies_across_can_have_been_turned_by_a_quarter() -> 
     assert turned_frames(3, pairs, 30.0, possible_quarters([(800, 600)] * 3)) == {}
 
 
-def test_a_heading_off_by_120_degrees_is_no_turned_picture() -> None:
-    """What its neighbours show is 120 degrees; a picture turned by 180 shows 180."""
+def test_a_heading_off_by_120_degrees_is_no_turned_image() -> None:
+    """What its neighbours show is 120 degrees; an image turned by 180 shows 180."""
     off = np.radians([0.0, 2.0, -3.0, 120.0, 178.0])
     shape = np.exp(1j * (0.4 + off)) * np.array([1.0, 1.1, 0.9, 1.0, 1.0])
-    assert turned_by_pictures({3: 2, 4: 2}, shape, [[0, 1, 2, 3, 4]]) == {4: 2}
-    assert turned_by_pictures({0: 2, 1: 2}, shape[:2], [[0, 1]]) == {0: 2, 1: 2}, (
+    assert turned_by_images({3: 2, 4: 2}, shape, [[0, 1, 2, 3, 4]]) == {4: 2}
+    assert turned_by_images({0: 2, 1: 2}, shape[:2], [[0, 1]]) == {0: 2, 1: 2}, (
         "none is upright: nothing to say"
     )
 

@@ -1,4 +1,4 @@
-"""From pictures to tie points: places without bias, guided search, wrong pairs, turned frames."""
+"""From images to tie points: places without bias, guided search, wrong pairs, turned frames."""
 
 import itertools
 from dataclasses import replace
@@ -20,7 +20,7 @@ D_M = 0.1
 
 
 def country(seed: int, rows: int = 900, cols: int = 1200) -> np.ndarray:
-    """An 8 bit picture with something to see at every scale."""
+    """An 8 bit image with something to see at every scale."""
     rng = np.random.default_rng(seed)
     out = np.zeros((rows, cols), np.float32)
     for sigma in (1.5, 3.0, 6.0, 12.0, 24.0):
@@ -30,8 +30,8 @@ def country(seed: int, rows: int = 900, cols: int = 1200) -> np.ndarray:
     return np.clip((out - low) / (high - low) * 255, 0, 255).astype(np.uint8)
 
 
-def features(picture: np.ndarray, reduction: int = 1, most: int = 2000) -> Features:
-    return sift_features(picture, None, reduction, most)
+def features(image: np.ndarray, reduction: int = 1, most: int = 2000) -> Features:
+    return sift_features(image, None, reduction, most)
 
 
 def nearest(left: Features, right: Features) -> tuple[np.ndarray, np.ndarray]:
@@ -40,10 +40,10 @@ def nearest(left: Features, right: Features) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_half_turn_does_not_move_places() -> None:
-    """A place at (c, r) lies at (width - c, height - r) in the turned picture: of hundreds of keypoints
+    """A place at (c, r) lies at (width - c, height - r) in the turned image: of hundreds of keypoints
     the mean differs by less than a hundredth of a pixel. OpenCV's plain SIFT is off by 0.25 px."""
-    picture = country(1)[:601, :803]
-    a, b = nearest(features(picture), features(np.ascontiguousarray(picture[::-1, ::-1])))
+    image = country(1)[:601, :803]
+    a, b = nearest(features(image), features(np.ascontiguousarray(image[::-1, ::-1])))
     off = np.array([803.0, 601.0]) - b - a
     off = off[np.linalg.norm(off, axis=1) < 2.0]
     assert len(off) > 500
@@ -52,12 +52,12 @@ def test_a_half_turn_does_not_move_places() -> None:
 
 
 @pytest.mark.parametrize("reduction", [2, 4])
-def test_a_reduced_picture_gives_the_same_places(reduction: int) -> None:
+def test_a_reduced_image_gives_the_same_places(reduction: int) -> None:
     """Places are of the full frame: halving leaves no shift of half a reduced pixel or the like."""
-    picture = cv2.GaussianBlur(country(2), (0, 0), 2.0)
+    image = cv2.GaussianBlur(country(2), (0, 0), 2.0)
     size = (1200 // reduction, 900 // reduction)
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    a, b = nearest(features(picture), features(small, reduction))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    a, b = nearest(features(image), features(small, reduction))
     off = b - a
     off = off[np.linalg.norm(off, axis=1) < 1.5 * reduction]
     assert len(off) > 60
@@ -71,30 +71,30 @@ def test_reductions_are_those_a_jpeg_decodes_to() -> None:
 
 def test_keypoints_cover_the_frame_and_the_strongest_come_first() -> None:
     """The right half has a fifth of the contrast, and still gets its share."""
-    picture = country(3).astype(np.float32)
-    picture[:, 600:] = 128 + (picture[:, 600:] - 128) / 5
-    found = features(picture.astype(np.uint8), most=1000)
+    image = country(3).astype(np.float32)
+    image[:, 600:] = 128 + (image[:, 600:] - 128) / 5
+    found = features(image.astype(np.uint8), most=1000)
     assert len(found) == 1000
     assert 0.4 < (found.image_px[:, 0] > 600).mean() < 0.6
 
 
 def test_invalid_pixels_and_their_border_give_no_keypoints() -> None:
-    picture, valid = country(4), np.full((900, 1200), 255, np.uint8)
+    image, valid = country(4), np.full((900, 1200), 255, np.uint8)
     valid[200:500, 300:900] = 0
-    picture[valid == 0] = 0
-    found = sift_features(picture, valid, 1, 4000)
+    image[valid == 0] = 0
+    found = sift_features(image, valid, 1, 4000)
     col, row = found.image_px.T
     assert len(found) > 500
     assert not ((col > 297) & (col < 903) & (row > 197) & (row < 503)).any()
-    assert len(sift_features(picture, np.zeros_like(valid), 1)) == 0
-    assert len(sift_features(np.zeros_like(picture), None, 1)) == 0
+    assert len(sift_features(image, np.zeros_like(valid), 1)) == 0
+    assert len(sift_features(np.zeros_like(image), None, 1)) == 0
 
 
 def test_sixteen_bits_and_haze_see_as_much_as_eight_clear_bits() -> None:
-    picture = country(5)
-    clear = features(grey(picture[..., None], None))
-    haze = (110 + picture / 10.0).astype(np.uint8)
-    deep = (3000 + picture.astype(np.uint16) * 4)[..., None]
+    image = country(5)
+    clear = features(grey(image[..., None], None))
+    haze = (110 + image / 10.0).astype(np.uint8)
+    deep = (3000 + image.astype(np.uint16) * 4)[..., None]
     for dull, least in ((haze[..., None], 0.4), (deep, 0.9)):
         seen = grey(dull, None)
         assert seen.dtype == np.uint8 and np.ptp(seen) == 255
@@ -102,7 +102,7 @@ def test_sixteen_bits_and_haze_see_as_much_as_eight_clear_bits() -> None:
         same = np.linalg.norm(a - b, axis=1) < 1.0
         assert same.sum() > least * len(clear)
         assert same.mean() > 0.95
-    fair = (40 + picture // 2)[..., None]
+    fair = (40 + image // 2)[..., None]
     assert np.array_equal(grey(fair, None), fair[..., 0])
 
 
@@ -162,7 +162,7 @@ def test_a_guided_search_pairs_nothing_outside_its_radius() -> None:
 
 
 def test_different_ground_is_never_tied() -> None:
-    """10 pairs of pictures that share nothing, searched near and freely, by every check."""
+    """10 pairs of images that share nothing, searched near and freely, by every check."""
     lands = [features(country(100 + k, 400, 500), most=1200) for k in range(5)]
     pairs = list(itertools.combinations(range(5), 2))
     for check in CHECKS:
@@ -199,7 +199,7 @@ def test_relief_is_kept_by_the_epipolar_check() -> None:
 def block(
     turns: dict[int, int], lines: int, each: int, seed: int, across: bool, spacing_m: float = 60.0
 ) -> dict[int, int]:
-    """What `turned_frames` says of a block with turned pictures, frames spacing_m apart, POS off by 2 m."""
+    """What `turned_frames` says of a block with turned images, frames spacing_m apart, POS off by 2 m."""
     rng = np.random.default_rng(seed)
     nadir = np.array([[spacing_m * c, 50.0 * r] for r in range(lines) for c in range(each)])
     believed = nadir + rng.normal(0, 2.0, nadir.shape)
@@ -260,8 +260,8 @@ def test_a_little_better_is_no_proof_of_a_turn() -> None:
     assert turned_frames(2, [(0, 1, clear)], cap_m=30.0) == {1: 2}
 
 
-def test_righting_turns_the_picture_back_about_the_view() -> None:
-    """A frame tagged 10 degrees whose picture was turned by a quarter shows its top at 10 - 90 degrees."""
+def test_righting_turns_the_image_back_about_the_view() -> None:
+    """A frame tagged 10 degrees whose image was turned by a quarter shows its top at 10 - 90 degrees."""
     matrix = Rotation.from_yaw_pitch_roll(*np.radians([[10.0, 10.0], [2.0, 2.0], [0.0, 0.0]])).matrix
     poses = Poses(np.zeros((2, 3)), matrix, np.ones((2, 3)), np.ones((2, 3)))
     right = righted(poses, {1: 1})

@@ -1,4 +1,4 @@
-"""Composition against a known picture of the ground: real files in, a real raster out."""
+"""Composition against a known image of the ground: real files in, a real raster out."""
 
 from __future__ import annotations
 
@@ -142,9 +142,9 @@ def test_invalid_pixels_are_left_to_the_neighbours(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames")
     mask = np.full((180, 240), 255, dtype=np.uint8)
     mask[60:130, 80:170] = 0
-    picture = truth_of(survey, ground, poses, 1, 3, 255.0)
-    picture[mask == 0] = 0.0
-    paint(survey.frames[1], np.rint(picture))
+    image = truth_of(survey, ground, poses, 1, 3, 255.0)
+    image[mask == 0] = 0.0
+    paint(survey.frames[1], np.rint(image))
     survey = with_mask(survey, 1, mask)
     mosaic, pixels, valid = composed(tmp_path, survey, poses, ground)
     error = (pixels - truth_on(mosaic.grid))[valid]

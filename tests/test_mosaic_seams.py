@@ -41,26 +41,26 @@ def noise(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0.0, 255.0, shape).astype(np.float32)
 
 
-def blended(name: str, pictures: list[np.ndarray], inside: np.ndarray, label: np.ndarray) -> np.ndarray:
+def blended(name: str, images: list[np.ndarray], inside: np.ndarray, label: np.ndarray) -> np.ndarray:
     whole = slice(0, label.shape[0]), slice(0, label.shape[1])
-    pieces = [Piece(*whole, p, np.ascontiguousarray(i)) for p, i in zip(pictures, inside, strict=True)]
+    pieces = [Piece(*whole, p, np.ascontiguousarray(i)) for p, i in zip(images, inside, strict=True)]
     return BLENDS[name].mosaic(pieces, label.astype(np.int16), REACH_PX)
 
 
 @given(st.sampled_from(sorted(BLENDS)), st.integers(0, 100))
 def test_frames_that_agree_are_left_as_they_are(name: str, seed: int) -> None:
-    picture, label = noise(seed, 160, 192, 3), halves()
+    image, label = noise(seed, 160, 192, 3), halves()
     label[:9] = -1
     inside = np.broadcast_to(label >= 0, (2, 160, 192)).astype(np.float32)
-    mosaic = blended(name, [picture, picture], inside, label)
-    assert np.abs(mosaic - picture)[label >= 0].max() < 0.01
+    mosaic = blended(name, [image, image], inside, label)
+    assert np.abs(mosaic - image)[label >= 0].max() < 0.01
 
 
 @pytest.mark.parametrize("name, step", [("hard", 60.0), ("feather", 60.0 / 48.0), ("multi_band", 1.72)])
 def test_a_difference_in_brightness_is_spread_over_the_reach(name: str, step: float) -> None:
     """Of 60 grey levels, from frame to frame; by `multi_band` over 16 px and more to either side."""
-    pictures = [np.full((160, 192, 1), level, np.float32) for level in (80.0, 140.0)]
-    mosaic = blended(name, pictures, np.ones((2, 160, 192), np.float32), halves())
+    images = [np.full((160, 192, 1), level, np.float32) for level in (80.0, 140.0)]
+    mosaic = blended(name, images, np.ones((2, 160, 192), np.float32), halves())
     row = mosaic[80, :, 0]
     assert np.abs(np.diff(row)).max() == pytest.approx(step, rel=0.05)
     assert row[[8, -8]].tolist() == pytest.approx([80.0, 140.0], abs=0.1)
@@ -69,13 +69,13 @@ def test_a_difference_in_brightness_is_spread_over_the_reach(name: str, step: fl
 
 def test_fine_detail_is_not_doubled_by_bands() -> None:
     """Two frames whose lines lie two pixels apart: feathered there are four lines at the seam, by bands two."""
-    pictures = [np.full((160, 192, 1), 100.0, np.float32) for _ in range(2)]
-    for k, picture in enumerate(pictures):
-        picture[80 + 4 * k] = 200.0
+    images = [np.full((160, 192, 1), 100.0, np.float32) for _ in range(2)]
+    for k, image in enumerate(images):
+        image[80 + 4 * k] = 200.0
     label = halves()
     shown = np.ones((2, 160, 192), np.float32)
     contrast = {
-        name: np.abs(blended(name, pictures, shown, label)[76:90, 84, 0] - 100.0)
+        name: np.abs(blended(name, images, shown, label)[76:90, 84, 0] - 100.0)
         for name in ("feather", "multi_band")
     }
     assert contrast["multi_band"][8] < 0.5 * contrast["feather"][8]
@@ -91,8 +91,8 @@ def test_what_a_frame_doesnt_show_pulls_nothing_towards_black(name: str) -> None
     inside[:, :20] = 0.0
     inside[0, :, 96:] = 0.0
     inside[1, :, :96] = 0.0
-    pictures = [np.where(i[..., None] > 0.0, np.float32(120.0), np.float32(0.0)) for i in inside]
-    mosaic = blended(name, pictures, inside, label)
+    images = [np.where(i[..., None] > 0.0, np.float32(120.0), np.float32(0.0)) for i in inside]
+    mosaic = blended(name, images, inside, label)
     assert np.abs(mosaic[label >= 0] - 120.0).max() < 0.01
 
 
@@ -100,13 +100,13 @@ def test_what_a_frame_doesnt_show_pulls_nothing_towards_black(name: str) -> None
 def test_a_blend_looks_no_farther_than_its_halo(name: str, seed: int) -> None:
     halo = BLENDS[name].halo_px(REACH_PX)
     side = 2 * halo + 32
-    pictures = [noise(seed + k, side + 128, side + 128, 1) for k in range(2)]
+    images = [noise(seed + k, side + 128, side + 128, 1) for k in range(2)]
     label = (noise(seed + 2, 6, 6) > 128.0).astype(np.int32).repeat(96, 0).repeat(96, 1)
     label = label[: side + 128, : side + 128]
     inside = np.ones((2, *label.shape), np.float32)
-    whole = blended(name, pictures, inside, label)
+    whole = blended(name, images, inside, label)
     at = slice(64, 64 + side)
-    cut = [np.ascontiguousarray(p[at, at]) for p in pictures]
+    cut = [np.ascontiguousarray(p[at, at]) for p in images]
     part = blended(name, cut, inside[:, at, at], np.ascontiguousarray(label[at, at]))
     middle = slice(halo, halo + 32)
     assert np.abs(part[middle, middle] - whole[at, at][middle, middle]).max() < 0.3

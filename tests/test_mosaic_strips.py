@@ -401,7 +401,7 @@ def simulated(tmp_path_factory):
 
 
 def test_true_offsets_leave_no_step_at_the_seams(simulated, tmp_path):
-    """Left strip alone and right strip alone, each composed by itself, show one picture in the overlap."""
+    """Left strip alone and right strip alone, each composed by itself, show one image in the overlap."""
     plan, g, world = simulated
     n = np.zeros(plan.lines)
     pairs = tuple(
@@ -411,14 +411,14 @@ def test_true_offsets_leave_no_step_at_the_seams(simulated, tmp_path):
     rms = {}
     for name, found in (("truth", pairs), ("nominal", ())):
         layout = image_space_layout(g, StripOffsets(name, found))
-        pictures = []
+        images = []
         for k in (0, 1):
             alone = tuple(c if j == k else Ccd(None, c.row) for j, c in enumerate(g.ccds))
             part = dataclasses.replace(g, ccds=alone)
-            pictures.append(composed(part, tmp_path / f"{k}.tif", layout)[1:])
+            images.append(composed(part, tmp_path / f"{k}.tif", layout)[1:])
         zone = slice(layout.cols(1)[0] + 6, layout.cols(0)[1] - 6)
-        both = (pictures[0][1] & pictures[1][1])[:, zone]
-        left, right = (p[:, zone][both].astype(float) for p, _ in pictures)
+        both = (images[0][1] & images[1][1])[:, zone]
+        left, right = (p[:, zone][both].astype(float) for p, _ in images)
         gain = (left * right).sum() / (left**2).sum()
         rms[name] = np.sqrt(((right - gain * left) ** 2).mean())
     assert rms["truth"] < 2.0

@@ -128,7 +128,7 @@ def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
 
 
 def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
-    """Values beyond 249, which are too bright for a picture of eight bits only."""
+    """Values beyond 249, which are too bright for an image of eight bits only."""
     gains = [1.0, 0.8, 0.9, 0.7, 1.0, 0.85]
     survey, poses, ground = make_survey(tmp_path, dtype="uint16", gains=gains)
     cameras = [survey.camera_of(i) for i in range(6)]

@@ -83,8 +83,8 @@ def test_the_vrt_shows_the_frames_that_give_most_on_top(run: tuple[Path, Any]) -
     cells = np.bincount(own.owner.ravel(), minlength=7)[1:]
     order = sorted(range(5), key=lambda i: (cells[i], -i))
     with rasterio.open(folder / "orthos" / "orthos.vrt") as vrt:
-        picture, valid = vrt.read(1), vrt.dataset_mask() > 0
-        top = np.full(picture.shape, -1)
+        image, valid = vrt.read(1), vrt.dataset_mask() > 0
+        top = np.full(image.shape, -1)
         for i in order:
             with rasterio.open(folder / "orthos" / f"frame_{i:02d}.tif") as ortho:
                 at = from_bounds(*ortho.bounds, transform=vrt.transform).round_offsets().round_lengths()
@@ -92,7 +92,7 @@ def test_the_vrt_shows_the_frames_that_give_most_on_top(run: tuple[Path, Any]) -
                 part[ortho.dataset_mask() > 0] = i
         assert (valid == (top >= 0)).all()
         values = np.array([40, 70, 50, 130, 160])
-        assert (picture[valid] == values[top[valid]]).all()
+        assert (image[valid] == values[top[valid]]).all()
     text = (folder / "orthos" / "orthos.vrt").read_text()
     assert 'relativeToVRT="1">frame_00.tif' in text and str(folder) not in text
 

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_surveys import mosaic, small_survey, summary
-from survey_files import dji_xmp, exif_block, gps, picture, write_jpeg
+from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
@@ -240,7 +240,7 @@ def tagged(folder: Path, focal: Fraction, film_mm: int | None, wrong: int = 1, c
         if i < wrong and focal == Fraction(1, 10**7):  # a denominator that Fraction can't hold short enough
             block = block.replace((1).to_bytes(4, "little") + (10**7).to_bytes(4, "little"),
                                   (1).to_bytes(4, "little") + b"\xff\xff\xff\xff")  # fmt: skip
-        write_jpeg(folder / f"{i}.jpg", picture(120, 80, seed=i), block, xmp)
+        write_jpeg(folder / f"{i}.jpg", image(120, 80, seed=i), block, xmp)
     return folder
 
 

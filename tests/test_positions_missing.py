@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 from small_surveys import geomosaic, mosaic, small_survey, summary, warned
-from survey_files import picture, write_jpeg
+from survey_files import image, write_jpeg
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
@@ -45,14 +45,14 @@ def _off_m(run: Path, truth: Path) -> np.ndarray:
     return np.array([found[name] - true[name] for name in sorted(true) if name in found])
 
 
-def test_frames_without_gps_are_placed_by_the_pictures(tmp_path: Path, flown: Path) -> None:
+def test_frames_without_gps_are_placed_by_the_images(tmp_path: Path, flown: Path) -> None:
     """Two of six have none, one of them at a turn of the flight; a seventh shows something else."""
     frames = shutil.copytree(flown / "both" / "frames", tmp_path / "frames")
     for name in ("F0002.jpg", "F0004.jpg"):
         shutil.copy(flown / "none" / "frames" / name, frames / name)
     with_tags = (flown / "none" / "frames" / "F0001.jpg").read_bytes()
     noise = np.random.default_rng(1).normal(0.0, 12.0, (240, 320, 1))
-    other = np.clip(picture(320, 240, seed=8) + noise, 0, 255).astype(np.uint8)
+    other = np.clip(image(320, 240, seed=8) + noise, 0, 255).astype(np.uint8)
     strange = write_jpeg(frames / "F0007.jpg", other).read_bytes()
     end_of_tags = with_tags.index(b"\xff\xdb")
     (frames / "F0007.jpg").write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
@@ -61,7 +61,7 @@ def test_frames_without_gps_are_placed_by_the_pictures(tmp_path: Path, flown: Pa
     assert told["frames"] == {"total": 7, "tied": 6, "placed": 0, "rejected": 1}
     assert warned(tmp_path / "run", "not-placed") == ["F0007.jpg"]
     (line,) = [w["text"] for w in told["warnings"] if w["code"] == "position-missing"]
-    assert line == "no position: placed by the pictures (3 of 7 frames: F0007.jpg, F0002.jpg, F0004.jpg)"
+    assert line == "no position: placed by the images (3 of 7 frames: F0007.jpg, F0002.jpg, F0004.jpg)"
     assert np.abs(_off_m(tmp_path / "run", flown / "both")).max() < 1.0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
-from quality_pictures import eight_bits, moved, north_up, texture, write_tif
+from quality_images import eight_bits, moved, north_up, texture, write_tif
 from rasterio.crs import CRS
 from rasterio.warp import Resampling, reproject, transform_bounds
 
@@ -22,7 +22,7 @@ def test_displacement_in_metres_of_the_map_between_grids_a_fraction_apart(tmp_pa
     shifted = eight_bits(moved(base, 1.5, -2.25))
     mosaic = write_tif(tmp_path / "mosaic.tif", shifted, WEST + 7.25 * GSD, NORTH - 4.5 * GSD, GSD)
     c = compare(mosaic, reference, search_px=32)
-    # the picture shows things 7.25 - 2.25 pixels too far east and 4.5 + 1.5 too far south
+    # the image shows things 7.25 - 2.25 pixels too far east and 4.5 + 1.5 too far south
     assert c.figures.mean_east_m == pytest.approx(0.5, abs=0.002)
     assert c.figures.mean_north_m == pytest.approx(-0.6, abs=0.002)
     assert c.figures.absolute_rmse_m == pytest.approx(0.781, abs=0.002)
@@ -121,9 +121,9 @@ def test_sixteen_bits(tmp_path):
 
 
 def test_errors_name_the_file_and_the_mend(tmp_path):
-    picture = eight_bits(texture(64, 64, seed=1))
-    good = write_tif(tmp_path / "good.tif", picture, WEST, NORTH, GSD)
-    far = write_tif(tmp_path / "far.tif", picture, WEST + 5000.0, NORTH, GSD)
+    image = eight_bits(texture(64, 64, seed=1))
+    good = write_tif(tmp_path / "good.tif", image, WEST, NORTH, GSD)
+    far = write_tif(tmp_path / "far.tif", image, WEST + 5000.0, NORTH, GSD)
     with pytest.raises(InputError, match=r"far\.tif: does not overlap the mosaic; give"):
         compare(good, far)
     text = tmp_path / "text.tif"
@@ -132,10 +132,10 @@ def test_errors_name_the_file_and_the_mend(tmp_path):
         compare(good, text)
     with pytest.raises(FileError, match=r"none\.tif: no such file; give"):
         compare(tmp_path / "none.tif", good)
-    nowhere = write_tif(tmp_path / "nowhere.tif", picture, WEST, NORTH, GSD, crs=None)
+    nowhere = write_tif(tmp_path / "nowhere.tif", image, WEST, NORTH, GSD, crs=None)
     with pytest.raises(FileError, match=r"nowhere\.tif: has no coordinate reference system; give"):
         compare(good, nowhere)
-    degrees = write_tif(tmp_path / "degrees.tif", picture, 9.0, 47.0, 1e-6, crs="EPSG:4326")
+    degrees = write_tif(tmp_path / "degrees.tif", image, 9.0, 47.0, 1e-6, crs="EPSG:4326")
     with pytest.raises(FileError, match=r"degrees\.tif: is not in a map projection; warp"):
         compare(degrees, good)
     with pytest.raises(InputError, match="out of bounds"):

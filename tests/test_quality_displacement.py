@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from quality_pictures import moved, texture
+from quality_images import moved, texture
 
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 
 
-def measured(picture, reference, valid=None, other=None, patch=64, step=64, search=128, margin=0):
-    everywhere = np.ones(picture.shape, dtype=bool)
-    corners = patch_corners((picture.shape[0] - 2 * margin, picture.shape[1] - 2 * margin), patch, step)
+def measured(image, reference, valid=None, other=None, patch=64, step=64, search=128, margin=0):
+    everywhere = np.ones(image.shape, dtype=bool)
+    corners = patch_corners((image.shape[0] - 2 * margin, image.shape[1] - 2 * margin), patch, step)
     return measure_displacements(
-        picture.astype(np.float32),
+        image.astype(np.float32),
         reference.astype(np.float32),
         everywhere if valid is None else valid,
         everywhere if other is None else other,
@@ -38,8 +38,8 @@ def test_a_known_shift_is_found_to_a_fiftieth_of_a_pixel(right, down):
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(0.6, 1.5), st.floats(-20.0, 20.0))
 def test_any_fraction_gain_and_offset(right, down, gain, offset):
     reference = texture(256, 320, seed=5)
-    picture = gain * moved(reference, down, right) + offset
-    found = measured(picture, reference, search=8, margin=8)
+    image = gain * moved(reference, down, right) + offset
+    found = measured(image, reference, search=8, margin=8)
     assert len(found.displacement_px) == found.asked == 12
     np.testing.assert_allclose(found.displacement_px, np.tile([right, down], (12, 1)), atol=0.02)
 
@@ -47,8 +47,8 @@ def test_any_fraction_gain_and_offset(right, down, gain, offset):
 def test_rounding_and_noise_leave_the_stated_deviation():
     reference = texture(1024, 1024, seed=3)
     rng = np.random.default_rng(4)
-    picture = np.rint(moved(reference, 2.4, -1.3) + rng.normal(0.0, 5.0, reference.shape))
-    found = measured(picture, np.rint(reference + rng.normal(0.0, 5.0, reference.shape)), margin=32)
+    image = np.rint(moved(reference, 2.4, -1.3) + rng.normal(0.0, 5.0, reference.shape))
+    found = measured(image, np.rint(reference + rng.normal(0.0, 5.0, reference.shape)), margin=32)
     error = found.displacement_px - [-1.3, 2.4]
     assert len(error) == 225
     assert np.abs(error.mean(axis=0)).max() < 0.004
@@ -69,12 +69,12 @@ def test_both_sides_of_a_seam_are_followed():
 
 def test_invalid_pixels_neither_count_nor_disturb():
     reference = texture(640, 640, seed=21)
-    picture = moved(reference, 1.25, -2.75)
+    image = moved(reference, 1.25, -2.75)
     valid = np.ones((640, 640), dtype=bool)
     valid[:, 500:] = False
     valid[100:110, 100:110] = False
-    picture[~valid] = 0.0
-    found = measured(picture, reference, valid)
+    image[~valid] = 0.0
+    found = measured(image, reference, valid)
     assert found.asked == 70
     assert found.centres_px[:, 0].max() < 500
     assert len(found.displacement_px) >= 60
@@ -96,7 +96,7 @@ def test_what_cannot_be_measured_is_rejected():
     assert len(measured(faint, again).displacement_px) <= 1
 
 
-def test_a_picture_smaller_than_a_patch_has_no_vectors():
+def test_an_image_smaller_than_a_patch_has_no_vectors():
     small = texture(40, 300, seed=1)
     found = measured(small, small)
     assert found.asked == 0 and found.displacement_px.shape == (0, 2)

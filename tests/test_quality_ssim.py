@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from quality_pictures import texture
+from quality_images import texture
 
 from geomosaic.quality.ssim import gain_and_offset, luma, mean_terms, pooled, ssim_maps
 
@@ -12,7 +12,7 @@ ALL = np.ones((40, 50), dtype=bool)
 CHECKERS = np.where((np.arange(40)[:, None] + np.arange(50)) % 2 == 0, 1.0, -1.0)
 
 
-def test_uniform_pictures_differ_in_luminance_alone():
+def test_uniform_images_differ_in_luminance_alone():
     terms = mean_terms(ssim_maps(np.full((40, 50), 100.0), np.full((40, 50), 110.0), ALL, 255.0))
     # (2 * 100 * 110 + 2.55^2) / (100^2 + 110^2 + 2.55^2)
     assert terms.ssim == pytest.approx(22006.5025 / 22106.5025, abs=1e-12)
@@ -20,7 +20,7 @@ def test_uniform_pictures_differ_in_luminance_alone():
     assert terms.pixels == 30 * 40
 
 
-def test_an_inverted_picture_has_negative_structure():
+def test_an_inverted_image_has_negative_structure():
     terms = mean_terms(ssim_maps(128 + 20 * CHECKERS, 128 - 20 * CHECKERS, ALL, 255.0))
     # variance 400, covariance -400, C2 / 2 = 7.65^2 / 2 = 29.26125
     assert terms.structure == pytest.approx((-400 + 29.26125) / (400 + 29.26125), abs=1e-5)
@@ -54,12 +54,12 @@ def test_the_three_terms_multiply_to_the_standard_form():
 def test_only_windows_that_are_wholly_valid_count():
     valid = ALL.copy()
     valid[20, 30] = False
-    picture, reference = np.full((40, 50), 100.0), np.full((40, 50), 100.0)
-    picture[20, 30] = 9999.0
-    terms = mean_terms(ssim_maps(picture, reference, valid, 255.0))
+    image, reference = np.full((40, 50), 100.0), np.full((40, 50), 100.0)
+    image[20, 30] = 9999.0
+    terms = mean_terms(ssim_maps(image, reference, valid, 255.0))
     assert terms.ssim == pytest.approx(1.0)
     assert terms.pixels == 30 * 40 - 11 * 11
-    nothing = mean_terms(ssim_maps(picture, reference, np.zeros((40, 50), dtype=bool), 255.0))
+    nothing = mean_terms(ssim_maps(image, reference, np.zeros((40, 50), dtype=bool), 255.0))
     assert nothing.pixels == 0 and np.isnan(nothing.ssim)
 
 
@@ -72,8 +72,8 @@ def test_parts_pool_by_their_pixels():
 
 
 def test_gain_and_offset_bring_mean_and_deviation_together():
-    picture = np.array([10.0, 20.0, 30.0])
-    gain, offset = gain_and_offset(picture, 3.0 * picture - 7.0)
+    image = np.array([10.0, 20.0, 30.0])
+    gain, offset = gain_and_offset(image, 3.0 * image - 7.0)
     assert (gain, offset) == pytest.approx((3.0, -7.0))
     assert gain_and_offset(np.full(3, 4.0), np.full(3, 9.0)) == (1.0, 5.0)
 

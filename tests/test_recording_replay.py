@@ -22,7 +22,7 @@ from geomosaic.recording import read_recording
 
 
 @dataclass(frozen=True)
-class Picture:
+class Image:
     """A frame's place."""
 
     path: str
@@ -32,7 +32,7 @@ class Picture:
 class Found:
     """Frames and heights."""
 
-    frames: tuple[Picture, ...]
+    frames: tuple[Image, ...]
     heights_m: NDArray[np.float64]
 
 
@@ -65,7 +65,7 @@ class Find(Stage):
         paths = sorted(params.frames.iterdir())
         context.warn("few-frames", paths[0].name, f"only {len(paths)}")
         heights_m = np.array([float(p.read_text()) for p in paths])
-        return {"survey": Found(tuple(Picture(str(p)) for p in paths), heights_m)}
+        return {"survey": Found(tuple(Image(str(p)) for p in paths), heights_m)}
 
 
 class Raise(Stage):

@@ -71,10 +71,8 @@ def test_values_of_foxgloves_messages(scene: Path) -> None:
     assert (camera.K[2], camera.K[5]) == (2001.0, 1498.75), "OpenCV's origin is half a pixel off the corner's"
     assert list(camera.D) == [-0.011, 0.003, 1e-4, -2e-4, 5e-4]
     assert camera.frame_id == CAMERA.name
-    picture = cv2.imdecode(
-        np.frombuffer(decoded(scene, "/images/before")[0].data, np.uint8), cv2.IMREAD_COLOR
-    )
-    assert np.abs(picture.mean(axis=(0, 1)) - [60, 30, 200]).max() < 3, "blue, green, red"
+    image = cv2.imdecode(np.frombuffer(decoded(scene, "/images/before")[0].data, np.uint8), cv2.IMREAD_COLOR)
+    assert np.abs(image.mean(axis=(0, 1)) - [60, 30, 200]).max() < 3, "blue, green, red"
     footprints = json.loads(decoded(scene, "/map/footprints")[0].geojson)
     assert footprints["features"][0]["geometry"]["coordinates"][0][2] == [-91.249, 46.501]
 
@@ -136,7 +134,7 @@ def test_a_name_that_is_no_unicode_is_recorded_with_a_question_mark(tmp_path: Pa
     name = os.fsdecode(b"bild\xe4.jpg")
     with Recorder(tmp_path / "run.mcap") as recorder:
         recorder.begin_run("", {}, {"file": name})
-        recorder.log("error", f"{name}: no picture", frame=name)
+        recorder.log("error", f"{name}: no image", frame=name)
     assert read_recording(tmp_path / "run.mcap").log[0].frame == "bild?.jpg"
 
 
@@ -189,7 +187,7 @@ def test_an_error_within_the_block_still_closes_the_file(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("picture", "size"),
+    ("image", "size"),
     [
         (np.zeros((3000, 4000, 3), np.uint8), (384, 512)),
         (np.zeros((40, 30), np.uint8), (40, 30)),
@@ -198,8 +196,8 @@ def test_an_error_within_the_block_still_closes_the_file(tmp_path: Path) -> None
         (np.zeros((5, 2000, 1), np.int32), (1, 512)),
     ],
 )
-def test_thumbnails_keep_their_shape_and_never_grow(picture: np.ndarray, size: tuple[int, int]) -> None:
-    jpeg = cv2.imdecode(np.frombuffer(thumbnail(picture), np.uint8), cv2.IMREAD_COLOR)
+def test_thumbnails_keep_their_shape_and_never_grow(image: np.ndarray, size: tuple[int, int]) -> None:
+    jpeg = cv2.imdecode(np.frombuffer(thumbnail(image), np.uint8), cv2.IMREAD_COLOR)
     assert jpeg.shape[:2] == size
 
 

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from quality_pictures import eight_bits, texture, write_tif
+from quality_images import eight_bits, texture, write_tif
 from report_survey import HOSTILE, made_up_run
 
 from geomosaic.adjustment.model import Adjusted
@@ -154,8 +154,8 @@ def test_a_thousand_frames_stay_below_five_megabytes(tmp_path):
 def test_the_glance_knows_its_place_and_area(tmp_path):
     valid = np.ones((300, 400), dtype=bool)
     valid[:150, :200] = False
-    picture = eight_bits(texture(300, 400, seed=1)).astype(np.uint16) * 37
-    path = write_tif(tmp_path / "m.tif", picture, 500000.0, 5200000.0, 0.5, valid=valid)
+    image = eight_bits(texture(300, 400, seed=1)).astype(np.uint16) * 37
+    path = write_tif(tmp_path / "m.tif", image, 500000.0, 5200000.0, 0.5, valid=valid)
     g = glance(path)
     assert g.covered_m2 == pytest.approx(0.75 * 200.0 * 150.0)
     np.testing.assert_allclose(g.at(np.array([[500050.0, 5199970.0]])), [[100.0, 60.0]], atol=1e-6)

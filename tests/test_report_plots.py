@@ -102,7 +102,7 @@ def test_many_vectors_are_thinned_and_it_is_said():
     assert "500 of 5000 shown" in plot and len(plot) < 200_000
 
 
-def test_nothing_to_draw_is_still_a_picture():
+def test_nothing_to_draw_is_still_an_image():
     none = np.empty((0, 2))
     for plot in (
         line_plot([], Axis("x"), Axis("y"), label="l"),

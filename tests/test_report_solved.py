@@ -1,4 +1,4 @@
-"""The report's section on what was solved: numbers, words and pictures with values known by hand."""
+"""The report's section on what was solved: numbers, words and images with values known by hand."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ def test_the_ground_has_a_reason(solved, tmp_path, kind, relief_px, asked, reaso
     assert context.notes.metrics["ground"]["reason"] == reason
 
 
-def test_a_lens_fault_shows_also_where_half_of_the_pictures_were_turned(solved):
-    """Residuals of 2 px to the right in the picture's left third, as the sensor lay; none elsewhere."""
+def test_a_lens_fault_shows_also_where_half_of_the_images_were_turned(solved):
+    """Residuals of 2 px to the right in the image's left third, as the sensor lay; none elsewhere."""
     survey, rng = solved.survey, np.random.default_rng(4)
     m = 8000
     frame = rng.integers(0, 8, m)
@@ -153,7 +153,7 @@ def test_cells_of_the_correlation_map_are_as_full_as_their_correlation():
     assert "the first 40 of 50" in large and "n41" not in large
 
 
-def test_arrows_over_a_picture_point_down_for_growing_rows():
+def test_arrows_over_an_image_point_down_for_growing_rows():
     at = np.array([[100.0, 150.0], [700.0, 150.0]])
     plot = image_vectors((800, 600), at, np.array([[0.0, 0.02], [0.02, 0.0]]), label="l", principal_px=(402.0, 297.0), scatter_px=0.004)  # fmt: skip
     root = fromstring(plot)

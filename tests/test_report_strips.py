@@ -18,7 +18,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.quality.jitter import Spectrum
 from geomosaic.quality.strip_figures import strip_figures
 from geomosaic.quality.strips import PairQuality, StripQuality
-from geomosaic.report.strip_pictures import Place, seam_col, seam_crops, seam_places
+from geomosaic.report.strip_images import Place, seam_col, seam_crops, seam_places
 from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
 from geomosaic.report.strips import render_strips_report, strips_verdict
 from geomosaic.simulate.strip_plan import StripPlan
@@ -267,6 +267,6 @@ def test_plots_of_nothing() -> None:
 
 
 def test_an_unreadable_mosaic_is_one_clear_line(scene: ComposedScene, tmp_path: Path) -> None:
-    (tmp_path / "m.tif").write_text("no picture")
+    (tmp_path / "m.tif").write_text("no image")
     with pytest.raises(GeomosaicError, match=r"m\.tif"):
         page_of(scene, mosaic_file=tmp_path / "m.tif")

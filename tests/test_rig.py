@@ -133,13 +133,13 @@ def test_bands_are_stacked_where_all_are_valid(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_a_rig_becomes_one_mosaic_with_named_bands(tmp_path: Path) -> None:
-    """The second camera is turned by known angles: a homography of the first one's pictures, as negatives, whose
+    """The second camera is turned by known angles: a homography of the first one's images, as negatives, whose
     edges are alike where the greys are opposite."""
     simulated = small_survey(tmp_path / "survey", lines=1, frames_per_line=3)
     folder = tmp_path / "rig"
     folder.mkdir()
     lens = np.array([[500.0, 0, 240.0], [0, 500.0, 180.0], [0, 0, 1.0]])
-    axes = np.diag([1.0, -1.0, -1.0])  # of pictures (right, down, away) from the camera's
+    axes = np.diag([1.0, -1.0, -1.0])  # of images (right, down, away) from the camera's
     turned = lens @ axes @ Turn.from_rotvec(TURN).as_matrix().T @ axes @ np.linalg.inv(lens)
     rows = list(csv.reader(simulated.pos.read_text().splitlines()))
     for capture, path in enumerate(sorted(simulated.frames.glob("*.jpg"))):

@@ -77,7 +77,7 @@ def test_a_camera_that_nods_sees_rows_farther_ahead(row: float) -> None:
     )
 
 
-def test_the_picture_is_rendered_row_by_row_as_the_platform_rolls() -> None:
+def test_the_image_is_rendered_row_by_row_as_the_platform_rolls() -> None:
     """A right-handed turn about y, to the image's top, moves the view to the left: what is below goes right."""
     readout = shaking(1)
     sight = sight_of(CAMERA, POSE, WORLD, readout)

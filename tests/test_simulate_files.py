@@ -128,7 +128,7 @@ def test_gimbal_angles_looking_forward() -> None:
     np.testing.assert_allclose([yaw, pitch, roll], [40.0, -60.0, 0.0], atol=1e-9)
 
 
-def test_positions_are_of_the_pictures_as_they_are_stored(survey: SimulatedSurvey) -> None:
+def test_positions_are_of_the_images_as_they_are_stored(survey: SimulatedSurvey) -> None:
     truth = json.loads(survey.truth.read_text())
     for row, frame in zip(rows_of(survey.positions), truth["frames"], strict=True):
         yaw, pitch, roll = frame["true_yaw_pitch_roll_deg"]
@@ -153,14 +153,14 @@ def test_positions_are_of_the_pictures_as_they_are_stored(survey: SimulatedSurve
 
 
 def test_a_stored_frame_lies_on_the_ortho_by_its_true_position(survey: SimulatedSurvey) -> None:
-    """From the files alone: also of the turned frame, whose position row is of the turned picture."""
+    """From the files alone: also of the turned frame, whose position row is of the turned image."""
     work = LocalFrame(-70.6, -33.5, 520.0)
     camera = PLAN.camera()
     with rasterio.open(survey.ortho) as ortho:
-        picture, inside, to_map = ortho.read(2).astype(float), ortho.dataset_mask() > 0, ortho.transform
+        image, inside, to_map = ortho.read(2).astype(float), ortho.dataset_mask() > 0, ortho.transform
         assert ortho.crs.to_epsg() == 32719
         assert (to_map.a, to_map.e) == (0.1, -0.1)
-    cols, rows = np.meshgrid(np.arange(picture.shape[1]) + 0.5, np.arange(picture.shape[0]) + 0.5)
+    cols, rows = np.meshgrid(np.arange(image.shape[1]) + 0.5, np.arange(image.shape[0]) + 0.5)
     e, n = to_map.c + cols * 0.1, to_map.f - rows * 0.1
     lonlat = MapProjection("EPSG:32719").geodetic_from_map(e, n)
     ground = work.enu_from_geodetic(lonlat[..., 0], lonlat[..., 1], 520.0)
@@ -181,7 +181,7 @@ def test_a_stored_frame_lies_on_the_ortho_by_its_true_position(survey: Simulated
         at = (np.nan_to_num(px[..., k]).astype(np.float32) - 0.5 for k in (0, 1))
         back = cv2.remap(frame, *at, cv2.INTER_CUBIC)
         score = [
-            np.corrcoef(back[here], np.roll(picture, shift, (0, 1))[here])[0, 1]
+            np.corrcoef(back[here], np.roll(image, shift, (0, 1))[here])[0, 1]
             for shift in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
         ]
         assert score[0] > 0.93

@@ -43,7 +43,7 @@ def test_without_serpentine_every_line_is_flown_alike() -> None:
     )
 
 
-def test_overlap_is_what_the_pictures_show() -> None:
+def test_overlap_is_what_the_images_show() -> None:
     plan = SurveyPlan(kind="line", frames_per_line=3, forward_overlap=0.6, heading_deg=0.0, **STILL)
     flight, camera = fly(plan), plan.camera()
     ground = world_of(plan, flight).surface_under(flight.poses[0], camera)

@@ -17,36 +17,36 @@ COL, ROW = 6_711_800, -53_300_200
 
 
 @pytest.fixture(scope="module")
-def picture() -> np.ndarray:
+def image() -> np.ndarray:
     return Ground(Landscape(5), 0.1).window(COL, ROW, (900, 1200))
 
 
-def test_a_window_is_the_same_however_it_is_cut(picture: np.ndarray) -> None:
+def test_a_window_is_the_same_however_it_is_cut(image: np.ndarray) -> None:
     part = Ground(Landscape(5), 0.1).window(COL + 301, ROW + 257, (300, 333))
-    assert np.array_equal(part, picture[257:557, 301:634])
+    assert np.array_equal(part, image[257:557, 301:634])
     seam = 2 * BLOCK_PX - COL % BLOCK_PX
-    steps = np.abs(np.diff(picture.astype(float), axis=1)).mean(axis=(0, 2))
+    steps = np.abs(np.diff(image.astype(float), axis=1)).mean(axis=(0, 2))
     assert steps[seam - 1] < 1.3 * np.median(steps[seam - 30 : seam + 30])
 
 
-def test_another_seed_is_another_country(picture: np.ndarray) -> None:
+def test_another_seed_is_another_country(image: np.ndarray) -> None:
     other = Ground(Landscape(6), 0.1).window(COL, ROW, (300, 300))
-    assert np.abs(other.astype(float) - picture[:300, :300]).mean() > 10.0
+    assert np.abs(other.astype(float) - image[:300, :300]).mean() > 10.0
 
 
-def test_the_picture_looks_like_land_to_a_feature_detector(picture: np.ndarray) -> None:
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+def test_the_image_looks_like_land_to_a_feature_detector(image: np.ndarray) -> None:
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     per_megapixel = len(cv2.SIFT.create().detect(grey)) / grey.size * 1e6
     assert 2500 < per_megapixel < 20000
     assert 15.0 < grey.std() < 60.0
-    assert np.mean((picture == 0) | (picture == 255)) < 0.01
+    assert np.mean((image == 0) | (image == 255)) < 0.01
     spectrum = np.abs(np.fft.rfft2(grey[:512, :512] - grey[:512, :512].mean())) ** 2
     low, high = spectrum[4:16, 4:16].mean(), spectrum[96:160, 96:160].mean()
     assert low > 20.0 * high > 0.0
 
 
-def test_it_does_not_repeat(picture: np.ndarray) -> None:
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+def test_it_does_not_repeat(image: np.ndarray) -> None:
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     patch = grey[100:196, 150:246]
     score = cv2.matchTemplate(grey, patch, cv2.TM_CCOEFF_NORMED)
     score[60:140, 110:190] = 0.0

@@ -132,12 +132,12 @@ def test_water_and_canopy_have_no_texture_and_water_shines_anew(tmp_path: Path) 
     survey = simulate_frames(tmp_path, plan)
     assert survey.cover is not None
     with rasterio.open(survey.cover) as cover, rasterio.open(survey.ortho) as ortho:
-        water, picture = cover.read(1) == 1, ortho.read()
+        water, image = cover.read(1) == 1, ortho.read()
         assert (cover.transform, cover.shape) == (ortho.transform, ortho.shape)
         inside = ortho.dataset_mask() > 0
     inner = cv2.erode((water & inside).astype(np.uint8), np.ones((9, 9))) > 0
     assert inner.sum() > 10_000
-    np.testing.assert_array_equal(picture[:, inner].std(axis=1) < 0.5, True)
+    np.testing.assert_array_equal(image[:, inner].std(axis=1) < 0.5, True)
     frames = [cv2.imread(str(survey.frames / f"F000{i}.tif")).astype(float) for i in (1, 2)]
     assert np.abs(frames[0] - frames[1]).mean() > 2.0
     forest = Landscape(4, 1.0, 0.0, 1.0)

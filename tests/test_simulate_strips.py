@@ -166,7 +166,7 @@ def test_clouds_move_by_their_height_and_the_wind(height_m: float, wind_deg: flo
     assert shifts[k] + 0.5 * (a - c) / (a - 2.0 * b + c) == pytest.approx(wanted, abs=0.1)
 
 
-# Pictures against truth
+# Images against truth
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ def test_points_are_found_in_both_strips_where_the_offsets_have_them(spots: Simu
     assert np.abs(offsets[:, 3]).max() > 0.3
 
 
-def test_the_picture_itself_moves_by_the_offset() -> None:
+def test_the_image_itself_moves_by_the_offset() -> None:
     """The shift that makes both edges most alike, smoothed so that nothing is aliased, is the mean offset."""
     plan = StripPlan(**{**SMALL, **STILL, **CLEAR, "bit_depth": 16, "mounting_px": 0.4, "seed": 8})
     _, pairs = simulate_overlaps(plan)
@@ -405,11 +405,11 @@ def test_noise_and_gain_are_as_asked() -> None:
     assert abs(pair.left.mean() - pair.right.mean()) > 0.01 * 0.35 * 65535
 
 
-def test_a_picture_given_is_the_ground(tmp_path: Path) -> None:
+def test_an_image_given_is_the_ground(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
-    picture = np.kron(rng.integers(0, 2, (40, 30)), np.ones((8, 8))).astype(np.uint8) * 200 + 20
+    image = np.kron(rng.integers(0, 2, (40, 30)), np.ones((8, 8))).astype(np.uint8) * 200 + 20
     path = tmp_path / "ground.png"
-    assert cv2.imwrite(str(path), picture)
+    assert cv2.imwrite(str(path), image)
     plan = StripPlan(**{**SMALL, **STILL, **CLEAR, "contrast": 0.3, "bit_depth": 16}, texture=path)
     strip = simulate_overlaps(plan)[1][0].left / 65535.0 / 0.35
     low, high = np.quantile(strip, [0.1, 0.9])

@@ -60,7 +60,7 @@ def pixels_of(run: Path) -> np.ndarray:
         return np.where(tiff.dataset_mask() > 0, tiff.read(1).astype(float), np.nan)
 
 
-def test_changed_pictures_and_masks_give_another_mosaic(survey: SimulatedSurvey, tmp_path: Path) -> None:
+def test_changed_images_and_masks_give_another_mosaic(survey: SimulatedSurvey, tmp_path: Path) -> None:
     frames = copied(survey, tmp_path / "frames")
     assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
     first = pixels_of(tmp_path / "run")
@@ -104,7 +104,7 @@ def test_frames_retouched_after_a_kill_are_matched_anew(survey: SimulatedSurvey,
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "fresh" / name).read_bytes()
 
 
-def test_a_replay_over_other_pictures_is_refused(
+def test_a_replay_over_other_images_is_refused(
     survey: SimulatedSurvey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     frames = copied(survey, tmp_path / "frames")

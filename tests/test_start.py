@@ -1,4 +1,4 @@
-"""Where a bundle begins: the pictures' own shape, laid onto the positions as one, whatever single tags say."""
+"""Where a bundle begins: the images' own shape, laid onto the positions as one, whatever single tags say."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def turned_deg(poses: Poses, truth: Poses) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_heading_at_all(seed: int) -> None:
-    """Every heading drawn anew: the pictures turn the frames to each other, the positions turn the whole."""
+    """Every heading drawn anew: the images turn the frames to each other, the positions turn the whole."""
     flown = fly(seed, lines=3, per_line=6)
     any_way = flown.rng.uniform(-np.pi, np.pi, 18)
     poses = flown.block.poses
@@ -50,7 +50,7 @@ def test_no_heading_at_all(seed: int) -> None:
     assert np.abs(start.positions_m - flown.truth.positions_m)[:, :2].max() < 5.0
 
 
-def test_heights_by_any_factor_come_from_the_pictures() -> None:
+def test_heights_by_any_factor_come_from_the_images() -> None:
     """Told from 35 m to 160 m in the course of the flight, true are 100 m."""
     flown = fly(4, lines=3, per_line=6)
     at = flown.block.poses.positions_m.copy()

@@ -1,4 +1,4 @@
-"""Pictures in the folder that don't belong to the survey: left out, named, and the rest is read."""
+"""Images in the folder that don't belong to the survey: left out, named, and the rest is read."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from survey_files import dji_xmp, exif_block, gps, picture, write_jpeg
+from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
@@ -29,7 +29,7 @@ def frame(
         "AbsoluteAltitude": "+412.50", "RelativeAltitude": "+80.20", "GimbalYawDegree": "+37.00",
         "GimbalPitchDegree": "-90.00", "GimbalRollDegree": "+0.00",
     } | xmp  # fmt: skip
-    return write_jpeg(path, picture(*SIZE, seed=i) if pixels is None else pixels, exif, dji_xmp(**tags))
+    return write_jpeg(path, image(*SIZE, seed=i) if pixels is None else pixels, exif, dji_xmp(**tags))
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def left_out(folder: Path) -> dict[str, str]:
-    """Code of the warning of every picture that is left out; each code has one warning."""
+    """Code of the warning of every image that is left out; each code has one warning."""
     survey = read_survey(folder)
     lines = {w.code: w for w in survey.warnings if w.text.startswith("left out:")}
     assert len(lines) == sum(w.text.startswith("left out:") for w in survey.warnings)
@@ -63,16 +63,16 @@ def test_good_frames_stay(folder: Path) -> None:
 def test_copies(folder: Path) -> None:
     """The same bytes; the same capture saved anew at half its size. Frames of one second aren't copies."""
     shutil.copy(folder / "DJI_0003.JPG", folder / "Copy of DJI_0003.JPG")
-    small = cv2.resize(picture(*SIZE, seed=5), (160, 120), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image(*SIZE, seed=5), (160, 120), interpolation=cv2.INTER_AREA)
     frame(folder / "small.jpg", 5, pixels=small)
-    frame(folder / "DJI_0007b.JPG", 7, pixels=picture(*SIZE, seed=70))
+    frame(folder / "DJI_0007b.JPG", 7, pixels=image(*SIZE, seed=70))
     assert left_out(folder) == {"Copy of DJI_0003.JPG": "frame-copy", "small.jpg": "frame-copy"}
 
 
 def test_bands_of_one_capture_are_no_copies(folder: Path) -> None:
     for i in range(12):
-        frame(folder / f"DJI_{i:04d}.JPG", i, pixels=picture(*SIZE, 1, seed=i) // 2 + 40)
-        frame(folder / f"DJI_{i:04d}_b.JPG", i, pixels=picture(*SIZE, 1, seed=i) // 2 + 100)
+        frame(folder / f"DJI_{i:04d}.JPG", i, pixels=image(*SIZE, 1, seed=i) // 2 + 40)
+        frame(folder / f"DJI_{i:04d}_b.JPG", i, pixels=image(*SIZE, 1, seed=i) // 2 + 100)
     assert left_out(folder) == {}
 
 
@@ -111,7 +111,7 @@ def test_another_flight(folder: Path) -> None:
 
 
 def test_a_receiver_that_kept_its_last_fix(folder: Path) -> None:
-    """Four frames at one place far off were flown with the others: the pictures say where."""
+    """Four frames at one place far off were flown with the others: the images say where."""
     for i in range(4):
         frame(folder / f"DJI_{i:04d}.JPG", i, lon=LON + 0.055)
     assert left_out(folder) == {}
@@ -136,7 +136,7 @@ def test_blurred(folder: Path) -> None:
 
 
 def _fine(seed: int) -> np.ndarray:
-    """A picture with detail of all sizes."""
+    """An image with detail of all sizes."""
     rng = np.random.default_rng(seed)
     grey = sum(
         cv2.resize(rng.normal(0.0, 12.0, (SIZE[1] // k, SIZE[0] // k)), SIZE, interpolation=cv2.INTER_CUBIC)
@@ -147,8 +147,8 @@ def _fine(seed: int) -> np.ndarray:
 
 def test_other_bands_and_other_cameras(folder: Path) -> None:
     """A grey one among colour, and a screenshot that tells no lens."""
-    frame(folder / "DJI_0004.JPG", 4, pixels=picture(*SIZE, 1))
-    write_jpeg(folder / "Screenshot.jpg", picture(200, 100, seed=99))
+    frame(folder / "DJI_0004.JPG", 4, pixels=image(*SIZE, 1))
+    write_jpeg(folder / "Screenshot.jpg", image(200, 100, seed=99))
     assert left_out_but_kinds(folder) == {
         "DJI_0004.JPG": "has 1 band of uint8, most frames 3 bands of uint8",
         "Screenshot.jpg": "the frame doesn't tell its focal length",
@@ -161,7 +161,7 @@ def left_out_but_kinds(folder: Path) -> dict[str, str]:
 
 def test_orientation_is_known_and_pixels_stay_as_stored(tmp_path: Path) -> None:
     """All eight values of EXIF's tag: columns and rows are the sensor's, whatever a viewer would show."""
-    stored = picture(*SIZE, seed=3)
+    stored = image(*SIZE, seed=3)
     for value in range(1, 9):
         exif = exif_block(
             Make="X", Model="Y", Orientation=value, FocalLengthIn35mmFilm=24,

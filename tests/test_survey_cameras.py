@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from survey_files import dji_xmp, drone_frame, exif_block, picture, write_jpeg, xmp_attributes
+from survey_files import dji_xmp, drone_frame, exif_block, image, write_jpeg, xmp_attributes
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError, InputError, UnknownNameError
@@ -197,7 +197,7 @@ def test_focal_length_from_the_35_mm_equivalent_compares_diagonals(
     assert camera.focal_length_sd_px / camera.focal_length_px == pytest.approx(math.hypot(0.02, rounding))
 
 
-def test_focal_length_from_the_focal_plane_of_a_resized_picture() -> None:
+def test_focal_length_from_the_focal_plane_of_a_resized_image() -> None:
     camera, source = camera_from_header(
         header(
             2000,
@@ -267,7 +267,7 @@ def test_two_calibrations_of_one_model_are_two_cameras(tmp_path: Path) -> None:
     for i, f in enumerate((120.0, 121.0, 120.0)):
         exif = exif_block(Make="DJI", Model="FC6310", FocalLength=Fraction("8.8"))
         xmp = dji_xmp(DewarpData=f"2020-01-01;{f},{f},0,0,-0.1,0,0,0,0")
-        paths.append(write_jpeg(tmp_path / f"{i}.jpg", picture(180, 120), exif, xmp))
+        paths.append(write_jpeg(tmp_path / f"{i}.jpg", image(180, 120), exif, xmp))
     choice = cameras_from_headers([read_header(p) for p in paths])
     assert [c.focal_length_px for c in choice.cameras] == [120.0, 121.0]
     assert choice.names == (
@@ -331,7 +331,7 @@ def tagged(path: Path, bands: int = 3, size: tuple[int, int] = (288, 216), **tag
         FocalPlaneResolutionUnit=4,
     )  # fmt: skip
     xmp = xmp_attributes("http://pix4d.com/camera/1.0/", "Camera", **tags)
-    return write_jpeg(path, picture(*size, bands), exif, xmp)
+    return write_jpeg(path, image(*size, bands), exif, xmp)
 
 
 def test_the_makers_lens_in_pix4ds_tags(tmp_path: Path) -> None:
@@ -382,7 +382,7 @@ def test_a_list_of_distortion_terms_and_lengths_in_pixels() -> None:
         {"PerspectiveDistortion": "90,0,0,0,0"},
     ],
 )
-def test_a_makers_lens_that_is_not_this_pictures_is_not_taken(tmp_path: Path, odd: dict[str, str]) -> None:
+def test_a_makers_lens_that_is_not_this_images_is_not_taken(tmp_path: Path, odd: dict[str, str]) -> None:
     camera, source = camera_from_header(read_header(tagged(tmp_path / "a.jpg", **(SEQUOIA | odd))))
     assert source == "focal-plane"
     assert (camera.principal_col_px, camera.k1, camera.distortion_sd) == (144.0, 0.0, 0.0)

@@ -14,7 +14,7 @@ from survey_files import (
     drone_frame,
     exif_block,
     gps,
-    picture,
+    image,
     segment,
     write_jpeg,
     xmp_attributes,
@@ -220,15 +220,13 @@ def test_heights_of_three_kinds_are_kept_apart() -> None:
 
 
 def test_a_jpeg_with_previews_behind_its_end_is_whole(tmp_path: Path) -> None:
-    preview = write_jpeg(tmp_path / "preview.jpg", picture(64, 48)).read_bytes()
-    path = write_jpeg(
-        tmp_path / "a.jpg", picture(120, 80), exif_block(Make="DJI"), tail=b"\0" * 100 + preview
-    )
+    preview = write_jpeg(tmp_path / "preview.jpg", image(64, 48)).read_bytes()
+    path = write_jpeg(tmp_path / "a.jpg", image(120, 80), exif_block(Make="DJI"), tail=b"\0" * 100 + preview)
     structure = read_structure(path)
     assert (structure.width_px, structure.height_px, structure.bands, structure.bits) == (120, 80, 3, 8)
     whole = path.read_bytes()
     primary_end = whole.find(b"\xff\xd9") + 2
-    path.write_bytes(whole[: primary_end + 50])  # the preview is gone, the picture is all there
+    path.write_bytes(whole[: primary_end + 50])  # the preview is gone, the image is all there
     assert read_structure(path).width_px == 120
     path.write_bytes(whole[: primary_end - 40])
     with pytest.raises(FileError, match=r"a\.jpg: the JPEG is truncated: its image data don't end; copy it"):
@@ -236,8 +234,8 @@ def test_a_jpeg_with_previews_behind_its_end_is_whole(tmp_path: Path) -> None:
 
 
 def test_a_thumbnail_in_the_header_is_no_end(tmp_path: Path) -> None:
-    thumbnail = write_jpeg(tmp_path / "t.jpg", picture(32, 24)).read_bytes()
-    path = write_jpeg(tmp_path / "a.jpg", picture(120, 80))
+    thumbnail = write_jpeg(tmp_path / "t.jpg", image(32, 24)).read_bytes()
+    path = write_jpeg(tmp_path / "a.jpg", image(120, 80))
     data = path.read_bytes()
     path.write_bytes((data[:2] + segment(0xE3, thumbnail) + data[2:])[:-30])
     with pytest.raises(FileError, match="truncated"):

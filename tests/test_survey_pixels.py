@@ -10,7 +10,7 @@ import pytest
 import rasterio
 from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
-from survey_files import exif_block, picture, write_jpeg
+from survey_files import exif_block, image, write_jpeg
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.folder import masks
@@ -66,7 +66,7 @@ def test_jpeg_is_red_green_blue_and_never_turned(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bands", [1, 3])
 @pytest.mark.parametrize("reduction", [1, 2, 4, 8])
 def test_reduced_pixels_are_means_of_full_ones(tmp_path: Path, bands: int, reduction: int) -> None:
-    pixels = picture(203, 101, bands)
+    pixels = image(203, 101, bands)
     jpeg, _ = read_pixels(frame(write_jpeg(tmp_path / "a.JPEG", pixels)), reduction)
     tiff, _ = read_pixels(frame(write_tiff(tmp_path / "a.tif", pixels)), reduction)
     rows, cols = 101 // reduction, 203 // reduction
@@ -93,7 +93,7 @@ def test_tiff_keeps_sixteen_bits_and_many_bands(tmp_path: Path) -> None:
 
 
 def test_invalid_pixels_from_nodata_mask_alpha_and_sidecar(tmp_path: Path) -> None:
-    pixels = picture(40, 30).clip(1, 255)
+    pixels = image(40, 30).clip(1, 255)
     hole = np.full((30, 40), 255, np.uint8)
     hole[4:7, 10:13] = 0
     zeroed = pixels * (hole > 0)[..., None]
@@ -118,7 +118,7 @@ def test_invalid_pixels_from_nodata_mask_alpha_and_sidecar(tmp_path: Path) -> No
 
 
 def test_a_mask_of_another_size_is_named(tmp_path: Path) -> None:
-    jpeg = write_jpeg(tmp_path / "a.jpg", picture(40, 30))
+    jpeg = write_jpeg(tmp_path / "a.jpg", image(40, 30))
     cv2.imwrite(str(tmp_path / "A.MASK.png"), np.ones((30, 41), np.uint8))
     with pytest.raises(FileError, match=r"A\.MASK\.png: the mask has 41 x 30 pixels, its frame 40 x 30"):
         masks([read_header(jpeg)])
@@ -126,7 +126,7 @@ def test_a_mask_of_another_size_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
 def test_a_jpeg_cut_after_its_header_was_read_is_refused(tmp_path: Path, share: float) -> None:
-    path = write_jpeg(tmp_path / "a.jpg", picture(400, 300))
+    path = write_jpeg(tmp_path / "a.jpg", image(400, 300))
     cut = frame(path)
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
@@ -158,11 +158,11 @@ def test_other_files_and_types_are_refused(tmp_path: Path) -> None:
         InputError, match="pixels of type float64 aren't handled; convert the frame to one of"
     ):
         read_header(write_tiff(tmp_path / "b.tif", np.zeros((8, 8, 1))))
-    path = write_jpeg(tmp_path / "c.jpg", picture(40, 30))
+    path = write_jpeg(tmp_path / "c.jpg", image(40, 30))
     with pytest.raises(ValueError, match="reduction is one of"):
         read_pixels(frame(path), 3)
     before = frame(path)
-    write_jpeg(path, picture(48, 30))
+    write_jpeg(path, image(48, 30))
     with pytest.raises(FileError, match="has changed"):
         read_pixels(before)
 
@@ -180,7 +180,7 @@ def test_a_path_that_counts_from_the_current_folder_is_refused(
 @pytest.mark.parametrize("spoil", ["cut", "flipped", "without its end", "length"])
 def test_a_damaged_png_mask_is_named(tmp_path: Path, spoil: str) -> None:
     """GDAL decodes what is left of each, with rows missing or wrong and not a word of it."""
-    jpeg = write_jpeg(tmp_path / "a.jpg", picture(40, 30))
+    jpeg = write_jpeg(tmp_path / "a.jpg", image(40, 30))
     mask = tmp_path / "a_mask.png"
     hole = np.random.default_rng(2).integers(0, 2, (30, 40)).astype(np.uint8) * 255
     cv2.imwrite(str(mask), hole)

@@ -14,7 +14,7 @@ import rasterio
 import rasterio.shutil
 from pyproj import CRS
 from rasterio.transform import Affine
-from survey_files import drone_frame, exif_block, gps, picture, survey_folder, write_jpeg
+from survey_files import drone_frame, exif_block, gps, image, survey_folder, write_jpeg
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
@@ -180,7 +180,7 @@ def test_folders_and_frames_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no JPEG or TIFF frames \(1 \.dng\)"):
         read_survey(tmp_path)
     text = tmp_path / "b.jpg"
-    text.write_text("not a picture")
+    text.write_text("not an image")
     with pytest.raises(FileError, match=r"b\.jpg: is no JPEG file; take it out of the folder"):
         read_survey(tmp_path)
     with pytest.raises(FileError, match="is no folder"):
@@ -189,7 +189,7 @@ def test_folders_and_frames_that_are_none(tmp_path: Path) -> None:
 
 def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 2)
-    bare = write_jpeg(folder / "bare.jpg", picture(), exif_block(Make="X", Model="Y", **gps(9.1, 48.7)))
+    bare = write_jpeg(folder / "bare.jpg", image(), exif_block(Make="X", Model="Y", **gps(9.1, 48.7)))
     with pytest.raises(
         InputError, match=r"bare\.jpg: the frame doesn't tell its focal length; give .*--camera"
     ):
@@ -377,7 +377,7 @@ def test_brighton_beach() -> None:
     assert (first.attitude.yaw_deg, first.attitude.pitch_deg) == pytest.approx((45.0, 0.1))
     gsd_m = 39.8 / survey.camera_of(0).focal_length_px
     assert gsd_m == pytest.approx(0.0166, rel=0.03)
-    edited = next(w for w in survey.warnings if w.code == "picture-edited")
+    edited = next(w for w in survey.warnings if w.code == "image-edited")
     assert "6 of 18 frames: DJI_0024.JPG" in edited.text
     pixels, valid = read_pixels(first, 8)
     assert pixels.shape == (282, 500, 3) and valid is None

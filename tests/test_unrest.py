@@ -15,7 +15,7 @@ from geomosaic.adjustment.unrest import unrest
 
 
 def residuals(views: np.ndarray, sd_px: np.ndarray, seed: int) -> tuple[Tracks, np.ndarray]:
-    """Of points seen so often, as their own place in the pictures leaves them: 2 k - 3 normal numbers each."""
+    """Of points seen so often, as their own place in the images leaves them: 2 k - 3 normal numbers each."""
     rng = np.random.default_rng(seed)
     point = np.repeat(np.arange(len(views)), views)
     left = np.array([rng.chisquare(2 * k - 3) for k in views]) * sd_px**2

@@ -1,4 +1,4 @@
-"""Headings and heights that lie: told from turned pictures, set right with their tilts, named."""
+"""Headings and heights that lie: told from turned images, set right with their tilts, named."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from geomosaic.matching.turned import headed_wrong, reheaded
 COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
 
 
-def test_a_picture_turned_after_the_flight_keeps_a_heading_that_fits_its_course() -> None:
+def test_an_image_turned_after_the_flight_keeps_a_heading_that_fits_its_course() -> None:
     yaw = COURSE + np.radians([2.0, -3.0, 1.0, 4.0, -2.0, 0.0, 1.0, -1.0])
     assert headed_wrong({3: 2, 4: 2, 5: 2}, yaw, COURSE) == {}
     assert headed_wrong({3: 1, 4: 3}, yaw, COURSE) == {}

@@ -39,7 +39,7 @@ SIZE = ["--width-px", "1336", "--height-px", "1002", "--k1", "0", "--k2", "0"]
 BLOCK = [*SIZE, "--lines", "3", "--frames-per-line", "8"]
 NAMED = {"turned-frame": "frame-turned", "wrong-yaw": "yaw-wrong", "position-outlier": "position-wrong"}
 """What truth.json calls a thing that is wrong on purpose, and what a run's warning calls it. Of a frame with
-two things wrong one must be told: a picture turned by 180 degrees and a heading wrong by 180 cancel."""
+two things wrong one must be told: an image turned by 180 degrees and a heading wrong by 180 cancel."""
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def open_ground(folder: Path) -> Path:
         return path
     plan = plan_of(folder)
     with rasterio.open(ortho) as source:
-        profile, picture, mask = source.profile, source.read(), source.dataset_mask()
+        profile, image, mask = source.profile, source.read(), source.dataset_mask()
     at = profile["transform"]
     if (folder / "truth" / "dsm.tif").exists():
         hidden, to_map = hidden_by_heights(folder)
@@ -116,7 +116,7 @@ def open_ground(folder: Path) -> Path:
             middle = round((east - at.c) / at.a - 0.5), round((north - at.f) / at.e - 0.5)
             cv2.circle(mask, middle, int(np.ceil(SWAY_REACH * radius / at.a)), 0, -1)
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **profile) as out:
-        out.write(picture)
+        out.write(image)
         out.write_mask(mask)
     return path
 

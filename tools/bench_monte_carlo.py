@@ -3,7 +3,7 @@
     .venv/bin/python tools/bench_monte_carlo.py [--out out/bench-monte-carlo] [--only NAME ...] [--seeds N]
 
 Geometry alone: flights, tie points and their noise are drawn from seeds 1 to N and adjusted by the default
-method; no picture is made. Three figures a survey:
+method; no image is made. Three figures a survey:
 
 - NEES, normalised squared error: e' P^-1 e / 6 with e a frame's pose error and P its stated covariance, mean
   over frames and seeds, expectation 1; by groups from the marginal deviations.

@@ -236,8 +236,8 @@ class Bench:
             share = 100 / COARSE
             gdal.Translate(str(coarse), str(mosaic), widthPct=share, heightPct=share, resampleAlg="average")
             outcome.ssim, outcome.ssim_after, outcome.ssim_coarse = (
-                compare(picture, ortho, step_px=2048, search_px=8).ssim.ssim
-                for picture, ortho in (
+                compare(image, ortho, step_px=2048, search_px=8).ssim.ssim
+                for image, ortho in (
                     (mosaic, self.files.ortho),
                     (mosaic, moved),
                     (coarse, self.files.ortho),

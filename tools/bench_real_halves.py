@@ -2,7 +2,7 @@
 
 Frames 1, 3, 5 ... and 2, 4, 6 ... along each line: 65 % forward overlap leaves 30 % in a half, 63 % across.
 Each half is a survey of its own (own matching, own adjustment, own ground). What is left of the
-displacements after the best similarity, on bare ground alone, is what two users with half the pictures
+displacements after the best similarity, on bare ground alone, is what two users with half the images
 would quarrel about. The same with one adjustment of all frames shows what part of it is the composition's.
 """
 

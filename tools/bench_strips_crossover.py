@@ -1,8 +1,8 @@
-"""Object space against image space: how good model and DEM must be for `virtual_line` to beat the pictures.
+"""Object space against image space: how good model and DEM must be for `virtual_line` to beat the images.
 
     .venv/bin/python tools/bench_strips_crossover.py [--level 0.05] [--seeds 3] [--lines 16384] [--out FOLDER]
 
-Scenes of 8 CCDs of 4096 columns over 300 m of relief; no pictures are needed, since `virtual_line` looks at
+Scenes of 8 CCDs of 4096 columns over 300 m of relief; no images are needed, since `virtual_line` looks at
 none. RMS, 95 % and worst of the vector (dcol, dline) against truth over all lines whose ground both strips
 have. First the true model and heights (1 if off by more than 0.1 px RMS, the exit code), then heights
 off by 20 m, then attitudes off: an error that changes within 2 s (sd, each axis), noise of each sample of

@@ -78,9 +78,9 @@ def drawn_points(piece: Any, strips: Strips, settings: Settings, enhance: bool) 
         low, high = np.percentile(side, [0.5, 99.5]) if enhance else (0, 2**strips.geometry.bit_depth)
         sides.append(np.clip((side - low) / (high - low) * 255, 0, 255).astype(np.uint8))
     gap = 40
-    picture = np.hstack([sides[0], np.full((len(sides[0]), gap), 255, np.uint8), sides[1]])
+    image = np.hstack([sides[0], np.full((len(sides[0]), gap), 255, np.uint8), sides[1]])
     colour = cv2.cvtColor(
-        cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST), cv2.COLOR_GRAY2BGR
+        cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST), cv2.COLOR_GRAY2BGR
     )
     width = sides[0].shape[1]
     shift = strips.geometry.overlap_px - strips.geometry.read_px

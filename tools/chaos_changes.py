@@ -30,11 +30,11 @@ def _other_digit(path: Path, mark: str, rng: Random, keep: bool) -> None:
 
 
 def _inverted_jpeg(path: Path, keep: bool) -> None:
-    """The picture inverted, its tags kept; also its size, if asked, by bytes behind its end."""
+    """The image inverted, its tags kept; also its size, if asked, by bytes behind its end."""
     old = path.read_bytes()
-    picture = 255 - cv2.imdecode(np.frombuffer(old, np.uint8), cv2.IMREAD_COLOR)
+    image = 255 - cv2.imdecode(np.frombuffer(old, np.uint8), cv2.IMREAD_COLOR)
     for quality in range(92, 20, -4):
-        new = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+        new = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
         at = old.index(b"\xff\xdb")
         whole = old[:at] + new[new.index(b"\xff\xdb") :]
         if not keep or len(whole) <= len(old):
@@ -44,9 +44,9 @@ def _inverted_jpeg(path: Path, keep: bool) -> None:
 
 
 def _mask(path: Path) -> None:
-    picture = np.full((240, 320), 255, np.uint8)
-    picture[100:140, 120:200] = 0
-    path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    image = np.full((240, 320), 255, np.uint8)
+    image[100:140, 120:200] = 0
+    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 def _darker_strip(path: Path, keep: bool) -> None:

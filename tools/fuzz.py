@@ -102,7 +102,7 @@ def main(argv: list[str] | None = None) -> int:
     asked = parser.parse_args(argv)
     if asked.case is not None and asked.only is None:
         parser.error("--case needs --only KIND")
-    warnings.simplefilter("ignore")  # of rasterio, in this process alone: spoiled pictures have no map
+    warnings.simplefilter("ignore")  # of rasterio, in this process alone: spoiled images have no map
     warm()
     out: Path = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)

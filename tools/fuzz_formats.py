@@ -178,7 +178,7 @@ def jpeg_segments(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
 
 
 def jpeg_entropy(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
-    """The picture itself: zeroed, cut, flipped, spliced, markers in it; the end marker kept or not."""
+    """The image itself: zeroed, cut, flipped, spliced, markers in it; the end marker kept or not."""
     start = next(end for marker, _, end in _segments(data) if marker == 0xDA)
     stop = data.rfind(b"\xff\xd9")
     stop = stop if stop > start else len(data)

@@ -1,4 +1,4 @@
-"""What is believed of a block before its pictures speak."""
+"""What is believed of a block before its images speak."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _FOCAL_SD: Annotated[
 _PRINCIPAL_SD: Annotated[
     tuple[float, float],
     Because(
-        "share of the picture's longer side",
+        "share of the image's longer side",
         "least and largest deviation of a principal point: small drones' are off by one in a hundred, "
         "whatever is known of their focal length; with more, a point goes where turns while rows are read"
         " draw it",

@@ -206,7 +206,7 @@ def solve_bundle(
 
 
 def _without(priors: Priors, left_out: Bools, start: Poses) -> Priors:
-    """Frames whose pictures don't count stay where they began."""
+    """Frames whose images don't count stay where they began."""
     if not left_out.any():
         return priors
     poses, out = priors.poses, left_out[:, None]
@@ -270,10 +270,10 @@ def _with_untold_shutters(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors
 ) -> tuple[Priors, Floats]:
     """A readout that nobody told of and that isn't solved for is held at none: what it may be off counts,
-    the step that the pictures would have it make and that step's deviation.
+    the step that the images would have it make and that step's deviation.
 
     The second, (c,), is the step by its deviation, a score test (Rao 1948): many frames together may show
-    what in each picture is far below the noise.
+    what in each image is far below the noise.
     """
     sd, held, shown = priors.interior_sd.copy(), priors.held, np.zeros(len(priors.cameras))
     untold = np.array([0.0 if c.readout_s else c.readout_sd_s for c in priors.cameras])

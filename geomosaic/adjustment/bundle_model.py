@@ -24,7 +24,7 @@ MEASURED_SD_PX: Annotated[
     float,
     Because(
         "px",
-        "of a control or check point measured by hand in a picture: a signal is hit to half a pixel",
+        "of a control or check point measured by hand in an image: a signal is hit to half a pixel",
         CHOSEN,
     ),
 ] = 0.5
@@ -66,7 +66,7 @@ class Factors:
 
 @dataclass(frozen=True)
 class Priors:
-    """What is believed before the pictures speak, with standard deviations.
+    """What is believed before the images speak, with standard deviations.
 
     interior_sd (c, 9) in the order of INTERIOR, 0 for what is known. points_m, points_sd_m (p, 3): for
     control points their own; for tie points the ground below, weakly. control (p,): which points are
@@ -79,7 +79,7 @@ class Priors:
     None where it isn't asked for; swing_common: whether a part of it may be common to all. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
-    determine them; left_out (f,): frames whose pictures have no say, since they made the system unsolvable;
+    determine them; left_out (f,): frames whose images have no say, since they made the system unsolvable;
     unrest (p,): how many times the image's deviation tie points have, 1 where None, see `unrest`; all four
     set by the solver.
     """
@@ -110,7 +110,7 @@ class Bundle:
     pose_covariance: (f, 6, 6) of east, north, up (m) and turns about them (rad). interior_sd: (c, 9).
     mounting, mounting_sd: (7,). shared_correlation (s, s), s = 9c + 7: of the cameras' numbers and the
     mounting's; held (s,): which of them the block does not determine. Held numbers keep what they were
-    given, and the covariances hold what is not known of them. strayed (s,): those held since the pictures
+    given, and the covariances hold what is not known of them. strayed (s,): those held since the images
     drew them where no lens has them. residual_px: (m, 2) observed minus computed.
     weight: (m,) robust weights, 1 for a good observation; unrest: see `Priors`. factors: the estimated
     variance components.
@@ -159,9 +159,9 @@ def stepped(state: State, share: float, *step: Any) -> State:
     """The state after a share of a step, see `Reduced.solve`; what it turns and scales the whole block by
     comes last.
 
-    Pictures see neither, however far they go. Added to the rest instead of multiplied, both miss the pictures
+    Images see neither, however far they go. Added to the rest instead of multiplied, both miss the images
     by their products: a principal point that shifts by 4 px goes with positions that move, and 5 % of these
-    are 0.2 px in every picture; a block of 300 m whose headings were 3 degrees off is 0.4 m wider.
+    are 0.2 px in every image; a block of 300 m whose headings were 3 degrees off is 0.4 m wider.
     Steps were cut to a tenth and less, thirty in a row, by that.
     """
     pose, interior, point, level, mounting = (share * part for part in step)

@@ -56,8 +56,7 @@ _NEAR_FLAT: Annotated[
     float,
     Because(
         "px",
-        "that relief may move the picture by where land counts as flat: with more, hills would be pressed"
-        " flat",
+        "that relief may move the image by where land counts as flat: with more, hills would be pressed flat",
         CHOSEN,
     ),
 ] = 3.0
@@ -134,7 +133,7 @@ def chosen_ground(
 
 
 def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
-    """Whether flat ground explains the pictures as well as free points do: the image residuals don't grow,
+    """Whether flat ground explains the images as well as free points do: the image residuals don't grow,
     most points come to lie on it, and neither tilts nor heights leave what POS says of them, as far as it is
     believed beside free points: land that slopes would tilt the whole block."""
     off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))

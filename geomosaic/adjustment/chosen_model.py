@@ -27,7 +27,7 @@ GOOD_PX: Annotated[
     Because(
         "px",
         "image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a "
-        "picture that is matched at its size or half of it",
+        "image that is matched at its size or half of it",
         CHOSEN,
     ),
 ] = 1.0
@@ -35,7 +35,7 @@ _PATTERN_PX: Annotated[
     float,
     Because(
         "px",
-        "root mean square of what residuals have in common by their place in the picture: half of a "
+        "root mean square of what residuals have in common by their place in the image: half of a "
         "keypoint's own error",
         CHOSEN,
     ),
@@ -108,7 +108,7 @@ _CELLS: Annotated[
     int,
     Because(
         "cells a side",
-        "of a picture over which they are spread: the corners tell lenses apart",
+        "of an image over which they are spread: the corners tell lenses apart",
         CHOSEN,
     ),
 ] = 8
@@ -171,7 +171,7 @@ _SHOWN: Annotated[
     ),
 ] = 5.0
 _NOT_SEEN_PX: Annotated[
-    float, Because("px", "residual of a point behind a camera: as far off as any picture is wide", CHOSEN)
+    float, Because("px", "residual of a point behind a camera: as far off as any image is wide", CHOSEN)
 ] = 1e5
 _GIVEN = "given"
 _TEXTS = {
@@ -305,19 +305,19 @@ def with_readout(block: Block, settings: Settings) -> tuple[Block, Settings]:
 
 
 def readout_shown(solved: Bundle) -> bool:
-    """Whether the pictures show that rows are read one after the other, though nothing tells of it."""
+    """Whether the images show that rows are read one after the other, though nothing tells of it."""
     return bool((solved.readout_shown > _SHOWN).any())
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
-    """A line if something other than the given was needed, and one if how frames turn is the pictures' word
+    """A line if something other than the given was needed, and one if how frames turn is the images' word
     alone or can't be told."""
     out: list[Warn] = []
     judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
     if choice is not None and choice.shown:
         text = (
             f"{_TEXTS['readout']}: no tag tells of it, but it stretches each line along its own way, and all "
-            "pictures together show it"
+            "images together show it"
         )
         out.append(Warn("model-chosen", "", text))
     if choice is not None and judged:
@@ -390,6 +390,6 @@ def _median(values: Floats) -> float:
 
 
 def _pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:
-    """What residuals have in common by their place in the picture, of the worst camera."""
+    """What residuals have in common by their place in the image, of the worst camera."""
     image = ImageResiduals(tracks.frame, tracks.image_px, solved.residual_px, solved.weight)
     return max((p.systematic_px for p in residual_patterns(image, block.cameras)), default=0.0)

@@ -38,7 +38,7 @@ _MOST_BY_ROW: Annotated[
     Because(
         "rows a row",
         "by which a frame is stretched while it is read: one of twice or two thirds of its height is no "
-        "picture",
+        "image",
         CHOSEN,
     ),
 ] = 0.5
@@ -53,7 +53,7 @@ class Readout:
     residuals are those at a point's own row, where it is seen while that row is read. Nor may derivatives
     know of the error: they are taken at the point's own row.
 
-    rows_px, heights_px (m,): the rows, and heights of the pictures. rotations (m, 3, 3): as they were when
+    rows_px, heights_px (m,): the rows, and heights of the images. rotations (m, 3, 3): as they were when
     each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
     told of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames swing,
     swinging_rad (m, 3): by how much these turn over a whole height at the present rate.
@@ -69,7 +69,7 @@ class Readout:
 
     @property
     def shares(self) -> Floats:
-        """Of the picture's height, from its middle row on, (m, 1)."""
+        """Of the image's height, from its middle row on, (m, 1)."""
         return (self.rows_px / self.heights_px - 0.5)[:, None]
 
     @property
@@ -98,7 +98,7 @@ def readout_of(
     readouts_s: Floats,
 ) -> Readout:
     """Of observations (m,) in frames with present rotations (f, 3, 3), by their rows, heights of their
-    pictures and readout times, (m,) each.
+    images and readout times, (m,) each.
 
     swing (f, t, 3): factors of the functions of the row about the work frame's axes, on top of the poses' own
     turns: `R(row) = exp(swing(row)) R exp(turn(row))`.
@@ -200,7 +200,7 @@ def project(
 def _directions(
     positions_m: Floats, rotations: Floats, interior: Floats, points_m: Floats, read: Readout | None
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Point minus projection centre (m, 3); to the right and down in the picture over the distance along the
+    """Point minus projection centre (m, 3); to the right and down in the image over the distance along the
     view, without distortion, (m,) each; and the camera's own z (m,), NaN behind the camera."""
     d = points_m - positions_m
     if read is not None:

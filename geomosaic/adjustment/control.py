@@ -46,7 +46,7 @@ Spread = Callable[[Ints, Floats, Floats], Floats]
 
 
 def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl, ...]:
-    """The survey's control and check points in the work frame; those without a picture are left out.
+    """The survey's control and check points in the work frame; those without an image are left out.
 
     The work frame's up is taken for the point's own vertical: 1.6e-4 rad off per km from the centre. A point
     known in plan only lies on the ground, as far as that is known.
@@ -98,10 +98,10 @@ def control_residuals(
     ground: GroundSurface,
     spread: Spread | None = None,
 ) -> tuple[ControlResidual, ...]:
-    """Where each point was surveyed minus where the pictures put it, by the poses as they are.
+    """Where each point was surveyed minus where the images put it, by the poses as they are.
 
-    A point of two pictures and more is intersected from its image coordinates alone, whether it took part
-    in the solve or not; a point of one picture is projected on the ground. Points that can't be reached
+    A point of two images and more is intersected from its image coordinates alone, whether it took part
+    in the solve or not; a point of one image is projected on the ground. Points that can't be reached
     (rays that don't meet the ground) are left out.
 
     Args: spread: covariance of poses and cameras after a bundle, which used the points that aren't for
@@ -131,7 +131,7 @@ def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
             kind = "check" if r.check else "control"
             text = (
                 f"{kind} point '{r.name}' lies {np.linalg.norm(r.residual_m):.2f} m from where "
-                f"{'the pictures put' if r.pictures > 1 else 'its only picture puts'} it "
+                f"{'the images put' if r.images > 1 else 'its only image puts'} it "
                 f"({east:+.2f} east, {north:+.2f} north, {up:+.2f} up); "
                 "check its coordinates and where it was measured"
             )
@@ -177,7 +177,7 @@ def _place(
     """A ground point (3,) from its image coordinates (k, 2), by least squares.
 
     Returns: the point; its covariance (3, 3) for poses and cameras without error; its derivatives by the
-    frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it can't be had. In a single picture the
+    frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it can't be had. In a single image the
     ground's height is as good as the surveyed point says.
     """
     single = len(np.unique(frames)) == 1

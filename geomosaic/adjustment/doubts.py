@@ -94,7 +94,7 @@ def strayed_frames(block: Block, poses: Poses) -> dict[int, Warn]:
         int(i): Warn(
             "frame-oblique",
             block.names[i],
-            f"by the pictures it looks {tilt[i]:.0f} degrees aside of straight down, {far[i]:.0f} m from its "
+            f"by the images it looks {tilt[i]:.0f} degrees aside of straight down, {far[i]:.0f} m from its "
             "own position; left out",
         )
         for i in np.flatnonzero(aside & (far > limit))
@@ -180,10 +180,10 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
 
 
 def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
-    """Principal points (by `strayed_principal_points`) that the pictures drew where no lens has them."""
+    """Principal points (by `strayed_principal_points`) that the images drew where no lens has them."""
     rows = strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)
     text = (
-        "the pictures draw its principal point farther off than a lens can have it; kept as given. Something "
+        "the images draw its principal point farther off than a lens can have it; kept as given. Something "
         "else bends the block: another kind of lens, rows read one after the other, wrong positions"
     )
     return [

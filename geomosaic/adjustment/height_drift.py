@@ -1,4 +1,4 @@
-"""Heights that drift by weather or jump with a battery, told apart from the ground that the pictures show."""
+"""Heights that drift by weather or jump with a battery, told apart from the ground that the images show."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ class HeightDrift:
             does = f"jump by {rise_m:+.1f} m between {first} and {last}"
         stated_m = float(np.median(block.poses.positions_sd_m[self.order, 2]))
         more = f", and {len(self.parts) - 1} more such" if len(self.parts) > 1 else ""
-        text = f"heights {does} against the pictures (stated deviation {stated_m:.1f} m){more}"
-        return [Warn("heights-drift", first, f"{text}; set by the pictures")]
+        text = f"heights {does} against the images (stated deviation {stated_m:.1f} m){more}"
+        return [Warn("heights-drift", first, f"{text}; set by the images")]
 
 
 def height_drift(block: Block, poses: Poses, seen: NDArray[np.intp]) -> HeightDrift:

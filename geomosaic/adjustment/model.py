@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 class GroundControl:
     """A control point in the work frame; `check` points are never used in a solve.
 
-    enu_m, sd_m (3,). observations: frame index, col and row of each picture it was measured in.
+    enu_m, sd_m (3,). observations: frame index, col and row of each image it was measured in.
     """
 
     name: str
@@ -32,16 +32,16 @@ class GroundControl:
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """How far a control or check point lies from where the adjusted pictures put it.
+    """How far a control or check point lies from where the adjusted images put it.
 
-    check: it took no part in the solve. pictures: in how many it was measured. residual_m: surveyed minus
+    check: it took no part in the solve. images: in how many it was measured. residual_m: surveyed minus
     found, east, north and up. sd_m: standard deviation of that, of both; for a point that took part, more
     than it is, since the solve has come to meet it.
     """
 
     name: str
     check: bool
-    pictures: int
+    images: int
     residual_m: Floats
     sd_m: Floats
 
@@ -52,7 +52,7 @@ class Block:
 
     `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
     number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
-    poses, cameras, tie points and control are those of the pictures as they lie in the files. times_s (n,):
+    poses, cameras, tie points and control are those of the images as they lie in the files. times_s (n,):
     of frames whose velocity no tag tells, when they were taken, or NaN.
     """
 
@@ -143,7 +143,7 @@ class ModelChoice:
     taken: what was added, see `chosen_model`, in order. names, left_out_px: every model, its additions
     joined by +, and the median residual of the tie points left out of its solve. contradicted: those that
     would please the tie points, but not the positions. shown: whether the last addition was taken for what
-    all pictures together show, not for those residuals.
+    all images together show, not for those residuals.
     """
 
     taken: tuple[str, ...]
@@ -178,7 +178,7 @@ class Adjusted:
     residuals_m: per pair of `Block.ties.pairs` (k, 2): where the right frame puts each tie point on
     the ground minus where the left one does, east and north, after the adjustment. ground: the surface
     that goes with the poses: the block's own, unless the method estimates it. control: of the block's
-    control and check points that were measured in pictures. Of methods that solve for them:
+    control and check points that were measured in images. Of methods that solve for them:
     pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), of frames that took
     no part that of their POS; shared, image_residuals, and model, where
     more than the given one was tried.

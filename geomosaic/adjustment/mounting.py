@@ -39,7 +39,7 @@ _CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
 class Mounting:
     """Prior deviations of the seven numbers of MOUNTING, in rad, m and s; 0 for those held at nothing.
 
-    The camera's own axes are the body's: forward is the picture's top, right its right side, down the view.
+    The camera's own axes are the body's: forward is the image's top, right its right side, down the view.
     Boresight: the told attitude is the camera's, turned further by roll, pitch and yaw about the body's
     forward, right and down axes. Lever arm: from the projection centre to where positions are told, along
     forward, right and down. Lag: a told position is where the platform was so long before.

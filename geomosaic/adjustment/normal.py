@@ -196,7 +196,7 @@ class Reduced:
     def considering(self, variance: Floats) -> Reduced:
         """The system whose covariances hold what is not known of shared unknowns that were not solved for.
 
-        Their estimate is no better than it was before, whatever the pictures say, and the others are as
+        Their estimate is no better than it was before, whatever the images say, and the others are as
         wrong as that makes them (Schmidt's consider filter): the information left for them once all others
         are eliminated is their prior's alone.
 

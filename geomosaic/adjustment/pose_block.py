@@ -47,7 +47,7 @@ from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.shape import shape_sd_m
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
-from geomosaic.adjustment.start import placed_by_pictures, start_poses
+from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.adjustment.variance import common_error, with_common_error
@@ -158,7 +158,7 @@ def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks) -> _Wo
     """Similarities, then a bundle; where rows are read one after the other, first as if they weren't."""
     net = offset_net(given)
     start = start_poses(given, net)
-    block = placed_by_pictures(given, start)
+    block = placed_by_images(given, start)
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:
         start = _read_at_once(block, settings, few, start)

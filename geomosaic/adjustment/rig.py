@@ -169,7 +169,7 @@ def register_bands(
 ) -> RigPoses:
     """One turn for each band against the frames' own camera, and its focal length, from all captures at once.
 
-    Both pictures of a capture are laid on the ground by what is known; edges (the length of the gradient of
+    Both images of a capture are laid on the ground by what is known; edges (the length of the gradient of
     the greys' logarithm: plants, dark in red and bright in infrared, show the same) are correlated patch by
     patch; the turn and the focal length that explain most places follow by least squares with Cauchy's loss.
     Twice, since the first round may be far off. The lenses stand centimetres apart, which level ground can't

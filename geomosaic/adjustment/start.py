@@ -1,4 +1,4 @@
-"""Where a bundle begins: the frames' shape from the pictures, laid onto the positions part by part."""
+"""Where a bundle begins: the frames' shape from the images, laid onto the positions part by part."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class _Ties:
 
 
 def start_poses(block: Block, net: OffsetNet) -> Poses:
-    """Frames turned, scaled and shifted over the ground so that the pictures agree, each connected part laid
+    """Frames turned, scaled and shifted over the ground so that the images agree, each connected part laid
     onto its positions as one.
 
     A camera's heading may be wrong by any angle and its height by any factor: both come from the pairs. What
@@ -150,7 +150,7 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     )
 
 
-def placed_by_pictures(block: Block, start: Poses) -> Block:
+def placed_by_images(block: Block, start: Poses) -> Block:
     """The block with its frames without position where the start has put them, as high, and headed as there
     if they have no heading either; nothing is known of them still. Where no frame has a position, its ground
     pixel is that of these heights."""

@@ -60,7 +60,7 @@ _TABLED: Annotated[
 
 
 def terms_at(share: Floats, terms: int) -> tuple[Floats, Floats]:
-    """The functions (..., terms) at rows by their share of the picture's height, from the middle row on, and
+    """The functions (..., terms) at rows by their share of the image's height, from the middle row on, and
     their slopes over a whole height."""
     whole = legendre.legvander(2.0 * share, terms)
     slopes = 2.0 * whole[..., :terms] @ legendre.legder(np.eye(terms + 1))[:, 1:]

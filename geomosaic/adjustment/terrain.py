@@ -98,7 +98,7 @@ def add_terrain(
 
 
 def surface_share(n: Normals, points_inverse: Floats) -> float:
-    """How many of the points' unknowns the surface determines rather than the pictures.
+    """How many of the points' unknowns the surface determines rather than the images.
 
     The trace of the surface's part in each point's covariance, with poses and cameras held: near 0 for a
     surface that hardly binds, near 1 a point for one that the points can't leave.

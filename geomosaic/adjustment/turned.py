@@ -1,7 +1,7 @@
-"""Pictures turned by 180 degrees after the flight, seen again as the camera took them.
+"""Images turned by 180 degrees after the flight, seen again as the camera took them.
 
 A lens belongs to the sensor: frames of one camera share their interior orientation only if their
-pixels are counted from the same corner of it. (Pictures turned by 90 degrees have another size and
+pixels are counted from the same corner of it. (Images turned by 90 degrees have another size and
 so are a camera of their own.)
 """
 
@@ -30,7 +30,7 @@ def _turned_poses(poses: Poses, frames: list[int]) -> Poses:
 
 
 def as_taken(block: Block) -> Block:
-    """The block with half-turned pictures turned back: poses, cameras, tie points and control."""
+    """The block with half-turned images turned back: poses, cameras, tie points and control."""
     frames = _half_turned(block)
     if not frames:
         return block
@@ -65,7 +65,7 @@ def as_taken(block: Block) -> Block:
 
 
 def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
-    """The outcome of `as_taken(block)` for the pictures as they lie in the files."""
+    """The outcome of `as_taken(block)` for the images as they lie in the files."""
     frames = _half_turned(block)
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(adjusted.cameras))
     return replace(

@@ -38,7 +38,7 @@ _LEAST_SIGMA_PX: Annotated[
     Because(
         "px",
         "deviation of image coordinates at least: with 0, exact tie points (simulated ones) would weigh "
-        "without bound; keypoints of clean pictures are off by 0.1 px, five times as much",
+        "without bound; keypoints of clean images are off by 0.1 px, five times as much",
         CHOSEN,
     ),
 ] = 0.02
@@ -67,7 +67,7 @@ _DETERMINED: Annotated[
     Because(
         "share of the deviation before",
         "below which a shared unknown counts as determined, half of its variance being taken away: with "
-        "more, what pictures hardly tell goes astray; with less, what they tell is held as it was given",
+        "more, what images hardly tell goes astray; with less, what they tell is held as it was given",
         CHOSEN,
     ),
 ] = 0.7
@@ -355,7 +355,7 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
     Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
     is not what it seems: beyond _TELLING a frame, more of them tell nothing new. A number counts as
     determined if with image errors _ERRORS_ALIKE times as large its deviation would still be below
-    _DETERMINED of what it was before pictures and POS spoke.
+    _DETERMINED of what it was before images and POS spoke.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
     many = max(1.0, float(np.sqrt(len(tracks.frame) / (_TELLING * len(priors.poses)))))

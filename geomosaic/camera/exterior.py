@@ -34,7 +34,7 @@ MOST_ROUNDS: Annotated[
 
 
 def row_moved_px(camera: Camera, before_px: NDArray[Any], row_px: NDArray[Any]) -> NDArray[Any]:
-    """By how much a round has moved rows that lie in the picture or near it; others by nothing."""
+    """By how much a round has moved rows that lie in the image or near it; others by nothing."""
     near = np.abs(row_px - camera.height_px / 2.0) <= camera.height_px
     return np.asarray(np.where(near, np.abs(row_px - before_px), row_px.dtype.type(0.0)))
 
@@ -68,7 +68,7 @@ class Turns:
         return Turns(span_s, self.at(np.linspace(-0.5, 0.5, times) * span_s)[0])
 
     def turned(self, frames: list[int], quarters: int) -> Turns:
-        """Of many, with those of pictures that were turned clockwise, as by `Camera.turned`."""
+        """Of many, with those of images that were turned clockwise, as by `Camera.turned`."""
         rad = self.rad.copy()
         rad[frames] = rad[frames] @ about_z(quarters * np.pi / 2.0)
         return Turns(self.span_s, rad)

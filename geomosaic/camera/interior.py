@@ -24,7 +24,7 @@ class Camera:
     focal_length_sd_px, distortion_sd: how well they are known beforehand, 0 where nothing says; that of the
     distortion is a share of the corner's radius.
     readout_s: time from reading the first row to the last, 0 for a global shutter; a pose is that of the
-    middle row. Negative if the last row is read first, as in a picture turned by 180 degrees.
+    middle row. Negative if the last row is read first, as in an image turned by 180 degrees.
     readout_sd_s: how well it is known, 0 where it is; without a readout, how long one might be that nobody
     told.
     """
@@ -47,7 +47,7 @@ class Camera:
     readout_sd_s: float = 0.0
 
     def turned(self, quarters: int) -> Camera:
-        """The camera of a picture that was turned clockwise by quarter turns after it was taken.
+        """The camera of an image that was turned clockwise by quarter turns after it was taken.
 
         The principal point, the decentring terms and the order of the rows turn with the pixels; of a
         quarter turn, whose columns would be read one after the other, the readout is left out.
@@ -104,7 +104,7 @@ class Camera:
     def image_from_camera(self, camera_m: ArrayLike) -> Floats:
         """Col and row of points in camera axes (x right, y top, z against the view), shape (..., 2).
 
-        NaN behind the camera and far outside the picture, where the polynomial would fold back.
+        NaN behind the camera and far outside the image, where the polynomial would fold back.
         """
         p = np.asarray(camera_m, dtype=np.float64)
         depth = np.where(p[..., 2] < 0.0, -p[..., 2], np.nan)

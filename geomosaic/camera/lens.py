@@ -1,7 +1,7 @@
 """How lenses bend rays: the one place of each kind's formulas.
 
 A lens takes ideal coordinates (x to the right, y to the image's bottom, both divided by the depth) to those
-in the picture, divided by the focal length. Each kind has the five `TERMS`, whose meaning is its own:
+in the image, divided by the focal length. Each kind has the five `TERMS`, whose meaning is its own:
 
 - `brown` (Brown 1971, as OpenCV and OpenSfM write it), with r² = x² + y²:
   `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`,
@@ -95,7 +95,7 @@ _OUTSIDE: Annotated[
     float,
     Because(
         "share of the farthest corner's radius",
-        "how far the formula counts as the lens: points just outside the picture keep a place; with less "
+        "how far the formula counts as the lens: points just outside the image keep a place; with less "
         "than 1 corners are lost, much farther out terms that were fitted inside mean nothing",
         CHOSEN,
     ),
@@ -111,7 +111,7 @@ class Lens:
     straightened: ideal (..., 2) from bent coordinates (..., 2), to 1e-12; those past the limit, an ideal
     radius, come to lie near it. radial: the bent radius for an ideal one, without decentring. radii: ideal
     radii (n,) from 0 until past a bent one. shares: by what share of its radius a unit of each term moves a
-    point there at most, (5,). decentring: whether p1 and p2 point down and right, and so turn with a picture.
+    point there at most, (5,). decentring: whether p1 and p2 point down and right, and so turn with an image.
     """
 
     bent: Callable[[Array, Array, Array, Array], tuple[Array, Array]]
@@ -126,7 +126,7 @@ class Lens:
     def limit(self, terms: Array, far: float) -> float:
         """The ideal radius past which the formula is no lens any more.
 
-        Where the bent radius stops growing, else a little past `far`, that of the picture's farthest corner.
+        Where the bent radius stops growing, else a little past `far`, that of the image's farthest corner.
         """
         radius = self.radii(far)
         grown = self.radial(terms, radius)

@@ -146,8 +146,8 @@ class Rotation:
         return np.arctan2(m[..., 1, 0], m[..., 0, 0]), pitch, np.arctan2(m[..., 2, 1], m[..., 2, 2])
 
     def turned(self, quarter_turns: ArrayLike) -> Rotation:
-        """The rotation of the same camera whose picture was turned clockwise by quarter turns.
+        """The rotation of the same camera whose image was turned clockwise by quarter turns.
 
-        A picture turned in a viewer by 180 degrees shows at its top what the camera saw at its bottom.
+        An image turned in a viewer by 180 degrees shows at its top what the camera saw at its bottom.
         """
         return Rotation(self.matrix @ about_z(np.asarray(quarter_turns) * (np.pi / 2.0)))

@@ -21,14 +21,14 @@ _ROUNDS: Annotated[
     Because(
         "rounds",
         "each divides the residuals by the last one's denominators, by which they are multiplied in linear "
-        "equations: with one, parts of the picture would count less where these are small",
+        "equations: with one, parts of the image would count less where these are small",
         "Tao and Hu 2001, PE&RS 67 (12), section 3, for the way; their number is chosen",
     ),
 ] = 4
 _RIDGE: Annotated[
     float,
     Because(
-        "half pictures of residual for 1 of a coefficient",
+        "half images of residual for 1 of a coefficient",
         "what coefficients cost, so that terms that look alike don't grow against each other; a larger one "
         "pulls all of them to 0 and the fit off",
         "computed on the ideal scene of simulate.strip_plan.StripPlan: residuals up to 3e-8 px, with 1e-4 "

@@ -1,4 +1,4 @@
-"""The columns' own response: what of it can be told from the picture, and pictures without it."""
+"""The columns' own response: what of it can be told from the image, and images without it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def column_gains(image: Images, valid: Flags) -> Images:
 
 
 def flattened(image: Images, valid: Flags) -> Images:
-    """Fine detail without column pattern: what a blurred picture (about 8 px) leaves of it.
+    """Fine detail without column pattern: what a blurred image (about 8 px) leaves of it.
 
     What is bright for a while, a cloud, leaves no mark on the ground before and after it.
 

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.least_squares_matching import Cells, Pictures, measure, pictures
+from geomosaic.ccd.least_squares_matching import Cells, PairImages, measure, pair_images
 from geomosaic.ccd.model import Flags, Floats, Settings
 from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
@@ -224,13 +224,13 @@ def solved_window(
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
         believed = list(pairs)
-        ready = each(partial(pictures, scale=scale), pairs)
+        ready = each(partial(pair_images, scale=scale), pairs)
         if start.suspect:
             off, seen = _beside(pairs, ready, now, coarse, start.suspect, centres, habits)
             cloudy |= off
             if cloudy or not seen:
                 believed = start.clear(pairs)
-                ready = each(partial(pictures, scale=scale), believed)
+                ready = each(partial(pair_images, scale=scale), believed)
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
             now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
@@ -274,7 +274,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: Settings, likely: Expected
 
 def _beside(
     pairs: Sequence[RowPair],
-    ready: Sequence[Pictures],
+    ready: Sequence[PairImages],
     now: Smoothed,
     coarse: Floats,
     suspect: Sequence[Flags],
@@ -308,7 +308,7 @@ def _beside(
 
 def _refined(
     pairs: Sequence[RowPair],
-    ready: Sequence[Pictures],
+    ready: Sequence[PairImages],
     now: Smoothed,
     coarse: Floats,
     centres: Floats,
@@ -336,7 +336,7 @@ def _refined(
 
 
 def _measured(
-    pairs: Sequence[RowPair], ready: Sequence[Pictures], now: Smoothed, coarse: Floats, centres: Floats
+    pairs: Sequence[RowPair], ready: Sequence[PairImages], now: Smoothed, coarse: Floats, centres: Floats
 ) -> tuple[list[Cells], Floats, Floats]:
     """Cells along the curves, their offsets (the coarse ones where there are none) and their information."""
     step = round(centres[1] - centres[0])

@@ -2,7 +2,7 @@
 
 Ackermann 1984 (high precision digital image correlation), with shifts alone: the curve that is refined bends
 along the lines, so that within a cell of some lines nothing else is left. Gradients are means of both
-pictures', which keeps noise from drawing the shift towards zero. A cell's residuals are held
+images', which keeps noise from drawing the shift towards zero. A cell's residuals are held
 against what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
 """
 
@@ -25,7 +25,7 @@ _STEP: Annotated[
     Because(
         "px",
         "to which curves are rounded before cv2.remap, which knows no finer step: with any other one, "
-        "pictures are taken from elsewhere than `_lands` says",
+        "images are taken from elsewhere than `_lands` says",
         "OpenCV: cv2.INTER_TAB_SIZE is 32 steps to a pixel",
     ),
 ] = 1.0 / 32.0
@@ -33,7 +33,7 @@ _MISFIT_PX: Annotated[
     float,
     Because(
         "px",
-        "what resampling, aliasing and relief leave within a cell, as a shift of the picture: with less, "
+        "what resampling, aliasing and relief leave within a cell, as a shift of the image: with less, "
         "sharp ground is said not to fit, with more, clouds and lost lines fit",
         CHOSEN,
     ),
@@ -89,7 +89,7 @@ _UNLIKE: Annotated[
     float,
     Because(
         "1",
-        "correlation of both pictures' gradients below which a cell doesn't count: with less, smooth clouds "
+        "correlation of both images' gradients below which a cell doesn't count: with less, smooth clouds "
         "that fit anything pull the curve, with more, ground of low contrast is lost",
         CHOSEN,
     ),
@@ -98,7 +98,7 @@ _ALIKE: Annotated[
     float,
     Because(
         "1",
-        "correlation of both pictures' gradients from which on a cell counts in full: nearer to the other "
+        "correlation of both images' gradients from which on a cell counts in full: nearer to the other "
         "limit, cells come and go by noise, with more, noisy ground counts too little",
         CHOSEN,
     ),
@@ -115,7 +115,7 @@ _ALIKE_KNOTS: Annotated[
 
 
 @dataclass(frozen=True)
-class Pictures:
+class PairImages:
     """A pair made ready: smoothed, without column pattern. scale: pixels of the strips to one of these."""
 
     lead: Images
@@ -140,7 +140,7 @@ class Cells:
     fit: Floats
 
 
-def pictures(pair: RowPair, scale: int) -> Pictures:
+def pair_images(pair: RowPair, scale: int) -> PairImages:
     """Both strips smoothed to about the sampling; scale 2 halves them."""
     lead, trail, valid = pair.lead, pair.trail, pair.valid
     if scale == 2:
@@ -152,10 +152,10 @@ def pictures(pair: RowPair, scale: int) -> Pictures:
         np.asarray(cv2.GaussianBlur(x, (0, 0), 0.8), dtype=np.float32)
         for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
     )
-    return Pictures(lead, trail, valid, pair.nominal_col / scale, scale)
+    return PairImages(lead, trail, valid, pair.nominal_col / scale, scale)
 
 
-def measure(given: Pictures, curve_px: Floats, known_px: Floats, knot_lines: int) -> Cells:
+def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: int) -> Cells:
     """Offsets at every knot, from a curve near them.
 
     Args: curve_px (2, n) dcol, dline of every line of the strips beyond known_px (n,), the known part of
@@ -245,7 +245,7 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
 
 
 def _alike(sums: Floats, apart: Floats) -> Floats:
-    """Correlation (knots, groups) of both pictures' gradients, over some knots: about 0 where the two show
+    """Correlation (knots, groups) of both images' gradients, over some knots: about 0 where the two show
     different things, however smooth both are."""
     mean, half = sums[0, 0] + sums[1, 1], apart[0, 0] + apart[1, 1]
     both, all_of = (uniform_filter1d(x, _ALIKE_KNOTS, axis=0) for x in (mean - half, mean + half))
@@ -253,13 +253,13 @@ def _alike(sums: Floats, apart: Floats) -> Floats:
 
 
 def _definite(matrix: Floats) -> Floats:
-    """Zero where not positive definite: where noise outweighs what both pictures share."""
+    """Zero where not positive definite: where noise outweighs what both images share."""
     a, b, c = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
     return matrix * ((a > 0) & (a * b - c * c > 1e-3 * a * b))[..., None, None]
 
 
 def _lands(at: Floats) -> Floats:
-    """Where the picture that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
+    """Where the image that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
     steps = np.arange(32, dtype=np.float32) * np.float32(_STEP)
     ramp = np.arange(16, dtype=np.float32)[None, :]
     centre = cv2.remap(
@@ -274,7 +274,7 @@ def _lands(at: Floats) -> Floats:
 
 
 def noise_floor(rest: Floats) -> float:
-    """Variance of the difference of two pictures where they agree: the lower tenth of the cells, and more."""
+    """Variance of the difference of two images where they agree: the lower tenth of the cells, and more."""
     return 1.15 * float(np.quantile(rest, 0.1)) if rest.size else 1.0
 
 

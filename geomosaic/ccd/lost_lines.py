@@ -80,7 +80,7 @@ _COARSE_PX: Annotated[
     Because(
         "px",
         "columns and lines tried about the way through the volumes, which is good to a bin of 2 px: closer "
-        "ones leave it off by more than pictures stay alike, wider ones miss between them, more take time "
+        "ones leave it off by more than images stay alike, wider ones miss between them, more take time "
         "by their square",
         CHOSEN,
     ),

@@ -26,7 +26,7 @@ LABELS: Final = ("measured", "bridged", "unreliable")
 _LABEL: Final = "index into LABELS"
 _RECORDED: Final = "docs/recording.md, /strip_offsets/PAIR"
 MEASURED: Annotated[
-    int, Because(_LABEL, "own evidence in the pictures; another number is misread in recordings", _RECORDED)
+    int, Because(_LABEL, "own evidence in the images; another number is misread in recordings", _RECORDED)
 ] = 0
 BRIDGED: Annotated[
     int,
@@ -46,7 +46,7 @@ class Overlap:
 
     left, right: (n, read_px), the left strip's last columns and the right strip's first; row i is the left
     strip's line first_line + i and the right strip's line first_line + i + round(side * row_separation).
-    valid: (n, read_px) where both hold a picture; rows that only one strip has are False throughout.
+    valid: (n, read_px) where both hold an image; rows that only one strip has are False throughout.
     relief_px: (n,) the part of dline that the ground's known heights make, from a DEM.
     """
 

@@ -67,13 +67,13 @@ class Strips:
         for ccd, edge, shift in edges:
             first, last = np.clip([start + shift, stop + shift], 0, g.lines[ccd])
             found = self._columns(ccd, edge, int(first), int(last))
-            picture = np.zeros(shape, dtype=found.dtype)
+            image = np.zeros(shape, dtype=found.dtype)
             seen = np.zeros(shape, dtype=bool)
             at = slice(first - start - shift, last - start - shift)
-            picture[at] = found
+            image[at] = found
             seen[at] = True if g.nodata is None else found != g.nodata
             valid &= seen
-            sides.append(picture)
+            sides.append(image)
         relief = self.relief_px.get(pair)
         if relief is not None:
             relief = relief[np.clip(np.arange(start, stop), 0, len(relief) - 1)]

@@ -22,9 +22,9 @@ _BIN_PX: Annotated[
     int,
     Because(
         "px",
-        "of a whole shift in the volumes, which are of pictures halved: any other number gives offsets of "
+        "of a whole shift in the volumes, which are of images halved: any other number gives offsets of "
         "the wrong size",
-        "structure: volumes.volume halves the pictures",
+        "structure: volumes.volume halves the images",
     ),
 ] = 2
 _WINDOW_BLOCKS: Annotated[

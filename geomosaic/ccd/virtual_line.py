@@ -81,7 +81,7 @@ _RELIEF_STEP_LINES: Annotated[
 
 
 def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
-    """Offsets that the rigorous model and the DEM predict; no picture is looked at.
+    """Offsets that the rigorous model and the DEM predict; no image is looked at.
 
     For the middle of each line of a left strip: the ground under column width - overlap / 2, and where the
     right CCD sees it. The standard deviations are what is taken for granted about such models (0.1 px), the

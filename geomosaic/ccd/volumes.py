@@ -22,8 +22,8 @@ BLOCK_LINES: Annotated[
 _PIXELS_PER_FACT: Annotated[
     float,
     Because(
-        "px of the halved picture",
-        "of a band-passed picture that count as one independent fact: with fewer, evidence reaches its "
+        "px of the halved image",
+        "of a band-passed image that count as one independent fact: with fewer, evidence reaches its "
         "bound for fair matches as for good ones, with more, low contrast says nothing",
         "chosen in commit 4bb0517, 4 before; correlations of ground that doesn't match vary as if every 6 "
         "px were a fact (simulate.strip_plan.StripPlan, seed 1)",
@@ -58,7 +58,7 @@ def volume(
 ) -> Floats:
     """Evidence for every shift, block by block of 32 lines (Lewis 1995 for the normalised correlation).
 
-    Half the pictures' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of
+    Half the images' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of
     a correlation r over n independent facts against none at all (Kay 1998, section 7), bounded so that one
     good block says no more than another.
 

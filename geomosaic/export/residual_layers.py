@@ -122,7 +122,7 @@ class _ResidualLayers:
         fields = {
             "name": np.array([p.name for p in points], dtype=str),
             "kind": np.where(check, "check", "control"),
-            "pictures": np.array([0 if r is None else r.pictures for r in residuals], dtype=np.int64),
+            "pictures": np.array([0 if r is None else r.images for r in residuals], dtype=np.int64),
             "lon_deg": place[:, 0],
             "lat_deg": place[:, 1],
             "height_ellipsoidal_m": place[:, 2],

@@ -1,1 +1,1 @@
-"""Enhancement, SIFT, guided search, geometric check, consensus: from pictures to tie points."""
+"""Enhancement, SIFT, guided search, geometric check, consensus: from images to tie points."""

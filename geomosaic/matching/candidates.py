@@ -29,7 +29,7 @@ _COARSEST: Annotated[
     int,
     Because(
         "keypoints of a frame",
-        "as many as a picture of 300 x 200 px has, seen again in spite of scale and blur: fewer miss small "
+        "as many as an image of 300 x 200 px has, seen again in spite of scale and blur: fewer miss small "
         "overlaps, and the time grows with their square",
         CHOSEN,
     ),
@@ -38,7 +38,7 @@ _LEAST: Annotated[
     int,
     Because(
         "keypoints",
-        "that lie by one homography: four make one, and wrong matches of unlike pictures hardly ever give "
+        "that lie by one homography: four make one, and wrong matches of unlike images hardly ever give "
         "it four more; a larger number misses small overlaps",
         CHOSEN,
     ),
@@ -48,7 +48,7 @@ _TOLERANCE: Annotated[
     Because(
         "share of the extent of a frame's keypoints",
         "how far coarse keypoints may lie off their homography: they are placed to a tenth of their size, "
-        "and ground isn't a plane; with more, unlike pictures agree",
+        "and ground isn't a plane; with more, unlike images agree",
         CHOSEN,
     ),
 ] = 0.01
@@ -81,7 +81,7 @@ class Comparison:
 
 
 def coarse(features: Features) -> Features:
-    """The keypoints that a picture of a few hundred pixels would have."""
+    """The keypoints that an image of a few hundred pixels would have."""
     largest = coarsest(features, _COARSEST)
     return Features(features.image_px[largest], features.size_px[largest], features.descriptors[largest])
 

@@ -1,4 +1,4 @@
-"""How far apart two aligned pictures show the same ground: correlation on patches, coarse to fine."""
+"""How far apart two aligned images show the same ground: correlation on patches, coarse to fine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.least_squares_matching import refine
 
 Floats = NDArray[np.float64]
-Picture = NDArray[np.float32]
+Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _FINE_RADIUS_PX: Annotated[
@@ -49,7 +49,7 @@ _SMOOTHING_SIGMA_PX: Annotated[
     float,
     Because(
         "px",
-        "deviation of the Gaussian laid over both pictures before the match: with less, aliasing and noise "
+        "deviation of the Gaussian laid over both images before the match: with less, aliasing and noise "
         "draw it to whole pixels, with more, fine texture is lost",
         CHOSEN,
     ),
@@ -58,12 +58,12 @@ _SMOOTHING_SIGMA_PX: Annotated[
 
 @dataclass(frozen=True)
 class Displacements:
-    """Where the picture under test shows the ground minus where the reference shows it.
+    """Where the image under test shows the ground minus where the reference shows it.
 
     centres_px: (n, 2) col and row of the patches' centres in the reference, corner origin.
     displacement_px: (n, 2) col and row. sd_px: (n,) one standard deviation of the worse axis, from the
     residuals of the least-squares match. correlation: (n,) coefficient once matched.
-    asked: how many patches had valid pixels in both pictures; those not among the n were rejected.
+    asked: how many patches had valid pixels in both images; those not among the n were rejected.
     """
 
     centres_px: Floats
@@ -81,9 +81,9 @@ def patch_corners(shape: tuple[int, int], patch_px: int, step_px: int) -> NDArra
 
 
 def measure_displacements(
-    picture: Picture,
-    reference: Picture,
-    picture_valid: Mask,
+    image: Image,
+    reference: Image,
+    image_valid: Mask,
     reference_valid: Mask,
     corners: NDArray[np.int64],
     *,
@@ -92,7 +92,7 @@ def measure_displacements(
     min_correlation: float = 0.5,
     max_sd_px: float = 0.3,
 ) -> Displacements:
-    """Displacement of each patch of the reference in the picture.
+    """Displacement of each patch of the reference in the image.
 
     Both are single-band, float32, of one shape and on one grid. Normalised correlation finds each patch
     within search_px on a pyramid: at each finer level the neighbours' coarse displacements are tried and
@@ -103,7 +103,7 @@ def measure_displacements(
 
     Args: corners (n, 2) first row and col of the patches in the reference (`patch_corners`).
     """
-    levels = _pyramid(picture, reference, picture_valid, reference_valid, patch_px, search_px)
+    levels = _pyramid(image, reference, image_valid, reference_valid, patch_px, search_px)
     top = len(levels) - 1
     found_at: Floats = np.empty((0, 2))
     found: Floats = np.empty((0, 2))
@@ -122,9 +122,9 @@ def measure_displacements(
     asked = _asked(levels[0], here, shifts, patch_px)
     hopeful = (peaks >= 0.6 * min_correlation) & asked
     match = refine(
-        _smoothed(picture),
+        _smoothed(image),
         _smoothed(reference),
-        picture_valid,
+        image_valid,
         reference_valid,
         here[hopeful],
         shifts[hopeful],
@@ -140,53 +140,53 @@ def measure_displacements(
     )
 
 
-def _smoothed(picture: Picture) -> Picture:
+def _smoothed(image: Image) -> Image:
     """Less aliasing and noise, so that the match doesn't lock to whole pixels."""
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTHING_SIGMA_PX), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _SMOOTHING_SIGMA_PX), dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class _Level:
-    picture: Picture
-    reference: Picture
-    picture_valid: Mask
+    image: Image
+    reference: Image
+    image_valid: Mask
     reference_valid: Mask
 
 
 def _pyramid(
-    picture: Picture,
-    reference: Picture,
-    picture_valid: Mask,
+    image: Image,
+    reference: Image,
+    image_valid: Mask,
     reference_valid: Mask,
     patch_px: int,
     search_px: int,
 ) -> list[_Level]:
     """Halvings until the search is a quarter of a patch, while two patches still fit."""
-    levels = [_Level(picture, reference, picture_valid, reference_valid)]
+    levels = [_Level(image, reference, image_valid, reference_valid)]
     while (
         search_px / 2 ** (len(levels) - 1) > patch_px / 4
-        and min(levels[-1].picture.shape) >= 3 * patch_px
+        and min(levels[-1].image.shape) >= 3 * patch_px
         and len(levels) < 8
     ):
         last = levels[-1]
-        a, a_valid = _halved(last.picture, last.picture_valid)
+        a, a_valid = _halved(last.image, last.image_valid)
         b, b_valid = _halved(last.reference, last.reference_valid)
         levels.append(_Level(a, b, a_valid, b_valid))
     return levels
 
 
-def _halved(picture: Picture, valid: Mask) -> tuple[Picture, Mask]:
+def _halved(image: Image, valid: Mask) -> tuple[Image, Mask]:
     """Mean of the valid pixels of each 2 x 2; an odd last row or col is left out."""
-    rows, cols = picture.shape[0] // 2 * 2, picture.shape[1] // 2 * 2
+    rows, cols = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     weight = valid[:rows, :cols].astype(np.float32)
     size = (cols // 2, rows // 2)
     share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-    total = cv2.resize(picture[:rows, :cols] * weight, size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(image[:rows, :cols] * weight, size, interpolation=cv2.INTER_AREA)
     return np.asarray(total / np.maximum(share, 1e-6), dtype=np.float32), share >= 0.5
 
 
 def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floats:
-    """Share of valid pixels in each patch; 0 where it leaves the picture."""
+    """Share of valid pixels in each patch; 0 where it leaves the image."""
     total = cv2.integral(valid.astype(np.uint8))
     r, c = corners[:, 0], corners[:, 1]
     inside = (r >= 0) & (c >= 0) & (r + patch_px <= valid.shape[0]) & (c + patch_px <= valid.shape[1])
@@ -196,9 +196,9 @@ def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floa
 
 
 def _asked(level: _Level, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int) -> Mask:
-    """Patches that could have been measured: valid in the picture where they are or where they went."""
-    at_home = _valid_share(level.picture_valid, corners, patch_px)
-    moved = _valid_share(level.picture_valid, corners + shifts, patch_px)
+    """Patches that could have been measured: valid in the image where they are or where they went."""
+    at_home = _valid_share(level.image_valid, corners, patch_px)
+    moved = _valid_share(level.image_valid, corners + shifts, patch_px)
     return np.asarray(np.minimum(at_home, moved) >= _VALID_SHARE)
 
 
@@ -228,7 +228,7 @@ def _search(
     """Whole-pixel displacement (row, col) and correlation of each patch; -1 where nothing was found."""
     shifts = np.zeros((len(corners), 2), dtype=np.int64)
     peaks = np.full(len(corners), -1.0)
-    height, width = level.picture.shape
+    height, width = level.image.shape
     for i, (row, col) in enumerate(corners):
         here = slice(row, row + patch_px), slice(col, col + patch_px)
         template = _filled(level.reference[here], level.reference_valid[here])
@@ -240,7 +240,7 @@ def _search(
             c1 = min(width, col + guess[1] + radius_px + patch_px)
             if r1 - r0 < patch_px or c1 - c0 < patch_px:
                 continue
-            region = _filled(level.picture[r0:r1, c0:c1], level.picture_valid[r0:r1, c0:c1])
+            region = _filled(level.image[r0:r1, c0:c1], level.image_valid[r0:r1, c0:c1])
             if region is None:
                 continue
             scores = cv2.matchTemplate(region, template, cv2.TM_CCOEFF_NORMED)
@@ -251,7 +251,7 @@ def _search(
     return shifts, peaks
 
 
-def _filled(part: Picture, valid: Mask) -> Picture | None:
+def _filled(part: Image, valid: Mask) -> Image | None:
     """The part with its invalid pixels at the mean of the others; None if flat or mostly invalid."""
     if not valid.all():
         if valid.mean() < 0.3:

@@ -59,12 +59,12 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
 
 
 def coarsest(features: Features, most: int) -> NDArray[np.intp]:
-    """Numbers of the largest keypoints, as a picture of a fraction of the size would have."""
+    """Numbers of the largest keypoints, as an image of a fraction of the size would have."""
     return np.sort(np.argsort(-features.size_px, kind="stable")[:most])
 
 
 def sift_features(image: Bytes, valid: Bytes | None, reduction: int, most: int = 6000) -> Features:
-    """SIFT (Lowe 2004) on an 8 bit picture that was reduced by `reduction`.
+    """SIFT (Lowe 2004) on an 8 bit image that was reduced by `reduction`.
 
     The strongest are taken cell by cell of a grid of about 24 x 24 cells, so that they cover the
     frame evenly; keypoints beside invalid pixels are left out.

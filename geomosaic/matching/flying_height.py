@@ -1,4 +1,4 @@
-"""Flying height from pictures and positions alone, for surveys that tell none."""
+"""Flying height from images and positions alone, for surveys that tell none."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def flying_height_m(
 ) -> float:
     """Height above the ground at which two frames were taken base_m apart; NaN if they don't match.
 
-    On flat ground seen from straight above, two pictures differ by a similarity; where the one's middle
+    On flat ground seen from straight above, two images differ by a similarity; where the one's middle
     lies in the other, counted in focal lengths, is the base over the height. A tilt of 1 degree is
     taken for 1.7 % of the height as base, so the median of several pairs is good to some per cent.
 

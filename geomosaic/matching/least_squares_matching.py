@@ -15,7 +15,7 @@ from scipy.ndimage import spline_filter
 from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
-Picture = NDArray[np.float32]
+Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _ROUNDS: Annotated[
@@ -49,7 +49,7 @@ _MARGIN_PX: Annotated[
     int,
     Because(
         "px",
-        "by which the picture's spline goes on beyond its edge, so that a patch there can go as far as it "
+        "by which the image's spline goes on beyond its edge, so that a patch there can go as far as it "
         "may; with less it is read a pixel aside, more is never read",
         "_REACH_PX and the two nodes that a cubic B-spline has on each side",
     ),
@@ -88,9 +88,9 @@ class Match:
 
 
 def refine(
-    picture: Picture,
-    reference: Picture,
-    picture_valid: Mask,
+    image: Image,
+    reference: Image,
+    image_valid: Mask,
     reference_valid: Mask,
     corners: NDArray[np.int64],
     shifts: NDArray[np.int64],
@@ -98,9 +98,9 @@ def refine(
 ) -> Match:
     """Sub-pixel shifts from whole-pixel ones.
 
-    With T the reference and I the picture, `I(x + d) = a T(x) + b`; about a shift d0 the picture is
+    With T the reference and I the image, `I(x + d) = a T(x) + b`; about a shift d0 the image is
     regressed on T's two gradients, T and 1 (Gruen 1985, without the affine terms), the gradient's
-    coefficients over T's being d0 - d. The picture is read between its pixels by a cubic B-spline, which
+    coefficients over T's being d0 - d. The image is read between its pixels by a cubic B-spline, which
     for one shift a patch is separable. The normal matrix is the patch's own and stays.
 
     The stated deviation is the sandwich `N^-1 (G' C G) N^-1`, G the gradients and C the covariance of the
@@ -109,10 +109,10 @@ def refine(
     Args: corners (n, 2) first row and col in the reference, shifts (n, 2) rows and cols.
     """
     coefficients = np.pad(
-        spline_filter(picture, order=3, output=np.float32, mode="mirror"), _MARGIN_PX, "reflect"
+        spline_filter(image, order=3, output=np.float32, mode="mirror"), _MARGIN_PX, "reflect"
     )
     bases = [_filtered(reference, _SLOPE.T), _filtered(reference, _SLOPE), reference]
-    safe = [_eroded(picture_valid), _eroded(reference_valid)]
+    safe = [_eroded(image_valid), _eroded(reference_valid)]
     parts = [
         _refine_some(
             coefficients,
@@ -135,11 +135,11 @@ def refine(
     )
 
 
-def _filtered(picture: Picture, kernel: Picture) -> Picture:
-    return np.asarray(cv2.filter2D(picture, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+def _filtered(image: Image, kernel: Image) -> Image:
+    return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _eroded(valid: Mask) -> Picture:
+def _eroded(valid: Mask) -> Image:
     """1 where all pixels within 3 are valid, else 0."""
     near = np.ones((7, 7), np.uint8)
     inner = cv2.erode(valid.astype(np.uint8), near, borderType=cv2.BORDER_CONSTANT, borderValue=0)
@@ -147,15 +147,15 @@ def _eroded(valid: Mask) -> Picture:
 
 
 def _refine_some(
-    coefficients: Picture,
-    bases: list[Picture],
-    picture_safe: Picture,
-    reference_safe: Picture,
+    coefficients: Image,
+    bases: list[Image],
+    image_safe: Image,
+    reference_safe: Image,
     corners: NDArray[np.int64],
     shifts: NDArray[np.int64],
     patch_px: int,
 ) -> Match:
-    weight = _patches(reference_safe, corners, patch_px) * _patches(picture_safe, corners + shifts, patch_px)
+    weight = _patches(reference_safe, corners, patch_px) * _patches(image_safe, corners + shifts, patch_px)
     weight = weight.reshape(len(corners), -1).astype(np.float32)
     count = weight.sum(axis=1)
     enough = count > 0.5 * patch_px**2
@@ -195,9 +195,9 @@ def _judged(
     shift: Floats,
     converged: Mask,
     answer: Floats,
-    warped: Picture,
-    design: Picture,
-    weight: Picture,
+    warped: Image,
+    design: Image,
+    weight: Image,
     inverse: Floats,
     patch_px: int,
 ) -> Match:
@@ -223,16 +223,16 @@ def _judged(
     return Match(shift, sd, correlation.astype(np.float64), converged)
 
 
-def _patches(picture: NDArray[np.generic], corners: NDArray[np.int64], size_px: int) -> NDArray[np.float32]:
-    """Copies of square windows, (n, size_px, size_px), clamped to the picture."""
-    windows = sliding_window_view(picture, (size_px, size_px))
+def _patches(image: NDArray[np.generic], corners: NDArray[np.int64], size_px: int) -> NDArray[np.float32]:
+    """Copies of square windows, (n, size_px, size_px), clamped to the image."""
+    windows = sliding_window_view(image, (size_px, size_px))
     r = np.clip(corners[:, 0], 0, windows.shape[0] - 1)
     c = np.clip(corners[:, 1], 0, windows.shape[1] - 1)
     return windows[r, c].astype(np.float32)
 
 
-def _shifted(coefficients: Picture, corners: NDArray[np.int64], shift: Floats, patch_px: int) -> Picture:
-    """The picture's patches at shifted places, by the separable cubic B-spline (padded coefficients)."""
+def _shifted(coefficients: Image, corners: NDArray[np.int64], shift: Floats, patch_px: int) -> Image:
+    """The image's patches at shifted places, by the separable cubic B-spline (padded coefficients)."""
     whole = np.floor(shift).astype(np.int64)
     wide = _patches(coefficients, corners + whole + (_MARGIN_PX - 1), patch_px + 3)
     rows, cols = (bspline_weights(shift[:, k] - whole[:, k]) for k in (0, 1))
@@ -245,7 +245,7 @@ def _shifted(coefficients: Picture, corners: NDArray[np.int64], shift: Floats, p
     return np.asarray(across)
 
 
-def bspline_weights(t: Floats) -> Picture:
+def bspline_weights(t: Floats) -> Image:
     """Cubic B-spline weights of the four nodes around a fraction t (n,) in [0, 1], shape (n, 4)."""
     u = 1.0 - t
     w = [u**3, 3 * t**3 - 6 * t**2 + 4, 3 * u**3 - 6 * u**2 + 4, t**3]

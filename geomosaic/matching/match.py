@@ -18,7 +18,7 @@ _FREE_LEAST: Annotated[
     float,
     Because(
         "of a guided pair's least number of tie points",
-        "what a free search must bring, since nothing but the picture supports it: with less, frames of "
+        "what a free search must bring, since nothing but the image supports it: with less, frames of "
         "unlike ground are tied by chance; with more, frames whose positions are wrong stay loose",
         CHOSEN,
     ),
@@ -82,7 +82,7 @@ class PairMatch:
 def match_pair(job: PairJob) -> PairMatch:
     """Tie points of a pair: search, one-to-one, geometric check, at least `least` of them.
 
-    A free search, which nothing but the picture supports, must bring half as many again.
+    A free search, which nothing but the image supports, must bring half as many again.
     """
     left, right = root_sift(job.left.descriptors), root_sift(job.right.descriptors)
     guided = [] if np.isinf(job.radius_m) else [(job.radius_m, job.least)]
@@ -99,7 +99,7 @@ def match_pair(job: PairJob) -> PairMatch:
 def _candidates(
     job: PairJob, left: NDArray[np.float32], right: NDArray[np.float32], radius_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Candidate tie points: the coarsest keypoints say where in the right picture the left one lies, and the
+    """Candidate tie points: the coarsest keypoints say where in the right image the left one lies, and the
     rest is compared about there; all within the radius on the ground where the coarsest don't say it."""
     few_i, few_j = coarsest(job.left, _FEW), coarsest(job.right, _FEW)
     here_m, there_m = job.left_ground_m[:, :2], job.right_ground_m[:, :2]

@@ -1,4 +1,4 @@
-"""How the pictures of pairs lie to each other in the plane, and what that makes of all frames: turns and
+"""How the images of pairs lie to each other in the plane, and what that makes of all frames: turns and
 scales."""
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ _TOLERANCE_RAD: Annotated[
     Because(
         "rad",
         "about a quarter turn, less than halfway to the next: headings of small drones are good to 5 "
-        "degrees, so that less would miss turned pictures in wind; with 45 degrees any turn would be one",
+        "degrees, so that less would miss turned images in wind; with 45 degrees any turn would be one",
         CHOSEN,
     ),
 ] = np.radians(30.0)
@@ -59,9 +59,9 @@ def found_turned(
     sizes_px: Sequence[tuple[int, int]],
     cap_m: float,
 ) -> tuple[dict[int, int], dict[int, float]]:
-    """Quarter turns of the pictures turned after the flight, and headings (rad) by their course of frames
+    """Quarter turns of the images turned after the flight, and headings (rad) by their course of frames
     that have the heading of another line. A heading that nobody observed is never found wrong, nor its
-    picture turned.
+    image turned.
 
     Args: sizes_px: width and height of each frame; cap_m: see `turned_frames`.
     """
@@ -86,14 +86,14 @@ def found_turned(
         parts = [
             [i for i in part if not assumed[i] and i not in headings] for part in connected_parts(n, edges)
         ]
-        turns = turned_by_pictures(turns, averaged(n, joints), parts)
+        turns = turned_by_images(turns, averaged(n, joints), parts)
     return turns, headings
 
 
 def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_nadir: Floats) -> Floats:
     """Misalignment of a pair under each hypothesis of quarter turns, (4, 4): [left, right].
 
-    A frame whose picture is turned puts its ground points on the wrong side of its nadir point.
+    A frame whose image is turned puts its ground points on the wrong side of its nadir point.
     Turning its points back by k quarters about the nadir point rights them; that is exact for a
     camera that looks straight down, and good to the tilt's displacement otherwise. Two frames turned
     alike also show: their overlap then lies on the sides facing away from each other.
@@ -111,8 +111,8 @@ def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_na
 
 
 def possible_quarters(sizes_px: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Which quarter turns (n, 4) each picture can have had: by 90 degrees only if its width and height are
-    those of most pictures the other way round, or alike."""
+    """Which quarter turns (n, 4) each image can have had: by 90 degrees only if its width and height are
+    those of most images the other way round, or alike."""
     usual, _ = Counter(sizes_px).most_common(1)[0]
     out = np.tile([True, False, True, False], (len(sizes_px), 1))
     out[[w == h or (h, w) == usual != (w, h) for w, h in sizes_px]] = True
@@ -149,12 +149,12 @@ def turned_frames(
 
 
 def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> dict[int, float]:
-    """Frames found turned whose heading is what is wrong, not their picture; and the heading (rad) that goes
+    """Frames found turned whose heading is what is wrong, not their image; and the heading (rad) that goes
     with their course.
 
-    A picture turned after the flight keeps a heading that fits the course as the others' do; of a heading
+    An image turned after the flight keeps a heading that fits the course as the others' do; of a heading
     that was kept from another line the turned one fits better. Only told where heading and course go together
-    in the frames that weren't turned; else a platform may fly backward, and the pictures count as turned.
+    in the frames that weren't turned; else a platform may fly backward, and the images count as turned.
 
     Args: yaw_rad, course_rad (n,) as tagged and as flown; NaN where unknown.
     """
@@ -169,11 +169,11 @@ def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> 
     return {i: float((course_rad[i] + np.angle(usual)) % (2.0 * np.pi)) for i in wrong}
 
 
-def turned_by_pictures(
+def turned_by_images(
     turns: dict[int, int], shape: Complexes, parts: Sequence[Sequence[int]]
 ) -> dict[int, int]:
-    """Those frames of `turns` that their neighbours' pictures show turned by just so much, within _TOLERANCE;
-    the others have a wrong heading, not a turned picture.
+    """Those frames of `turns` that their neighbours' images show turned by just so much, within _TOLERANCE;
+    the others have a wrong heading, not a turned image.
 
     Args: shape (n,): turn and scale of each frame, see `relative.averaged`; parts: the connected parts.
     """
@@ -224,7 +224,7 @@ def _total(costs: list[tuple[int, int, Floats]], turn: Ints, fee_m: float) -> fl
 
 
 def righted(poses: Poses, turns: dict[int, int]) -> Poses:
-    """Poses with the rotations of turned pictures; a picture turned clockwise shows its points turned
+    """Poses with the rotations of turned images; an image turned clockwise shows its points turned
     counter-clockwise about the nadir."""
     rotations, turned = poses.rotations.copy(), poses.turns
     for i, quarters in turns.items():

@@ -63,13 +63,13 @@ _LEAST_WEIGHT: Annotated[
 class Piece:
     """What a source shows of a box, in its rows and cols.
 
-    picture (.., .., bands) float32: finite anywhere. inside (.., ..): 0 where it has no valid pixel; where it
+    image (.., .., bands) float32: finite anywhere. inside (.., ..): 0 where it has no valid pixel; where it
     has one, above that and rising to 1 over half the reach from its edge and from invalid pixels inwards.
     """
 
     rows: slice
     cols: slice
-    picture: Floats32
+    image: Floats32
     inside: Floats32
 
     @property
@@ -88,22 +88,22 @@ class Blend:
 
 def hard(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Floats32:
     """Every pixel is one source's."""
-    out = np.zeros((*label.shape, pieces[0].picture.shape[-1]), dtype=np.float32)
+    out = np.zeros((*label.shape, pieces[0].image.shape[-1]), dtype=np.float32)
     for k, piece in enumerate(pieces):
-        _copy(piece.picture, label[piece.at] == k, out[piece.at])
+        _copy(piece.image, label[piece.at] == k, out[piece.at])
     return out
 
 
 def feather(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Floats32:
     """Straight from one source to the other over the reach, and to nothing where a source ends."""
     side = 2 * round(reach_px / 2.0) + 1
-    bands = pieces[0].picture.shape[-1]
+    bands = pieces[0].image.shape[-1]
     total, weights = _sums(label.shape, bands), np.zeros(label.shape, dtype=np.float32)
     for k, piece in enumerate(pieces):
         mine = (label == k).astype(np.float32)
         weight = cv2.blur(mine, (side, side), borderType=cv2.BORDER_REPLICATE)[piece.at] * piece.inside
         weight += mine[piece.at] * _LEAST_WEIGHT
-        _add(total, piece.picture, weight, piece.at)
+        _add(total, piece.image, weight, piece.at)
         weights[piece.at] += weight
     np.maximum(weights, np.float32(1e-12), out=weights)
     total /= _widened(weights, bands)
@@ -125,7 +125,7 @@ def multi_band(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Float
             continue
         own, mask = plain[at].copy(), (label[at] == k).astype(np.float32)
         here, there = _common(piece.at, at)
-        _copy(piece.picture[here], piece.inside[here] > 0.0, own[there])
+        _copy(piece.image[here], piece.inside[here] > 0.0, own[there])
         for n, (detail, weight) in enumerate(_bands(own, mask)):
             _add(sums[n], detail, weight, tuple(slice(s.start >> n, s.stop >> n) for s in at))
     for smaller, total in zip(sums[:0:-1], sums[-2::-1], strict=True):
@@ -134,16 +134,16 @@ def multi_band(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Float
     return sums[0].reshape(*label.shape, bands)
 
 
-def _bands(picture: Floats32, mask: Floats32) -> Iterator[tuple[Floats32, Floats32]]:
-    """What of a picture, which is used up, each band of frequencies holds, the highest first, and the mask as
+def _bands(image: Floats32, mask: Floats32) -> Iterator[tuple[Floats32, Floats32]]:
+    """What of an image, which is used up, each band of frequencies holds, the highest first, and the mask as
     smooth."""
     for _ in range(_LEVELS):
-        smaller = np.asarray(cv2.pyrDown(picture), dtype=np.float32)
-        picture -= np.asarray(cv2.pyrUp(smaller)).reshape(picture.shape)
-        yield picture, mask
-        picture = smaller.reshape(*smaller.shape[:2], picture.shape[-1])
+        smaller = np.asarray(cv2.pyrDown(image), dtype=np.float32)
+        image -= np.asarray(cv2.pyrUp(smaller)).reshape(image.shape)
+        yield image, mask
+        image = smaller.reshape(*smaller.shape[:2], image.shape[-1])
         mask = np.asarray(cv2.pyrDown(mask), dtype=np.float32)
-    yield picture, mask
+    yield image, mask
 
 
 def _reached(mine: NDArray[np.bool_]) -> tuple[slice, slice] | None:
@@ -174,8 +174,8 @@ def _common(
     return here, there
 
 
-def _filled(picture: Floats32, label: Labels) -> Labels:
-    """Labels everywhere: where there is none, the nearest pixel's that has one; and its picture, in place."""
+def _filled(image: Floats32, label: Labels) -> Labels:
+    """Labels everywhere: where there is none, the nearest pixel's that has one; and its image, in place."""
     valid = label >= 0
     if valid.all() or not valid.any():
         return label
@@ -185,16 +185,16 @@ def _filled(picture: Floats32, label: Labels) -> Labels:
     place = np.zeros(int(nearest.max()) + 1, dtype=np.intp)
     place[nearest[valid]] = np.flatnonzero(valid)
     taken = place[nearest[~valid]]
-    picture[~valid] = picture.reshape(-1, picture.shape[-1])[taken]
+    image[~valid] = image.reshape(-1, image.shape[-1])[taken]
     whole = label.copy()
     whole[~valid] = label.ravel()[taken]
     return whole
 
 
-def _copy(picture: Floats32, where: NDArray[np.bool_], into: Floats32) -> None:
+def _copy(image: Floats32, where: NDArray[np.bool_], into: Floats32) -> None:
     """In place, whatever OpenCV makes of empty arrays and single bands."""
     if where.size:
-        cv2.copyTo(picture, where.view(np.uint8), into)
+        cv2.copyTo(image, where.view(np.uint8), into)
 
 
 def _sums(shape: tuple[int, ...], bands: int) -> Floats32:

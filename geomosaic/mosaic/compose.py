@@ -78,7 +78,7 @@ def compose(
 
     Args: poses, cameras, used: of each of the survey's frames. ownership: who gives which part, and the area
     that the mosaic is cut to; the frame that looks down most steeply, and no area, if not given. blend: one
-    of BLENDS; auto: multi_band for pictures of 8 bits, feather for measured values, which stay as they are
+    of BLENDS; auto: multi_band for images of 8 bits, feather for measured values, which stay as they are
     where one frame shows the ground. tones: how brightly frames show the ground, evened out; as they are if
     not given. memory_bytes: for decoded frames; windows in work take some 100 MB more for each thread.
     sources_path: where the raster of frame indices goes, if at all (see `raster.writing_mosaic`).

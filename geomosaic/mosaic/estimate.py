@@ -49,9 +49,9 @@ _SIFT_BYTES_PER_PX: Annotated[
     float,
     Because(
         "bytes/px",
-        "that SIFT takes while it looks at a frame: six blurred pictures of four bytes at twice the size, "
+        "that SIFT takes while it looks at a frame: six blurred images of four bytes at twice the size, "
         "and their octaves; with less, the memory of matching is told too low",
-        "Lowe 2004, section 3: s + 3 pictures an octave, s = 3, the first one doubled: 6 x 4 x 4 x 4/3, "
+        "Lowe 2004, section 3: s + 3 images an octave, s = 3, the first one doubled: 6 x 4 x 4 x 4/3, "
         "rounded",
     ),
 ] = 130.0

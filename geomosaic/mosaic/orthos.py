@@ -1,4 +1,4 @@
-"""Each frame by itself on the mosaic's grid: its pixels before they are one picture."""
+"""Each frame by itself on the mosaic's grid: its pixels before they are one image."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ _ON_OBJECTS: Annotated[
     Because(
         "grey levels of 8 bits in each band",
         "a seam on an object counts as one along which frames differ by so much; a path through a"
-        " whole picture of grass differs by 10",
+        " whole image of grass differs by 10",
         CHOSEN,
     ),
 ] = np.float32(40.0)
@@ -88,7 +88,7 @@ _LEAST_WHITE: Annotated[
     float,
     Because(
         "the values' own",
-        "so that black pictures divide nothing by zero",
+        "so that black images divide nothing by zero",
         CHOSEN,
     ),
 ] = 1e-6

@@ -39,7 +39,7 @@ _LEAST_SIDE_PX: Annotated[
     int,
     Because(
         "px",
-        "of the reduced picture that is sampled: of smaller ones a place would be a mean of a "
+        "of the reduced image that is sampled: of smaller ones a place would be a mean of a "
         "tree and the field beside it",
         CHOSEN,
     ),
@@ -53,7 +53,7 @@ _TELLING: Annotated[
         CHOSEN,
     ),
 ] = (6.0, 249.0)
-_HELD: Final = "before the pictures speak, weakly, so that no block grows darker from end to end: "
+_HELD: Final = "before the images speak, weakly, so that no block grows darker from end to end: "
 _GAIN_SD: Annotated[
     float, Because("natural logarithm of brightness", _HELD + "half a stop of exposure either way", CHOSEN)
 ] = 0.2

@@ -99,7 +99,7 @@ def believable_heights_m(
     below.
 
     Where one does, all that are far from the usual height above the ground are in doubt; they are taken to
-    have that, to half of it, and the pictures say what it is. Where most frames lie below the ground nothing
+    have that, to half of it, and the images say what it is. Where most frames lie below the ground nothing
     is changed: then it is the ground that is wrong.
     """
     above = heights_m - ground_heights_m
@@ -154,7 +154,7 @@ def with_any_height(survey: Survey) -> tuple[Survey, float]:
     """A survey none of whose frames has a position, at some height over flat ground, and the ground's height.
 
     Where frames see two control points or more, the height at which these are as far apart as surveyed, and
-    the ground at the points' height; else a ground pixel of one unit. Pictures and control set it right.
+    the ground at the points' height; else a ground pixel of one unit. Images and control set it right.
     """
     used = [c for c in survey.control if not c.check]
     above = _height_by_control_m(survey, used) or float(

@@ -14,8 +14,8 @@ class Placement:
     sequence: frame indices in order of capture. lines: the number of each frame's flight line.
     pairs: (left, right) with left < right, by falling overlap. ground_pixel_m: the median ground
     sampling distance, the paper's D. formula: how positions came into the work frame.
-    turned: quarter turns (0 to 3) by which each frame's picture was turned after the flight; `poses`
-    are those of the pictures as they lie in the files.
+    turned: quarter turns (0 to 3) by which each frame's image was turned after the flight; `poses`
+    are those of the images as they lie in the files.
     """
 
     poses: Poses

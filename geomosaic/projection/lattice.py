@@ -1,6 +1,6 @@
 """The warp of whole windows: exact on a lattice of every eighth pixel, bilinear between where that will do.
 
-What bends a picture (perspective, lens, a smooth ground) does so over hundreds of pixels; what breaks it
+What bends an image (perspective, lens, a smooth ground) does so over hundreds of pixels; what breaks it
 (the edges of a DEM's cells, the knots of a table of turns) runs along lines. So each cell decides by what it
 is off in its middle, and where that is too much its pixels go through the equations themselves.
 """
@@ -161,7 +161,7 @@ def _places(length_px: int) -> _Places:
 
 
 def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> NDArray[np.bool_]:
-    """Cells that lie in the picture, or near it, and whose middle isn't where its four nodes say."""
+    """Cells that lie in the image, or near it, and whose middle isn't where its four nodes say."""
     _, down, across = middle.shape
     four = np.stack([image[:, i : i + down, j : j + across] for i in (0, 1) for j in (0, 1)])
     off = np.abs(four.mean(axis=0) - middle).max(axis=0)

@@ -25,7 +25,7 @@ KERNEL_RADIUS_PX: Annotated[
     Because(
         "px",
         "how far each interpolation looks: with less, masked pixels and repeated edges of a part bleed into "
-        "the picture, more makes masks wider than they are",
+        "the image, more makes masks wider than they are",
         "OpenCV's kernels of 2, 4 and 8 px a side (INTER_LINEAR, INTER_CUBIC, INTER_LANCZOS4)",
     ),
 ] = {"bilinear": 1, "cubic": 2, "lanczos": 4}
@@ -42,7 +42,7 @@ _MOST_CHANNELS: Annotated[
 def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: str) -> NDArray[Any]:
     """Pixels (h, w, bands) at cols and rows with corner origin; the outer half pixel repeats the edge.
 
-    Only the part of the frame in use is handed to cv2, whose pictures end at 32767 px.
+    Only the part of the frame in use is handed to cv2, whose images end at 32767 px.
     """
     height, width, bands = pixels.shape
     x = np.where(np.isnan(cols), np.float32(width / 2.0), cols) - np.float32(0.5)
@@ -80,5 +80,5 @@ def seen_on(
     if mask is not None:
         at = np.where(valid, rows, 0.0).astype(np.intp), np.where(valid, cols, 0.0).astype(np.intp)
         valid &= mask[at] != 0
-    picture = resample(grey[..., None], cols, rows, "cubic")[..., 0]
-    return np.where(valid, picture, np.float32(0.0)).astype(np.float32), valid
+    image = resample(grey[..., None], cols, rows, "cubic")[..., 0]
+    return np.where(valid, image, np.float32(0.0)).astype(np.float32), valid

@@ -218,7 +218,7 @@ class Sight:
                 break
 
     def _turns_at(self, row: Floats32) -> list[Floats32]:
-        """From present to middle camera axes, backwards, at the picture's rows."""
+        """From present to middle camera axes, backwards, at the image's rows."""
         assert self._pose.turns is not None
         assert self._turn is not None
         assert self._by_step is not None

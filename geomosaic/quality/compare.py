@@ -1,4 +1,4 @@
-"""A mosaic laid over a reference picture: displacement vectors, the figures from them, and SSIM."""
+"""A mosaic laid over a reference image: displacement vectors, the figures from them, and SSIM."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _GLANCE_PX: Annotated[
     int,
     Because(
         "px",
-        "longer side of the reduced pictures whose means and contrasts say one gain and offset: a million "
+        "longer side of the reduced images whose means and contrasts say one gain and offset: a million "
         "pixels say them closely, more take time to read",
         CHOSEN,
     ),
@@ -159,28 +159,28 @@ def _compare_block(
 ) -> _Part:
     """Patches that begin in the block and SSIM of its pixels, read with a margin around it."""
     outer = grown(block, max(sizes.search_px + sizes.patch_px, WINDOW_PX), mosaic.height, mosaic.width)
-    picture, picture_valid = read_luma(mosaic, outer)
-    if picture_valid.any():
+    image, image_valid = read_luma(mosaic, outer)
+    if image_valid.any():
         reference, reference_valid = read_luma(pair, outer)
     else:
-        reference, reference_valid = np.zeros_like(picture), np.zeros_like(picture_valid)
-    both = picture_valid & reference_valid
+        reference, reference_valid = np.zeros_like(image), np.zeros_like(image_valid)
+    both = image_valid & reference_valid
     row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
     inner = np.s_[row : row + block.height, col : col + block.width]
     corners = _corners(block, outer, sizes.patch_px, sizes.step_px)
     found = measure_displacements(
-        picture,
+        image,
         reference,
-        picture_valid,
+        image_valid,
         reference_valid,
         corners if both.any() else corners[:0],
         patch_px=sizes.patch_px,
         search_px=sizes.search_px,
         min_correlation=sizes.min_correlation,
     )
-    maps = ssim_maps(picture * tones.gain + tones.offset, reference, both, tones.span).cut(inner)
+    maps = ssim_maps(image * tones.gain + tones.offset, reference, both, tones.span).cut(inner)
     return _Part(
-        int(picture_valid[inner].sum()),
+        int(image_valid[inner].sum()),
         int(both[inner].sum()),
         replace(found, centres_px=found.centres_px + np.array([outer.col_off, outer.row_off])),
         mean_terms(maps, tones.gain, tones.offset),

@@ -1,4 +1,4 @@
-"""Figures of control and check points: how far surveyed points lie from where the pictures put them."""
+"""Figures of control and check points: how far surveyed points lie from where the images put them."""
 
 from __future__ import annotations
 

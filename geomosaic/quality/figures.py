@@ -30,7 +30,7 @@ class Similarity:
 class Figures:
     """What the vectors say. All lengths are of two-dimensional vectors; NaN where too few were measured.
 
-    asked, measured, share_measured: patches valid in both pictures; those matched; their ratio.
+    asked, measured, share_measured: patches valid in both images; those matched; their ratio.
     mean_east_m, mean_north_m: mean displacement, mosaic minus reference.
     absolute_rmse_m: root of the mean squared length of the displacements.
     ce90_m: 90 % of the displacements are shorter (circular error, empirical).

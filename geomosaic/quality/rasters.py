@@ -80,9 +80,9 @@ def read_luma(
             resampling=Resampling.nearest if shape is None else Resampling.average,
         )
         valid = dataset.dataset_mask(window=window, out_shape=shape) == 255
-    picture = luma(bands)
-    valid &= np.isfinite(picture)
-    return np.where(valid, picture, np.float32(0.0)), valid
+    image = luma(bands)
+    valid &= np.isfinite(image)
+    return np.where(valid, image, np.float32(0.0)), valid
 
 
 def blocks(height: int, width: int, side: int) -> Iterator[Window]:

@@ -70,7 +70,7 @@ class SsimMaps:
 class SsimTerms:
     """Means of the maps over the pixels with a wholly valid window, `pixels` of them.
 
-    gain and offset were applied to the picture under test before; 1 and 0 where nothing was.
+    gain and offset were applied to the image under test before; 1 and 0 where nothing was.
     """
 
     ssim: float
@@ -84,15 +84,15 @@ class SsimTerms:
 
 def luma(bands: ArrayLike) -> NDArray[np.float32]:
     """One band of (bands, rows, cols): ITU-R BT.601 luma of the first three, or the first alone."""
-    picture = np.asarray(bands, dtype=np.float32)
-    if len(picture) < 3:
-        return np.asarray(picture[0])
+    image = np.asarray(bands, dtype=np.float32)
+    if len(image) < 3:
+        return np.asarray(image[0])
     weights = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-    return np.asarray(np.tensordot(weights, picture[:3], axes=1), dtype=np.float32)
+    return np.asarray(np.tensordot(weights, image[:3], axes=1), dtype=np.float32)
 
 
-def ssim_maps(picture: ArrayLike, reference: ArrayLike, valid: Mask, data_range: float) -> SsimMaps:
-    """SSIM of two single-band pictures on one grid.
+def ssim_maps(image: ArrayLike, reference: ArrayLike, valid: Mask, data_range: float) -> SsimMaps:
+    """SSIM of two single-band images on one grid.
 
     Window 11 x 11, Gaussian with sigma 1.5; K1 = 0.01, K2 = 0.03; C3 = C2 / 2, so that with variances
     `SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2))`.
@@ -101,7 +101,7 @@ def ssim_maps(picture: ArrayLike, reference: ArrayLike, valid: Mask, data_range:
 
     Args: data_range is the span of possible values, 255 for 8 bits.
     """
-    x, y = (np.where(valid, np.asarray(p, dtype=np.float64), 0.0) for p in (picture, reference))
+    x, y = (np.where(valid, np.asarray(p, dtype=np.float64), 0.0) for p in (image, reference))
     c1, c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
     mx, my = _window_mean(x), _window_mean(y)
     vx = np.maximum(_window_mean(x * x) - mx * mx, 0.0)
@@ -139,14 +139,14 @@ def pooled(parts: list[SsimTerms]) -> SsimTerms:
     return SsimTerms(ssim, light, contrast, structure, sum(weights), parts[0].gain, parts[0].offset)
 
 
-def gain_and_offset(picture: Floats, reference: Floats) -> tuple[float, float]:
-    """What brings the picture's mean and standard deviation to the reference's; arrays of valid pixels."""
-    spread = float(picture.std())
+def gain_and_offset(image: Floats, reference: Floats) -> tuple[float, float]:
+    """What brings the image's mean and standard deviation to the reference's; arrays of valid pixels."""
+    spread = float(image.std())
     gain = float(reference.std()) / spread if spread > 0.0 else 1.0
-    return gain, float(reference.mean()) - gain * float(picture.mean())
+    return gain, float(reference.mean()) - gain * float(image.mean())
 
 
-def _window_mean(picture: Floats) -> Floats:
+def _window_mean(image: Floats) -> Floats:
     return np.asarray(
-        cv2.GaussianBlur(picture, (WINDOW_PX, WINDOW_PX), _SIGMA_PX, borderType=cv2.BORDER_REFLECT_101)
+        cv2.GaussianBlur(image, (WINDOW_PX, WINDOW_PX), _SIGMA_PX, borderType=cv2.BORDER_REFLECT_101)
     )

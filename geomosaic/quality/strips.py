@@ -167,7 +167,7 @@ class PairQuality:
 class StripQuality:
     """The check of a scene. figures: over the lines labelled measured, where a residual could be measured.
 
-    Of a method that looks at no picture, and so measures nothing, the bridged lines count instead.
+    Of a method that looks at no image, and so measures nothing, the bridged lines count instead.
     lines: whose ground both strips have. unmeasured_lines: that count, but have nothing to check them by (too
     little texture, or clouds and ground mixed). other_lines: that don't count. others: figures of those of
     them where something could be measured; they decide nothing, since it may be clouds.
@@ -312,16 +312,16 @@ def _piece(
     return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]
 
 
-def laid_on(picture: Images, valid: Flags, cols: Floats, lines: Floats, wider: int) -> tuple[Images, Flags]:
-    """A picture (n, w) resampled row by row: row i, col c is the picture's row i + lines[i], col c + cols[i].
+def laid_on(image: Images, valid: Flags, cols: Floats, lines: Floats, wider: int) -> tuple[Images, Flags]:
+    """An image (n, w) resampled row by row: row i, col c is the image's row i + lines[i], col c + cols[i].
 
     By cubic B-splines; `wider` columns more on the right. Not valid within a pixel of what isn't.
     """
-    n, w = picture.shape
+    n, w = image.shape
     row, row_weights = _taps(np.arange(n) + lines)
     col, col_weights = _taps(cols)
     coefficients = spline_filter1d(
-        spline_filter1d(picture, axis=0, output=np.float32), axis=1, output=np.float32
+        spline_filter1d(image, axis=0, output=np.float32), axis=1, output=np.float32
     )
     down = np.zeros((n, w), dtype=np.float32)
     sound = np.ones((n, w), dtype=bool)

@@ -34,7 +34,7 @@ CRITERIA: Mapping[str, Criterion] = {
         0.7,
         3.0,
         "px",
-        "pictures and camera disagree: rolling shutter while turning, another lens, moving ground",
+        "images and camera disagree: rolling shutter while turning, another lens, moving ground",
         "give the lens and the readout time (--camera)",
         "keypoints on ground that stays are good to a third of a pixel, by reduced frames to half of one: "
         "beyond that something moves or bends; a map is called wrong beyond three",
@@ -107,7 +107,7 @@ CRITERIA: Mapping[str, Criterion] = {
         0.5,
         np.inf,
         "px",
-        "positions and pictures leave open how the block is stretched or bent",
+        "positions and images leave open how the block is stretched or bent",
         "lines flown across, the readout time (--camera), better positions or control points",
         "one deviation; a map is promised to a pixel, and two deviations are what 95 of 100 keep",
     ),
@@ -123,7 +123,7 @@ CRITERIA: Mapping[str, Criterion] = {
         3.0,
         6.0,
         "deviations",
-        "a control or check point lies far from where the pictures put it",
+        "a control or check point lies far from where the images put it",
         "check its coordinates and where it was marked",
         "of a few dozen honest coordinates none is beyond three, of a million none beyond six",
     ),
@@ -157,7 +157,7 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
     "lens-strayed": (
         "doubtful",
-        "no lens bends pictures as these are bent",
+        "no lens bends images as these are bent",
         "give the lens and the readout time (--camera)",
     ),
 }
@@ -167,7 +167,7 @@ _DISREGARDED: Annotated[
     Because(
         "of the weight of a tie point without a residual",
         "below it a tie point has next to no say: by chance three in a thousand; a larger one counts honest "
-        "ones too, a smaller one overlooks that pictures disagree",
+        "ones too, a smaller one overlooks that images disagree",
         "chosen; the chance: 10^(-5 / 2), Student's distribution of pairs with 5 degrees of freedom",
     ),
 ] = 0.1
@@ -265,7 +265,7 @@ def _held_together(
 
 
 def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dict[str, float]:
-    """How far pictures, camera and control agree in the adjustment, as far as the method says."""
+    """How far images, camera and control agree in the adjustment, as far as the method says."""
     found = {}
     if "sigma_px" in adjusted.figures:
         found["image deviation"] = adjusted.figures["sigma_px"]

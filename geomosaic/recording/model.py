@@ -142,7 +142,7 @@ class Topic:
 
 @dataclass
 class Recording:
-    """What a recording holds, without pictures, tie points and the artefacts' bytes, which stay in the file.
+    """What a recording holds, without images, tie points and the artefacts' bytes, which stay in the file.
 
     `problem` is empty for a whole file, else it says where the file ends or what is damaged.
     """

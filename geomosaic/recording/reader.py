@@ -53,7 +53,7 @@ _KEPT = (*_KEPT_WHOLE, "geomosaic.Artefact")
 def read_recording(path: Path) -> Recording:
     """Reads a recording in one pass; of an unfinished or damaged file everything that is whole.
 
-    Pictures, tie points and the artefacts' bytes stay in the file (`messages`, `artefact_data`).
+    Images, tie points and the artefacts' bytes stay in the file (`messages`, `artefact_data`).
     Raises FileError if the file can't be opened, is no MCAP, no recording of geomosaic, or larger than
     any run could make it.
     """

@@ -1,4 +1,4 @@
-"""Small JPEG pictures for the recording."""
+"""Small JPEG images for the recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def thumbnail(image: NDArray[np.generic], max_side_px: int = 512, quality: int = 85) -> bytes:
-    """A JPEG of a picture, its longer side at most `max_side_px`; never enlarged.
+    """A JPEG of an image, its longer side at most `max_side_px`; never enlarged.
 
     `image` is (rows, cols) or (rows, cols, bands) with bands in the order red, green, blue (the first
     three count; of two, the first). Eight bits are shown as they are; everything else is stretched
@@ -16,24 +16,24 @@ def thumbnail(image: NDArray[np.generic], max_side_px: int = 512, quality: int =
     """
     import cv2
 
-    picture = image[:, :, None] if image.ndim == 2 else image
-    if picture.ndim != 3 or 0 in picture.shape:
-        raise ValueError(f"a picture has rows, columns and bands, not the shape {image.shape}")
-    picture = picture[:, :, :3] if picture.shape[2] >= 3 else picture[:, :, :1]
-    rows, cols = picture.shape[:2]
+    shown = image[:, :, None] if image.ndim == 2 else image
+    if shown.ndim != 3 or 0 in shown.shape:
+        raise ValueError(f"an image has rows, columns and bands, not the shape {image.shape}")
+    shown = shown[:, :, :3] if shown.shape[2] >= 3 else shown[:, :, :1]
+    rows, cols = shown.shape[:2]
     scale = min(1.0, max_side_px / max(rows, cols))
     if scale < 1.0:
         size = max(1, round(cols * scale)), max(1, round(rows * scale))
-        wide = picture if picture.dtype in (np.uint8, np.uint16, np.float32) else picture.astype(np.float32)
-        picture = cv2.resize(np.ascontiguousarray(wide), size, interpolation=cv2.INTER_AREA)
-        picture = picture.reshape(size[1], size[0], -1)
-    if picture.dtype != np.uint8:
-        picture = _stretched(picture.astype(np.float64))
+        wide = shown if shown.dtype in (np.uint8, np.uint16, np.float32) else shown.astype(np.float32)
+        shown = cv2.resize(np.ascontiguousarray(wide), size, interpolation=cv2.INTER_AREA)
+        shown = shown.reshape(size[1], size[0], -1)
+    if shown.dtype != np.uint8:
+        shown = _stretched(shown.astype(np.float64))
     done, jpeg = cv2.imencode(
-        ".jpg", np.ascontiguousarray(picture[:, :, ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality]
+        ".jpg", np.ascontiguousarray(shown[:, :, ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality]
     )
     if not done:
-        raise ValueError(f"no JPEG of a picture of the shape {image.shape}")
+        raise ValueError(f"no JPEG of an image of the shape {image.shape}")
     return bytes(jpeg.tobytes())
 
 

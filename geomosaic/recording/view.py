@@ -85,17 +85,15 @@ def write_rrd(recording: Recording, path: Path) -> None:
 
 
 def layout(recording: Recording) -> Any:
-    """The blueprint: the map or the strips' offsets; the pictures; the offsets of each round; the log."""
+    """The blueprint: the map or the strips' offsets; the images; the offsets of each round; the log."""
     import rerun.blueprint as rrb
 
-    pictures = [
-        rrb.Spatial2DView(origin=topic, name=topic.strip("/")) for topic in _topics(recording, _IMAGE)
-    ]
+    images = [rrb.Spatial2DView(origin=topic, name=topic.strip("/")) for topic in _topics(recording, _IMAGE)]
     plots = [
         rrb.TimeSeriesView(origin=f"/plots{topic}", name=topic.strip("/"), plot_legend=rrb.Corner2D.RightTop)
         for topic in _topics(recording, "geomosaic.PairOffsets")
     ]
-    right: list[Any] = [rrb.Grid(*pictures)] if pictures else []
+    right: list[Any] = [rrb.Grid(*images)] if images else []
     place = rrb.MapView(origin="/map", name="map", zoom=_zoom(recording))
     if recording.strips and _topics(recording, "foxglove.GeoJSON"):
         right.append(place)
@@ -136,7 +134,7 @@ def open_viewer(file: Path) -> None:
 
 
 def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
-    """A picture of an .rrd as the viewer shows it, made without a screen after `seconds` of loading."""
+    """An image of an .rrd as the viewer shows it, made without a screen after `seconds` of loading."""
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:

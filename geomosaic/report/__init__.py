@@ -1,1 +1,1 @@
-"""The page for people: what a run found, in words, tables, plots and pictures; of frames and of strips."""
+"""The page for people: what a run found, in words, tables, plots and images; of frames and of strips."""

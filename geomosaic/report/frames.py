@@ -64,11 +64,11 @@ def render_report(
             `recipe`, `versions`); missing keys are left out of the page.
     """
     names = tuple(f.name for f in survey.frames)
-    picture = glance(mosaic_file)
+    image = glance(mosaic_file)
     footprints_m = parts.map_footprints_m(survey, adjusted)
     nadir_m = map_from_work(survey, adjusted.poses.positions_m)
     drawn = overview(
-        picture, footprints_m, nadir_m, placement.lines, placement.sequence, adjusted.status, names
+        image, footprints_m, nadir_m, placement.lines, placement.sequence, adjusted.status, names
     )
     pairs = pair_misalignments(ties, adjusted.residuals_m)
     orientation = orientations(survey, placement.poses, adjusted)
@@ -79,7 +79,7 @@ def render_report(
     return render(
         "frames.html",
         summary,
-        _facts(survey, placement, ties, adjusted, mosaic, summary, picture.covered_m2),
+        _facts(survey, placement, ties, adjusted, mosaic, summary, image.covered_m2),
         form_script=part("score_form.js"),
         title="Mosaic of " + plural(len(names), "frame"),
         verdict=judged.lead,

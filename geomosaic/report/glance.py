@@ -1,4 +1,4 @@
-"""A mosaic reduced to what a page can hold, as a picture that lines and points are drawn over."""
+"""A mosaic reduced to what a page can hold, as an image that lines and points are drawn over."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LONGER_SIDE_PX = 1400
 class Glance:
     """A reduced mosaic: a data URI, its size, and what of the full mosaic is covered.
 
-    px_from_map: (2, 3) takes easting, northing, 1 to col and row of the reduced picture.
+    px_from_map: (2, 3) takes easting, northing, 1 to col and row of the reduced image.
     """
 
     uri: str
@@ -39,7 +39,7 @@ class Glance:
 
 
 def glance(path: Path) -> Glance:
-    """A reduced read of mosaic.tif as a WebP picture whose invalid pixels are transparent.
+    """A reduced read of mosaic.tif as a WebP image whose invalid pixels are transparent.
 
     Values of other than 8 bits are stretched between their 1st and 99th percentile.
     """
@@ -82,17 +82,17 @@ def webp(colours: NDArray[np.uint8], valid: NDArray[np.bool_], quality: int) -> 
     return data_uri("webp", drawn, [cv2.IMWRITE_WEBP_QUALITY, quality])
 
 
-def data_uri(kind: str, picture: NDArray[np.uint8], settings: Sequence[int] = ()) -> str:
-    """An encoded picture (blue, green, red, opacity) that a page can hold."""
-    data = cv2.imencode(f".{kind}", picture, list(settings))[1]
+def data_uri(kind: str, image: NDArray[np.uint8], settings: Sequence[int] = ()) -> str:
+    """An encoded image (blue, green, red, opacity) that a page can hold."""
+    data = cv2.imencode(f".{kind}", image, list(settings))[1]
     return f"data:image/{kind};base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 
 def drawn_over(
-    picture: Glance, groups: Mapping[str, Sequence[str]], *, style: str, box: str, label: str
+    glance: Glance, groups: Mapping[str, Sequence[str]], *, style: str, box: str, label: str
 ) -> str:
-    """An inline SVG of a picture and groups of elements over it, by the classes that a page can switch."""
-    image = tag("image", href=picture.uri, width=picture.width_px, height=picture.height_px)
+    """An inline SVG of an image and groups of elements over it, by the classes that a page can switch."""
+    image = tag("image", href=glance.uri, width=glance.width_px, height=glance.height_px)
     layers = "".join(tag("g", "".join(content), class_=name) for name, content in groups.items())
     head = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": box, "class_": "over", "role": "img"}
     return tag("svg", tag("style", style) + image + layers, **head, aria_label=label)

@@ -16,7 +16,7 @@ _MARGIN, _FOOT = 40.0, 34.0
 
 
 class MapArea:
-    """Map metres to picture: one scale for both axes, north up."""
+    """Map metres to image: one scale for both axes, north up."""
 
     def __init__(self, at_m: Floats, width: float) -> None:
         seen = at_m[np.isfinite(at_m).all(axis=1)]
@@ -65,7 +65,7 @@ def vector_map(
 
     Args: at_m (n, 2) easting and northing, vector_m (n, 2); unit and unit_per_m of the legend (`px` and
     1 / gsd for pixels); outlines_m polygons (k, 2) drawn below; weak (n,) arrows in the second colour.
-    More than `most` vectors are thinned evenly; the label in the picture says so.
+    More than `most` vectors are thinned evenly; the label in the image says so.
     """
     good = np.isfinite(at_m).all(axis=1) & np.isfinite(vector_m).all(axis=1)
     second = (np.zeros(len(at_m), dtype=bool) if weak is None else weak)[good]
@@ -101,7 +101,7 @@ def arrow_px(at: Floats) -> float:
 
 
 def arrow(start: Floats, vector: Floats, colour: str) -> str:
-    """From a dot at `start` (2,) along `vector` (2,), both in the picture; a mere dot if too short to see."""
+    """From a dot at `start` (2,) along `vector` (2,), both in the image; a mere dot if too short to see."""
     length = float(np.hypot(*vector))
     if length < 1.0:
         return tag("circle", cx=float(start[0]), cy=float(start[1]), r=1.5, fill=colour)

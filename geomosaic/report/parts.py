@@ -1,4 +1,4 @@
-"""What the report shows, worked out of the artefacts: rows of tables and pictures as SVG."""
+"""What the report shows, worked out of the artefacts: rows of tables and images as SVG."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots as SVG text: lines, bars, histograms. For the report and for pictures in the documentation.
+"""Plots as SVG text: lines, bars, histograms. For the report and for images in the documentation.
 
 Every function returns one self-contained `<svg>`; axes carry their unit, series differ by colour and by
 dash or marker, colours are kept apart by colour-blind eyes, and it reads on white and on black.
@@ -225,7 +225,7 @@ def histogram(
     height: float = 300,
     mark: tuple[str, float] | None = None,
 ) -> str:
-    """How often values lie in equal bins; the highest 1 % are gathered in the last bin, as the picture says.
+    """How often values lie in equal bins; the highest 1 % are gathered in the last bin, as the image says.
 
     mark: a value to be marked by a line, and its name.
     """

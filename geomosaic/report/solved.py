@@ -31,10 +31,10 @@ _MOST_OUTLINES = 400
 
 @dataclass(frozen=True)
 class SolvedSection:
-    """Texts, tables and pictures (SVG); empty where a method doesn't say.
+    """Texts, tables and images (SVG); empty where a method doesn't say.
 
     unknowns: title and rows of each camera and of the platform. correlations: pairs that can hardly be told
-    apart. fields: title and picture of each camera's mean residuals.
+    apart. fields: title and image of each camera's mean residuals.
     """
 
     ground: str

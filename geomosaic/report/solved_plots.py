@@ -1,4 +1,4 @@
-"""Pictures of what was solved as SVG text: correlations, residuals over an image, error ellipses."""
+"""Images of what was solved as SVG text: correlations, residuals over an image, error ellipses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEGEND_RADIUS = 14.0
 def correlation_map(names: Sequence[str], correlation: Floats, *, label: str, width: float = 720) -> str:
     """A square of cells: blue for negative, orange for positive, the fuller the stronger.
 
-    Of more than 40 names the first 40, as the picture says.
+    Of more than 40 names the first 40, as the image says.
     """
     n = min(len(names), _MOST_UNKNOWNS)
     left = 50.0 + 7.0 * max((len(name) for name in names[:n]), default=0)
@@ -114,11 +114,11 @@ def ellipse_map(
     width: float = 720,
     most: int = 1500,
 ) -> str:
-    """Error ellipses on a map, already larger than life by `factor`, as the picture says.
+    """Error ellipses on a map, already larger than life by `factor`, as the image says.
 
     Args: at_m (n, 2); outlines_m (n, corners, 2); semi_major_m (n,) for the legend's circle; footprints_m
     drawn below, and what the map encloses; weak (n,) ellipses in the second colour.
-    More than `most` are thinned evenly; the picture says so.
+    More than `most` are thinned evenly; the image says so.
     """
     known = np.flatnonzero(np.isfinite(outlines_m).all(axis=(1, 2)))
     seen = known[:: max(1, -(-len(known) // most))]

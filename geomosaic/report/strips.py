@@ -17,7 +17,7 @@ from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import PairQuality, StripQuality
 from geomosaic.report.page import Fact, length, markup, plural, render
-from geomosaic.report.strip_pictures import Place, scene_glance, scene_overview, seam_crops, seam_places
+from geomosaic.report.strip_images import Place, scene_glance, scene_overview, seam_crops, seam_places
 from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
 from geomosaic.report.svg import short
 from geomosaic.survey.strips import StripGeometry
@@ -54,7 +54,7 @@ def render_strips_report(
         summary: what run.json holds (`warnings`, `timings_s`, `peak_memory_mb`, `recipe`, `versions`);
             missing keys are left out of the page.
     """
-    picture = scene_glance(mosaic_file)
+    image = scene_glance(mosaic_file)
     names = [_pair_name(p.pair) for p in quality.pairs]
     by_pair = {p.pair: p for p in offsets.pairs}
     found = jitter_spectrum(offsets, geometry.line_rate_hz)
@@ -72,7 +72,7 @@ def render_strips_report(
         verdict=strips_verdict(quality),
         misplaced=quality.misplaced,
         gaps=_gaps(geometry, mosaic),
-        overview=markup(scene_overview(picture, geometry, quality, mosaic.first_line)),
+        overview=markup(scene_overview(image, geometry, quality, mosaic.first_line)),
         limit=LIMIT_PX,
         segment_lines=SEGMENT_LINES,
         misplacement=markup(misplacement_plot(quality, names, label="misplacement of each segment")),

@@ -24,7 +24,7 @@ _STYLE = (
 
 
 def number(value: float) -> str:
-    """A coordinate in a picture: two decimals at most."""
+    """A coordinate in an image: two decimals at most."""
     text = f"{value:.2f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 
@@ -52,7 +52,7 @@ def text(x: float, y: float, words: str, **attributes: object) -> str:
 
 
 def document(width: float, height: float, content: Iterable[str], label: str) -> str:
-    """A whole picture that also stands alone as a file; `label` tells what it shows."""
+    """A whole image that also stands alone as a file; `label` tells what it shows."""
     body = tag("title", escape(label, quote=False)) + tag("style", _STYLE) + "".join(content)
     return tag(
         "svg",

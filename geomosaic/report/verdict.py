@@ -26,7 +26,7 @@ _NOT_JUDGED = "Not judged: the recipe has no stage quality.verdict."
 @dataclass(frozen=True)
 class VerdictSection:
     """What the template shows. evidence: (name, figure, grade, cause, mend); seams: (left, right, how far the
-    ground jumps, easting, northing), worst first; patterns: pictures with their captions."""
+    ground jumps, easting, northing), worst first; patterns: images with their captions."""
 
     grade: str
     lead: str

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 SURVEYED_SD_M = (0.02, 0.03)
 """Of a point's surveyed position, on each horizontal axis and in height: an RTK rover."""
 MEASURED_SD_PX = 0.3
-"""Of a point measured by hand in a picture, on each axis."""
+"""Of a point measured by hand in an image, on each axis."""
 COLUMNS = (
     "name", "kind", "lon_deg", "lat_deg", "height_ellipsoidal_m", "sd_horizontal_m", "sd_vertical_m",
     "frame", "col", "row",
@@ -36,7 +36,7 @@ _EACH_CHECK = 3
 class SurveyedPoint:
     """A point on the bare ground. map_m (3,): easting, northing, ellipsoidal height.
 
-    seen: (frame, col, row) in each picture as it is stored, corner origin, frames counted from 0.
+    seen: (frame, col, row) in each image as it is stored, corner origin, frames counted from 0.
     """
 
     name: str
@@ -115,7 +115,7 @@ def control_rows(
 
 
 def gcp_list(points: Sequence[SurveyedPoint], names: Sequence[str], crs: str) -> str:
-    """OpenDroneMap's gcp_list.txt: the CRS, then x, y, height, col, row, picture, name."""
+    """OpenDroneMap's gcp_list.txt: the CRS, then x, y, height, col, row, image, name."""
     lines = [
         f"{p.map_m[0]:.4f} {p.map_m[1]:.4f} {p.map_m[2]:.4f} {col:.3f} {row:.3f} {names[i]} {p.name}"
         for p in points

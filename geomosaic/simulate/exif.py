@@ -91,7 +91,7 @@ def camera_tags(
     focal_35mm: int,
     exposure_s: Fraction,
 ) -> tuple[list[Tag], list[Tag]]:
-    """IFD0 and Exif IFD of a picture: who took it, when (UTC), its size and focal length.
+    """IFD0 and Exif IFD of an image: who took it, when (UTC), its size and focal length.
 
     pixels_per_mm goes into FocalPlaneXResolution and YResolution with unit 4 (millimetre).
     """

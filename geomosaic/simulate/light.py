@@ -20,7 +20,7 @@ SHADE = 0.45
 MEAN_LIGHT = 110.0
 """Of 255: what the camera's automatic aims at."""
 SHAKE_PX = (10.0, 20.0)
-"""How far a blurred frame's picture is shaken along a line."""
+"""How far a blurred frame's image is shaken along a line."""
 DEFOCUS_PX = 1.5
 _EDGE = 0.04
 _GRID_PX = 8
@@ -54,7 +54,7 @@ def _billows(seed: int, east: Floats, north: Floats) -> Floats:
 
 
 def motion_blur(light: Floats32, length_px: Floats) -> Floats32:
-    """The mean of the picture shifted along a line: length_px (2,) from its beginning to its end, col and
+    """The mean of the image shifted along a line: length_px (2,) from its beginning to its end, col and
     row, the middle where it was."""
     reach = int(np.ceil(np.abs(length_px).max() / 2.0)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.float32)

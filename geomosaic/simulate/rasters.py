@@ -27,7 +27,7 @@ _DEM_ROWS = 512
 
 @dataclass(frozen=True)
 class Texture:
-    """The ground's picture as frames see it: a continuous surface, bicubic through these samples.
+    """The ground's image as frames see it: a continuous surface, bicubic through these samples.
 
     pixels: (rows, cols, 3) RGB, kept on disk and sparse; west_m, north_m: its outer corner.
     """
@@ -58,7 +58,7 @@ def write_ortho(
     footprints_m: Sequence[Floats | None],
     progress: Callable[[int, int], None],
 ) -> Texture:
-    """The ground's picture wherever a frame looks, RGB with an internal mask of the footprints' union.
+    """The ground's image wherever a frame looks, RGB with an internal mask of the footprints' union.
 
     Each pixel of the ortho is the mean of the ground over its square: what a camera of that ground pixel
     sees from straight above. The samples themselves go to the texture in the file `scratch`. Blocks

@@ -1,4 +1,4 @@
-"""What a camera sees of the ground: exact collinearity, the picture sampled without aliasing."""
+"""What a camera sees of the ground: exact collinearity, the image sampled without aliasing."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def render(
 ) -> Floats32:
     """The frame (rows, cols, 3) before exposure and noise, each pixel the mean of 2 x 2 bicubic samples.
 
-    Args: texture: a window of the ground's picture whose outer corner is west_m, north_m and which
+    Args: texture: a window of the ground's image whose outer corner is west_m, north_m and which
     covers `sight.bounds_m` with a margin of 4 pixels; moved_px: how far a rolling shutter moves things.
     """
     near = _standing(camera, pose, world, moved_px)

@@ -1,4 +1,4 @@
-"""A simulated scene's files other than pictures' content: geometry, model, RPC, told DEM, tables of truth."""
+"""A simulated scene's files other than images' content: geometry, model, RPC, told DEM, tables of truth."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def offset_rows(pairs: Sequence[PairTruth], clouds: bool = False) -> Iterator[li
 def target_rows(scene: Scene) -> Iterator[list[str]]:
     """Rows of truth/targets.csv: each target's place, and where each CCD that sees it has it (CCDs from 1).
 
-    By the rigorous model itself, not by the curves that the pictures were made with; camera lines.
+    By the rigorous model itself, not by the curves that the images were made with; camera lines.
     """
     plan, model = scene.plan, scene.cameras.true
     height = scene.relief.height_at(scene.targets_m[:, 0], scene.targets_m[:, 1])

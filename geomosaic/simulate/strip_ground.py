@@ -106,11 +106,11 @@ class Ground:
         self._faint = Patches.covering(plan.seed, 71, plan.low_contrast_share, *places)
         self._glare = Patches.covering(plan.seed, 72, plan.saturated_share, *places)
         self._targets = np.empty((0, 2)) if targets is None else targets
-        self._picture = None if plan.texture is None else _read_picture(plan.texture)
+        self._image = None if plan.texture is None else _read_image(plan.texture)
         sample = Window(self._pattern(0, 0, (600, 600)), 0, 0)
         seen = sample.at(np.mgrid[8:590, 8:590] + 0.5)
         self._mean, self._per_sd = float(seen.mean()), 1.0 / max(float(seen.std()), 1e-6)
-        if self._picture is None:
+        if self._image is None:
             self._mean = 0.0
 
     def window(self, col: int, row: int, shape: tuple[int, int]) -> Window:
@@ -129,12 +129,12 @@ class Ground:
         return Window(values, col, row)
 
     def _pattern(self, col: int, row: int, shape: tuple[int, int]) -> Floats32:
-        if self._picture is not None:
+        if self._image is not None:
             cols, rows = (
                 _mirrored(np.arange(first, first + n), size)
-                for first, n, size in zip((col, row), shape[::-1], self._picture.shape[::-1], strict=True)
+                for first, n, size in zip((col, row), shape[::-1], self._image.shape[::-1], strict=True)
             )
-            return np.asarray(self._picture[np.ix_(rows, cols)])
+            return np.asarray(self._image[np.ix_(rows, cols)])
         seed = self._plan.seed
         tone = fractal_noise(seed, 60, col, row, shape, _SCALES_PX)
         tone += 0.9 * _fields(seed, col, row, shape)
@@ -162,7 +162,7 @@ def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return np.asarray(np.where(folded < size, folded, 2 * size - 1 - folded))
 
 
-def _read_picture(path: Path) -> Floats32:
+def _read_image(path: Path) -> Floats32:
     """A raster's mean over bands; it is laid on the world pixel on pixel, mirrored at its edges."""
     with open_raster(path, REFERENCE) as source, reading(path):
         step = max(1.0, max(source.width, source.height) / _MOST_PX)

@@ -28,7 +28,7 @@ _ERROR_PERIOD_S = 2.0
 def scene_crs(plan: StripPlan) -> str:
     """The map of the scene: oblique Mercator on the track, x as columns grow, y against the lines.
 
-    The track is its y axis, flown towards -y, so that a north-up picture of this map looks like the strips.
+    The track is its y axis, flown towards -y, so that a north-up image of this map looks like the strips.
     It is true to scale at the plan's mean height.
     """
     back_deg = (plan.course_deg + 180.0) % 360.0

@@ -115,7 +115,7 @@ def _blocks(world: Scene, ccd: int) -> Iterator[tuple[int, NDArray[np.int64]]]:
 
 
 def _strip_block(world: Scene, ccd: int, at: tuple[int, NDArray[np.int64]]) -> tuple[int, NDArray[Any]]:
-    """A block of a strip as counts; a repeated line is the same picture, noise and all."""
+    """A block of a strip as counts; a repeated line is the same image, noise and all."""
     first, lines = at
     camera, own = np.unique(lines, return_inverse=True)
     light = world.light(world.look(ccd, (0, world.plan.width_px), camera))

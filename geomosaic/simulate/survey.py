@@ -125,11 +125,11 @@ def simulate_frames(
             rows = car_rows([names[i] for i in kept], [cars[i] for i in kept])
             write_csv(paths.moving_cars, CAR_COLUMNS, rows)
 
-        def picture(i: int) -> bytes:
+        def image(i: int) -> bytes:
             light = _frame(plan, camera, flight, readouts[i], world, sights[i], texture, cars[i], i)
             return frame_bytes(plan, told, flight, observed, i, light)
 
-        for n, (i, data) in enumerate(zip(plan.kept, in_threads(picture, plan.kept), strict=True)):
+        for n, (i, data) in enumerate(zip(plan.kept, in_threads(image, plan.kept), strict=True)):
             for name in (names[i], copies.get(i)):
                 if name:
                     write_bytes(paths.frames / name, data)
@@ -223,7 +223,7 @@ def _frame(
 
 
 def smear_px(plan: SurveyPlan, camera: Camera, flight: Flight, i: int) -> Floats:
-    """Col and row (2,) by which the picture of the ground moves while frame i is exposed."""
+    """Col and row (2,) by which the image of the ground moves while frame i is exposed."""
     right, up, _ = flight.poses.rotations[i].T @ flight.velocity_m_per_s[i]
     above_m = float(flight.lon_lat_height[i, 2]) - plan.ground_height_m
     per_m = camera.focal_length_px / max(above_m, 1.0)

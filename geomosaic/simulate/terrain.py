@@ -1,6 +1,6 @@
-"""Ground with known truth: the landscape's picture and in any window, from the seed alone.
+"""Ground with known truth: the landscape's image and in any window, from the seed alone.
 
-The picture lives in the map CRS on a grid of square pixels aligned to its origin: world column
+The image lives in the map CRS on a grid of square pixels aligned to its origin: world column
 `floor(easting / pixel)`, world row `floor(-northing / pixel)`, rows downward. It is made in blocks of
 BLOCK_PX, so that a window is the same however it is asked for.
 """
@@ -33,7 +33,7 @@ _SHADOW_PER_M = 0.8
 
 @dataclass(frozen=True)
 class Ground:
-    """The picture of a landscape at one pixel size."""
+    """The image of a landscape at one pixel size."""
 
     landscape: Landscape
     pixel_m: float
@@ -44,7 +44,7 @@ class Ground:
 
     def tile(self, block_col: int, block_row: int) -> Pixels:
         """A block with TILE_MARGIN_PX more on every side."""
-        return _Painter(self, block_col * BLOCK_PX - _PAD_PX, block_row * BLOCK_PX - _PAD_PX).picture()
+        return _Painter(self, block_col * BLOCK_PX - _PAD_PX, block_row * BLOCK_PX - _PAD_PX).image()
 
     def window(self, col: int, row: int, shape: tuple[int, int]) -> Pixels:
         """Pixels (rows, cols, 3) of a window of world columns and rows."""
@@ -108,7 +108,7 @@ class _Painter:
         self.fine, self.middle = noise(1, (1, 2, 4, 8)), noise(2, (16, 32, 64))
         self.coarse, self.hue = noise(3, (128, 256, 512)), noise(4, (16, 64, 256))
 
-    def picture(self) -> Pixels:
+    def image(self) -> Pixels:
         image = self._land()
         image = self._shaded(image)
         image = self._cars(image)

@@ -230,12 +230,12 @@ def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list
 def true_positions(
     plan: SurveyPlan, flight: Flight, observed: Observed, projection: MapProjection
 ) -> list[list[str]]:
-    """Rows of positions.csv for the truth: of each picture as it is stored, so turned where it was turned.
+    """Rows of positions.csv for the truth: of each image as it is stored, so turned where it was turned.
 
     Yaw, pitch and roll are against each frame's own true north and vertical, yaw being the heading of the
-    stored picture's top edge; omega, phi, kappa are against the map grid's east and north. A turned
-    picture obeys the collinearity equations with `camera.turned(2)`. `moved_m` and `turned_deg` are what
-    a perfect adjustment moves and turns the POS, the half turn of a turned picture left out.
+    stored image's top edge; omega, phi, kappa are against the map grid's east and north. A turned
+    image obeys the collinearity equations with `camera.turned(2)`. `moved_m` and `turned_deg` are what
+    a perfect adjustment moves and turns the POS, the half turn of a turned image left out.
     """
     rows = []
     turned = plan.turned_frames()

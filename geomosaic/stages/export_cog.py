@@ -57,8 +57,8 @@ class ExportCog(Stage):
                 threads=params.threads,
                 progress=lambda done, total: context.progress(done, total, MOSAIC),
             )
-        picture = thumbnail(_glance(context.run_folder / MOSAIC))
-        context.recorder.image("/images/mosaic", "mosaic", picture)
+        image = thumbnail(_glance(context.run_folder / MOSAIC))
+        context.recorder.image("/images/mosaic", "mosaic", image)
         return {"mosaic_file": context.run_file(MOSAIC)}
 
 

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 
 class MatchingSift(Stage):
-    """Finds the same ground in two pictures."""
+    """Finds the same ground in two images."""
 
     id = "matching.sift"
     display_name = "Match frames with SIFT"
@@ -128,7 +128,7 @@ class MatchingSift(Stage):
     def _without_positions(
         context: Context, features: Sequence[Features], frames: Sequence[int]
     ) -> list[tuple[int, int]]:
-        """Candidate pairs of frames that have no position, by what their pictures have in common."""
+        """Candidate pairs of frames that have no position, by what their images have in common."""
         if not frames:
             return []
         few = [coarse(f) for f in features]
@@ -146,7 +146,7 @@ class MatchingSift(Stage):
         turns: Mapping[int, int],
         headings: Mapping[int, float],
     ) -> None:
-        """Names wrong headings and turned pictures."""
+        """Names wrong headings and turned images."""
         yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
         for frame, heading in headings.items():
             context.warn(

@@ -51,7 +51,7 @@ class MosaicCompose(Stage):
 
         blend: str = param(
             AUTO,
-            help="how frames pass into each other at seams; auto: multi_band for pictures of 8 bits, feather "
+            help="how frames pass into each other at seams; auto: multi_band for images of 8 bits, feather "
             "for measured values",
             choices=(AUTO, *BLENDS),
         )

@@ -34,7 +34,7 @@ class MosaicTones(Stage):
 
         even: str = param(
             "auto",
-            help="exposure, white balance and vignetting evened out; auto: of pictures of 8 bits, not of a "
+            help="exposure, white balance and vignetting evened out; auto: of images of 8 bits, not of a "
             "rig's bands or of measured values",
             choices=_EVEN,
         )
@@ -52,8 +52,8 @@ class MosaicTones(Stage):
                 mend="leave mosaic.tones.even at auto or never",
             )
         alike = all(f.bands == bands for f in frames)
-        pictures = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands
-        if not alike or params.even == "never" or (params.even == "auto" and not pictures):
+        images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands
+        if not alike or params.even == "never" or (params.even == "auto" and not images):
             return {"tones": none}
         used = [s != "rejected" for s in adjusted.status]
         views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)

@@ -115,7 +115,7 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
     heights_m, sd_m, doubted = believable_heights_m(heights_m, sd_m, below_m)
     if doubted.any():
         named = [n for n, wrong in zip(names, doubted, strict=True) if wrong]
-        text = "given heights put it on the ground, below it or far above the others; set by the pictures"
+        text = "given heights put it on the ground, below it or far above the others; set by the images"
         context.warn("height-not-believed", named[0] if len(named) == 1 else "", f"{text} ({some(named)})")
     for name, height, floor in zip(names, heights_m, below_m, strict=True):
         if not height > floor:

@@ -50,7 +50,7 @@ class SurveyRead(Stage):
         )
         leave_out: str = param(
             "auto",
-            help="pictures that don't belong to the survey: copies, blurred, oblique, of another flight; "
+            help="images that don't belong to the survey: copies, blurred, oblique, of another flight; "
             "none: all are kept",
             choices=LEAVE_OUT,
         )

@@ -85,7 +85,7 @@ RTK_SD_FLOOR_M: Annotated[
     Because(
         "m, horizontal and vertical",
         "RTK's own deviations leave out the antenna's lever arm and the shutter's delay: taken as they "
-        "are, positions would outweigh the pictures; a higher floor throws away what RTK knows",
+        "are, positions would outweigh the images; a higher floor throws away what RTK knows",
         CHOSEN,
     ),
 ] = (0.02, 0.03)

@@ -95,7 +95,7 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
 
 
 def _opensfm(name: str, entry: Entry, path: Path) -> Camera:
-    """Lengths are parts of the longer side; the principal point is counted from the picture's middle."""
+    """Lengths are parts of the longer side; the principal point is counted from the image's middle."""
     if str(entry["projection_type"]) not in _OPENSFM_MODELS:
         raise InputError(
             f"camera '{name}': projection '{entry['projection_type']}' isn't handled",

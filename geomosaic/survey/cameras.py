@@ -33,7 +33,7 @@ FILM_DIAGONAL_MM: Annotated[
     float,
     Because(
         "mm",
-        "of a picture of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
+        "of an image of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
         "CIPA DCG-001",
     ),
 ] = math.hypot(36.0, 24.0)
@@ -57,7 +57,7 @@ _MAX_ASPECT_DIFFERENCE: Annotated[
     Because(
         "share of the ratio of the sides",
         "between a camera and a frame of another size: resizing rounds sides to whole pixels; with more a "
-        "cropped picture would get the lens of the whole one",
+        "cropped image would get the lens of the whole one",
         CHOSEN,
     ),
 ] = 0.003
@@ -65,8 +65,8 @@ _BESIDE_35MM: Annotated[
     float,
     Because(
         "share of the 35 mm equivalent",
-        "by which a maker's focal length may differ from it and still be this picture's: whole millimetres "
-        "leave some per cent, a picture that was cut or taken by another lens differs by more",
+        "by which a maker's focal length may differ from it and still be this image's: whole millimetres "
+        "leave some per cent, an image that was cut or taken by another lens differs by more",
         CHOSEN,
     ),
 ] = 0.15
@@ -262,7 +262,7 @@ def _untold(header: FrameHeader, wrong: str) -> InputError:
 def cameras_from_file(
     headers: Sequence[FrameHeader], cameras: Sequence[Camera], path: Path, wanted: Sequence[str | None]
 ) -> CameraChoice:
-    """The file's camera for each frame, scaled where the frame is a resized whole picture.
+    """The file's camera for each frame, scaled where the frame is a resized whole image.
 
     With several cameras in the file: the one that the POS file names (`wanted`), else those whose name
     holds the frame's make and model, else those of the frame's size, else of its shape. Of the shutter, where

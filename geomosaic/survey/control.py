@@ -35,7 +35,7 @@ ALIASES: Final[Aliases] = {
     "col": ("col", "column", "im_x", "pixel_x", "image_x"),
     "row": ("row", "line", "im_y", "pixel_y", "image_y"),
 }
-"""Columns of a table of control points; a point has one line per picture it was measured in, or one."""
+"""Columns of a table of control points; a point has one line per image it was measured in, or one."""
 
 Floats = NDArray[np.float64]
 _FAR_M: Annotated[
@@ -51,7 +51,7 @@ _MOST_LINES: Annotated[
     int,
     Because(
         "lines",
-        "of a file of control: the most points in ten pictures each; without a limit a file of another "
+        "of a file of control: the most points in ten images each; without a limit a file of another "
         "kind would take memory and time",
         CHOSEN,
     ),
@@ -84,7 +84,7 @@ _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 
 
 def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ...], list[Warn]]:
-    """Control points with where they were measured in pictures, and what was assumed.
+    """Control points with where they were measured in images, and what was assumed.
 
     A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
     lines of the same coordinates are one point. A point whose lines differ a little lies in their mean, with
@@ -155,7 +155,7 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
         for name, (place, spread) in merged.items()
     )
     if strangers:
-        text = f"{path.name}: {len(strangers)} measurements in pictures that aren't here ({some(strangers)})"
+        text = f"{path.name}: {len(strangers)} measurements in images that aren't here ({some(strangers)})"
         warnings.append(Warn("control-image-missing", "", text))
     return points, warnings
 
@@ -194,7 +194,7 @@ def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]
 def _measurements(
     table: Table, names: Sequence[str], frames: FrameNames
 ) -> tuple[dict[str, list[tuple[str, float, float]]], list[str]]:
-    """Where each point was measured, and the pictures that aren't here."""
+    """Where each point was measured, and the images that aren't here."""
     cols, rows = table.numbers("col").tolist(), table.numbers("row").tolist()
     seen: dict[str, list[tuple[str, float, float]]] = {}
     strangers: list[str] = []
@@ -216,7 +216,7 @@ def _measurements(
 def check_control(
     path: Path, points: Sequence[ControlPoint], lonlat: Floats, sizes_px: Mapping[str, tuple[int, int]]
 ) -> None:
-    """Measurements lie in their pictures, and some point lies near the frames.
+    """Measurements lie in their images, and some point lies near the frames.
 
     Args: lonlat: (n, 2) of the frames whose position is known; sizes_px: width and height of each frame by
         name.
@@ -253,13 +253,13 @@ def check_control(
 def lonlat_of_control(path: Path, points: Sequence[ControlPoint]) -> Floats:
     """Longitudes and latitudes (n, 2) of the points that can stand in for the positions of all frames.
 
-    Raises: `InputError` where fewer than two points for control are measured in the pictures.
+    Raises: `InputError` where fewer than two points for control are measured in the images.
     """
     used = [p for p in points if p.images and not p.check]
     if len(used) < LEAST_POINTS:
         raise InputError(
             f"no frame has a position, and {len(used) or 'no'} control point{'s'[: len(used) != 1]} "
-            f"{'is' if len(used) == 1 else 'are'} measured in the pictures: they can't be put on a map",
+            f"{'is' if len(used) == 1 else 'are'} measured in the images: they can't be put on a map",
             file=path,
             mend="measure at least 2 control points (3 for heights), or leave --gcp away for a mosaic in a "
             "local frame",

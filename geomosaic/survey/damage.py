@@ -24,7 +24,7 @@ from geomosaic.survey.jpeg import JpegStructure, parse_structure
 _COARSE: Annotated[
     int,
     Because(
-        "px of the half-size picture",
+        "px of the half-size image",
         "side of the coarse pixels that fine detail is held against: blur of some pixels doesn't show in "
         "them; smaller ones are blurred too, larger ones tell of the land",
         CHOSEN,
@@ -33,9 +33,8 @@ _COARSE: Annotated[
 _LEAST_LOOKED_AT_PX: Annotated[
     int,
     Because(
-        "px of the half-size picture",
-        "shortest side of a picture that is looked at: smaller ones have too few coarse pixels to tell "
-        "detail",
+        "px of the half-size image",
+        "shortest side of an image that is looked at: smaller ones have too few coarse pixels to tell detail",
         CHOSEN,
     ),
 ] = 32
@@ -44,7 +43,7 @@ _MOST_SCANS: Annotated[
     int,
     Because(
         "scans",
-        "a progressive JPEG has about 10, and each takes as long as the whole picture: a small file with "
+        "a progressive JPEG has about 10, and each takes as long as the whole image: a small file with "
         "thousands would take hours",
         CHOSEN,
     ),
@@ -53,7 +52,7 @@ _RUN_BYTES: Annotated[
     int,
     Because(
         "bytes",
-        "of one value in a row that are lost blocks of a disk or a card, since coded pictures hardly "
+        "of one value in a row that are lost blocks of a disk or a card, since coded images hardly "
         "repeat a byte: fewer may be met by chance, many more miss what is left of a block",
         CHOSEN,
     ),
@@ -171,7 +170,7 @@ def decoded_anyway(data: bytes, bands: int, reduction: int = 1) -> NDArray[np.ui
 
 def _whole_rows(data: bytes, jpeg: JpegStructure) -> int:
     """Rows above the damage: from restart markers, or from where bytes are missing or all alike."""
-    if jpeg.progressive:  # each scan goes over the whole picture
+    if jpeg.progressive:  # each scan goes over the whole image
         return 0
     start = jpeg.data_start
     end = data.find(_EOI, start)

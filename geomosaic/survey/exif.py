@@ -45,7 +45,7 @@ _MM_PER_UNIT: Annotated[
 class Exif:
     """EXIF's facts; None where the file doesn't say or what it says can't be.
 
-    width_px and height_px are the picture's as taken, before any later resize. altitude_m has no
+    width_px and height_px are the image's as taken, before any later resize. altitude_m has no
     stated datum. time_s is seconds since 1970; a local time without its offset is taken as UTC.
     hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken.
     """

@@ -52,7 +52,7 @@ _SMALL_BYTES: Annotated[
     int,
     Because(
         "bytes",
-        "of pixels that a file of any size may state: they do no harm, and pictures of one colour pack well",
+        "of pixels that a file of any size may state: they do no harm, and images of one colour pack well",
         CHOSEN,
     ),
 ] = 64 << 20
@@ -141,7 +141,7 @@ def _tiff_header(path: Path) -> FrameHeader:
 
 
 def _check_packing(tiff: Raster, path: Path) -> None:
-    """`FileError` where so few bytes can't be a picture of such a size."""
+    """`FileError` where so few bytes can't be an image of such a size."""
     size = path.stat().st_size
     unpacked = tiff.width * tiff.height * sum(_BYTES.get(str(kind), 8) for kind in tiff.dtypes)
     if unpacked > max(_SMALL_BYTES, _MOST_RATIO * size):

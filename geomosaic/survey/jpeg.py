@@ -18,8 +18,7 @@ _FRAME_HEADERS: Annotated[
     frozenset[int],
     Because(
         "marker",
-        "segments that state the picture's size; of the three between them two are tables and one is "
-        "reserved",
+        "segments that state the image's size; of the three between them two are tables and one is reserved",
         _MARKERS,
     ),
 ] = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
@@ -27,7 +26,7 @@ _PROGRESSIVE: Annotated[
     frozenset[int],
     Because(
         "marker",
-        "frame headers of pictures that come in scans, each over the whole: no row of them is known to be "
+        "frame headers of images that come in scans, each over the whole: no row of them is known to be "
         "whole",
         _MARKERS,
     ),
@@ -68,7 +67,7 @@ class JpegStructure:
 def read_structure(path: Path, whole: bool = True) -> JpegStructure:
     """Walk a JPEG's segments; and check that its image data end, if it must be whole.
 
-    Raises: `FileError` when the file is no JPEG, or can't hold a picture of the size it states,
+    Raises: `FileError` when the file is no JPEG, or can't hold an image of the size it states,
     or stops before the end of the image.
     """
     try:

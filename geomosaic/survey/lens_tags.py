@@ -1,4 +1,4 @@
-"""The lens as its maker wrote it into the picture: XMP of DJI and of Pix4D's namespace `Camera`."""
+"""The lens as its maker wrote it into the image: XMP of DJI and of Pix4D's namespace `Camera`."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | N
     Lengths are in mm, or in pixels of the full frame where `PerspectiveFocalLengthUnits` says so; the
     principal point counts from the top left corner. The distortion is Brown's as `Camera` writes it, T1 its
     p1 and T2 its p2; all 0 tell nothing. None too where the principal point lies as no lens has it: then the
-    tags are of another picture, turned or cut.
+    tags are of another image, turned or cut.
 
     Args: pixels_per_mm: of the frame, None if nothing tells it.
     """
@@ -90,7 +90,7 @@ def xmp_fisheye(header: FrameHeader, blank: Camera, pixels_per_mm: float | None)
     """`Camera:FisheyePolynomial`, `FisheyeAffineMatrix` and `PrincipalPoint`.
 
     Pix4D's fisheye (support.pix4d.com, "How are the internal and external camera parameters defined", 2.2):
-    with θ = 2/π of the angle from the axis and ρ = p0 + p1 θ + p2 θ² + p3 θ³ (+ p4 θ⁴), a picture's point is
+    with θ = 2/π of the angle from the axis and ρ = p0 + p1 θ + p2 θ² + p3 θ³ (+ p4 θ⁴), an image's point is
     the affine matrix (c, d, e, f; in pixels) times ρ along the direction, from the principal point. None
     where p0 isn't 0 or the pixels aren't square, which is none of our lenses.
     """
@@ -136,7 +136,7 @@ def label(header: FrameHeader) -> str:
 
 
 def _scale(header: FrameHeader) -> float:
-    """Pixels of the frame for one of the picture as it was taken."""
+    """Pixels of the frame for one of the image as it was taken."""
     centre = number(header.xmp or {}, "drone-dji:CalibratedOpticalCenterX")
     full = header.exif.width_px or (2.0 * centre if centre and centre > 0.0 else header.width_px)
     return header.width_px / full

@@ -53,7 +53,7 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture: its file, its camera's name, and what the platform said of it.
+    """One image: its file, its camera's name, and what the platform said of it.
 
     `name` is the file's name without folders; `path` is absolute. `valid_mask` names a raster of
     the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
@@ -80,7 +80,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A picture of the folder that isn't used, and why."""
+    """An image of the folder that isn't used, and why."""
 
     name: str
     reason: str
@@ -111,7 +111,7 @@ class ControlPoint:
     sd_vertical_m: float
     check: bool
     images: tuple[tuple[str, float, float], ...]
-    """(frame name, col_px, row_px) of each picture it was measured in."""
+    """(frame name, col_px, row_px) of each image it was measured in."""
     plan_only: bool = False
 
 

@@ -17,8 +17,8 @@ from geomosaic.survey.xmp import Xmp, numbers
 Floats = NDArray[np.float64]
 
 CAMERA_FROM_UNIT: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""The unit's axes are the body's, forward, right and down, and forward is the picture's top: of all 24
-right-handed assignments the one that the pictures confirm, see docs/design.md."""
+"""The unit's axes are the body's, forward, right and down, and forward is the image's top: of all 24
+right-handed assignments the one that the images confirm, see docs/design.md."""
 UNIT_DELAY_S: Annotated[
     float,
     Because(

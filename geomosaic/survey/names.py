@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
 
-_PICTURE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
+_IMAGE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
 
 
 def frame_name(path: Path) -> str:
@@ -28,7 +28,7 @@ class FrameNames:
         self._by_stem: dict[str, list[str]] = {}
         for name in self._names:
             self._by_name.setdefault(name.casefold(), []).append(name)
-            self._by_stem.setdefault(_PICTURE.sub("", name).casefold(), []).append(name)
+            self._by_stem.setdefault(_IMAGE.sub("", name).casefold(), []).append(name)
 
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
@@ -36,7 +36,7 @@ class FrameNames:
         if name in self._exact:
             return name
         folded = name.casefold()
-        stem = _PICTURE.sub("", folded)
+        stem = _IMAGE.sub("", folded)
         found = self._by_name.get(folded) or self._by_stem.get(folded) or self._by_stem.get(stem) or []
         if len(found) > 1:
             raise InputError(

@@ -73,7 +73,7 @@ def observe(
 ) -> Observations:
     """Put EXIF, XMP and the POS file together.
 
-    With a POS file every frame needs a row and every row a frame, or a picture that is left out. The row's
+    With a POS file every frame needs a row and every row a frame, or an image that is left out. The row's
     position counts; a height or an attitude it doesn't have is the frame's own. A frame that has no position
     is taken to be between those before and after it, or `anywhere` (longitude, latitude) where none has one,
     with a deviation that says how little that is worth.
@@ -261,7 +261,7 @@ def _doubts(
     cases = {
         "position-missing": (
             [not p.known for p in positions],
-            "no position: placed by the pictures",
+            "no position: placed by the images",
         ),
         "height-datum-unknown": (
             [h.datum_unknown and e for h, e in zip(heights, from_exif, strict=True)],
@@ -302,9 +302,9 @@ def _doubts(
             [a.pitch_deg is not None and a.pitch_deg > 70.0 for a in attitudes],
             "the camera looks to the horizon or up",
         ),
-        "picture-edited": (
+        "image-edited": (
             ["viewer" in (h.xmp or {}).get("xap:CreatorTool", "").lower() for h in headers],
-            "saved by a picture viewer after the flight: may have been turned",
+            "saved by an image viewer after the flight: may have been turned",
         ),
         "positions-all-alike": (
             [len(at) == 1 and int(known.sum()) > 1] * len(positions),

@@ -1,4 +1,4 @@
-"""Position and attitude as the drone wrote them into the picture: EXIF and XMP put together."""
+"""Position and attitude as the drone wrote them into the image: EXIF and XMP put together."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What can't be: heights, attitudes and lenses that no frame has, or not among these others.
 
-A slip of a decimal point or a damaged tag puts a frame so high, or its picture so wide, that ground,
+A slip of a decimal point or a damaged tag puts a frame so high, or its image so wide, that ground,
 mosaic and memory would have to reach for it. Such a value is taken as not given, and named. Errors that
 a survey can have (barometers that drift, a datum that isn't told, a position far off) are none of this
 module's: they are for the adjustment to find.
@@ -61,7 +61,7 @@ NARROWEST: Final = Limit(
     "Nikon P1000: 83",
 )
 WIDEST: Final = Limit(
-    0.1, "focal length over longer side", "a flat picture 157 degrees wide", "fisheye of 8 mm on 36 mm: 0.22"
+    0.1, "focal length over longer side", "a flat image 157 degrees wide", "fisheye of 8 mm on 36 mm: 0.22"
 )
 ZOOM: Final = Limit(20.0, "ratio", "between frames of one make, model and size", "DJI H20's zoom: 4.7")
 BENT: Final = Limit(
@@ -111,7 +111,7 @@ def plausible_positions(
         worst = float(heights[0] if np.isfinite(heights[0]) else above[np.flatnonzero(given)[0]])
         raise InputError(
             f"no frame has a height that can be: {names[int(np.argmax(given))]} has {worst:g} m",
-            mend="give heights in metres, or leave them out: pictures tell how high they were taken",
+            mend="give heights in metres, or leave them out: images tell how high they were taken",
         )
     kept = tuple(
         replace(
@@ -154,7 +154,7 @@ def warn(code: str, names: Sequence[str], concerned: Flags, what: Sequence[str])
 
 
 def focal_length_can_be(focal_length_px: float, width_px: int, height_px: int) -> bool:
-    """Whether a lens of such a focal length for such a picture exists."""
+    """Whether a lens of such a focal length for such an image exists."""
     return WIDEST.value <= focal_length_px / max(width_px, height_px) <= NARROWEST.value
 
 

@@ -249,7 +249,7 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
 def _strays(
     headers: Sequence[FrameHeader], found: Usable, table: PosFile | None, *, with_lens: bool
 ) -> list[Stray]:
-    """Pictures that don't belong to the survey. Args: headers of one kind, in order of capture; with_lens: a
+    """Images that don't belong to the survey. Args: headers of one kind, in order of capture; with_lens: a
     camera file tells the lenses."""
     out = copies(headers, [found.looks[h.path.name] for h in headers])
     rest = without(headers, out)

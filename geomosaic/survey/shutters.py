@@ -28,7 +28,7 @@ _READOUTS_BY_SIZE: Annotated[
     dict[str, tuple[float, float, float]],
     Because(
         "megapixels from and to, s",
-        "pictures of other sizes than most by the model, of which other rows are read, or each",
+        "images of other sizes than most by the model, of which other rows are read, or each",
         _LIST,
     ),
 ] = {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)}

@@ -1,4 +1,4 @@
-"""Pictures in a folder of frames that don't belong to the survey: each kind is left out and named.
+"""Images in a folder of frames that don't belong to the survey: each kind is left out and named.
 
 Told against the other frames, never by a value alone, and in doubt a frame stays: what is merely odd the
 adjustment judges.
@@ -196,7 +196,7 @@ def copies(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list
             else:
                 out[i] = of
     return [
-        _out("frame-copy", headers[i], f"is the same picture as {frame_name(headers[j].path)}")
+        _out("frame-copy", headers[i], f"is the same image as {frame_name(headers[j].path)}")
         for i, j in sorted(out.items())
     ]
 

@@ -111,7 +111,7 @@ def check_rpc(
 ) -> Rpc:
     """The RPC of a scene of size_px (columns, lines); `InputError` if it is another scene's.
 
-    Its own picture must have about that size, and its middle must lie within a scene's size of where the
+    Its own image must have about that size, and its middle must lie within a scene's size of where the
     model looks, or, without a model, on the DEM: another scene of the same size is known only by these.
     """
     rpc = read_rpc(path)
@@ -119,7 +119,7 @@ def check_rpc(
     middle, half = rpc.offset[:2] + 0.5, rpc.scale[:2]
     if (np.abs(middle - wanted / 2.0) > half).any() or (half > wanted).any() or (half < wanted / 4.0).any():
         own, ours = (f"{w:.0f} x {n:.0f}" for n, w in (2.0 * half, wanted))
-        told = f"a picture of some {own} px, where the strips make {ours}"
+        told = f"an image of some {own} px, where the strips make {ours}"
         raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
     lat, lon, height = (float(v) for v in rpc.offset[2:])
     if model is not None:

@@ -66,7 +66,7 @@ _OTHER_KINDS: Final = (
     (rb"[{\[].*\"FeatureCollection\"", "a GeoJSON file"),
     (rb"\{|\[\s*[{\[\"]", "a JSON file"),
     (rb"PK\x03\x04", "an archive or a spreadsheet"),
-    (rb"\xff\xd8\xff|II\*\x00|MM\x00\*|\x89PNG", "a picture"),
+    (rb"\xff\xd8\xff|II\*\x00|MM\x00\*|\x89PNG", "an image"),
 )
 _UNKNOWN: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--"})
 _NUMBER: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)

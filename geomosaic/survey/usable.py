@@ -1,4 +1,4 @@
-"""Which of a folder's pictures can be used: the others are left out and named."""
+"""Which of a folder's images can be used: the others are left out and named."""
 
 from __future__ import annotations
 

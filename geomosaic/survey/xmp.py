@@ -1,4 +1,4 @@
-"""XMP: the packet a drone writes into a picture, as flat names and texts."""
+"""XMP: the packet a drone writes into an image, as flat names and texts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAX_BYTES: Annotated[
     int,
     Because(
         "bytes",
-        "of a picture's XMP that are searched: cameras write some thousands; more only takes time",
+        "of an image's XMP that are searched: cameras write some thousands; more only takes time",
         CHOSEN,
     ),
 ] = 1 << 20
@@ -30,7 +30,7 @@ _MOST_MARKS: Annotated[
     int,
     Because(
         "`<` in a packet",
-        "the longest that cameras write has 400, a picture edited for long some 5,000; a packet of more "
+        "the longest that cameras write has 400, an image edited for long some 5,000; a packet of more "
         "takes the XML reader's memory",
         CHOSEN,
     ),

@@ -1,4 +1,4 @@
-"""Natural-looking pictures for the quality tests, shifted by known amounts."""
+"""Natural-looking images for the quality tests, shifted by known amounts."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ Floats = NDArray[np.float64]
 
 
 def texture(rows: int, cols: int, seed: int, slope: float = 1.2) -> Floats:
-    """A periodic picture with the power spectrum of natural scenes, mean 128, deviation 40."""
+    """A periodic image with the power spectrum of natural scenes, mean 128, deviation 40."""
     noise = np.random.default_rng(seed).standard_normal((rows, cols))
     f = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None])
     f[0, 0] = 1.0
-    picture = np.fft.irfft2(np.fft.rfft2(noise) * f**-slope, (rows, cols))
-    picture -= picture.mean()
-    return 128.0 + 40.0 * picture / picture.std()
+    image = np.fft.irfft2(np.fft.rfft2(noise) * f**-slope, (rows, cols))
+    image -= image.mean()
+    return 128.0 + 40.0 * image / image.std()
 
 
-def moved(picture: Floats, down_px: float, right_px: float) -> Floats:
-    """The periodic picture moved by any amount, exactly, by its Fourier transform."""
-    rows, cols = picture.shape
+def moved(image: Floats, down_px: float, right_px: float) -> Floats:
+    """The periodic image moved by any amount, exactly, by its Fourier transform."""
+    rows, cols = image.shape
     turn = np.fft.fftfreq(rows)[:, None] * down_px + np.fft.rfftfreq(cols)[None] * right_px
-    spectrum = np.fft.rfft2(picture) * np.exp(-2j * np.pi * turn)
+    spectrum = np.fft.rfft2(image) * np.exp(-2j * np.pi * turn)
     return np.fft.irfft2(spectrum, (rows, cols))
 
 
@@ -68,6 +68,6 @@ def write_tif(
     return path
 
 
-def eight_bits(picture: Floats) -> NDArray[np.uint8]:
+def eight_bits(image: Floats) -> NDArray[np.uint8]:
     """Rounded and clipped, as one band (1, rows, cols)."""
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)[None]
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)[None]

@@ -1,4 +1,4 @@
-"""Pictures of a scene of CCD strips: the whole at reduced size, and its seams at 100 %."""
+"""Images of a scene of CCD strips: the whole at reduced size, and its seams at 100 %."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def seam_col(geometry: StripGeometry, pair: int) -> float:
     return (pair + 1) * (geometry.width_px - geometry.overlap_px) + 0.5 * geometry.overlap_px
 
 
-def scene_overview(picture: Glance, geometry: StripGeometry, quality: StripQuality, first_line: float) -> str:
+def scene_overview(image: Glance, geometry: StripGeometry, quality: StripQuality, first_line: float) -> str:
     """An inline SVG of the scene with its seams; segments above the limit are marked on them.
 
     Groups carry the classes `seams` and `names`, so that the page can switch them.
     """
-    wide, high = picture.width_px, picture.height_px
+    wide, high = image.width_px, image.height_px
     unit = max(wide, high) / 1000.0
-    to_px = np.abs(np.diag(picture.px_from_map[:, :2]))
+    to_px = np.abs(np.diag(image.px_from_map[:, :2]))
     seams, names = [], []
     for pair in quality.pairs:
         x = seam_col(geometry, pair.pair) * to_px[0]
@@ -82,7 +82,7 @@ def scene_overview(picture: Glance, geometry: StripGeometry, quality: StripQuali
         f".over .names .odd{{fill:{COLOURS[1]}}}"
     )
     groups, label = {"seams": seams, "names": names}, "the scene with the seams of its strips"
-    return drawn_over(picture, groups, style=style, box=f"0 0 {wide} {high}", label=label)
+    return drawn_over(image, groups, style=style, box=f"0 0 {wide} {high}", label=label)
 
 
 def seam_places(geometry: StripGeometry, quality: PairQuality, offsets: PairOffsets) -> list[Place]:
@@ -113,7 +113,7 @@ def _longest(flags: NDArray[np.bool_]) -> tuple[int, int] | None:
 def seam_crops(
     path: Path, geometry: StripGeometry, pair: int, places: list[Place], first_line: float
 ) -> list[tuple[Place, str]]:
-    """Each place as an SVG of one picture pixel a pixel, ticks above and below at the seam.
+    """Each place as an SVG of one image pixel a pixel, ticks above and below at the seam.
 
     Greys are stretched between the crop's 1st and 99th percentile. Raises: `FileError`.
     """
