@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import rasterio
@@ -15,8 +15,7 @@ from rasterio.windows import Window
 
 from geomosaic.ccd.model import Floats, Overlap
 from geomosaic.ccd.object_space import ObjectSpace
-from geomosaic.constants import CHOSEN, Because
-from geomosaic.doors.raster import STRIP, open_raster
+from geomosaic.doors.raster import READ_CACHE_MB, STRIP, open_raster
 from geomosaic.errors import FileError
 from geomosaic.survey.strips import StripGeometry
 
@@ -24,16 +23,6 @@ Edge = Literal["left", "right"]
 Columns = Callable[[int, Edge, int, int], NDArray[Any]]
 """The first (`left`) or last (`right`) read_px columns of a CCD's strip, of its lines start to stop."""
 _MEND = "copy it again, then run once more"
-_CACHE_MB: Annotated[
-    int,
-    Because(
-        "MB",
-        "of GDAL's blocks: strips are read in order and the last piece of each is kept, so that a row of "
-        "blocks of all strips is enough; GDAL by itself holds a twentieth of the memory, and with much less, "
-        "blocks that two pieces share are decoded twice",
-        CHOSEN,
-    ),
-] = 64
 
 
 class Strips:
@@ -93,7 +82,7 @@ class StripFiles(Strips):
         self._kept: dict[int, tuple[tuple[int, int], dict[Edge, NDArray[Any]]]] = {}
 
     def __enter__(self) -> Self:
-        self._open.enter_context(rasterio.Env(GDAL_CACHEMAX=_CACHE_MB))
+        self._open.enter_context(rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB))
         return self
 
     def __exit__(

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import rasterio
 
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.constants import CHOSEN, Because
-from geomosaic.doors.raster import STRIP, open_raster, unreferenced_is_fine
+from geomosaic.doors.raster import READ_CACHE_MB, STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.mosaic.blends import BLENDS, STEP_PX, Blend
 from geomosaic.mosaic.driver import composed
@@ -28,16 +26,6 @@ from geomosaic.mosaic.strip_source import StripBlocks, StripSource
 from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.strips import StripGeometry
-
-_CACHE_MB: Annotated[
-    int,
-    Because(
-        "MB",
-        "of GDAL's blocks: strips are read in order, each line once, so that a row of tiles of "
-        "all strips is enough",
-        CHOSEN,
-    ),
-] = 64
 
 
 @dataclass(frozen=True)
@@ -89,7 +77,7 @@ def compose_strips(
     height, width = layout.height_px, layout.width_px
     with (
         unreferenced_is_fine(),
-        rasterio.Env(GDAL_CACHEMAX=_CACHE_MB),
+        rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB),
         ExitStack() as files,
         ThreadPoolExecutor(threads) as pool,
     ):

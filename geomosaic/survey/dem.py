@@ -14,7 +14,7 @@ from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.doors.raster import DEM, Raster, open_raster, reading
+from geomosaic.doors.raster import DEM, READ_CACHE_MB, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
@@ -29,15 +29,6 @@ _MOST_PIXELS: Annotated[
         CHOSEN,
     ),
 ] = 2000
-_CACHE_MB: Annotated[
-    int,
-    Because(
-        "MB",
-        "of decoded blocks: GDAL by itself holds a twentieth of the memory; with much less a fine DEM's "
-        "blocks are decoded again for every row",
-        CHOSEN,
-    ),
-] = 64
 _AROUND: Annotated[
     int,
     Because(
@@ -149,7 +140,7 @@ def read_heights(
     Raises: FileError if nothing of the DEM lies inside the bounds, or it can't be read.
     """
     path = Path(elevation.path)
-    with Env(GDAL_CACHEMAX=_CACHE_MB), open_raster(path, DEM) as source, reading(path):
+    with Env(GDAL_CACHEMAX=READ_CACHE_MB), open_raster(path, DEM) as source, reading(path):
         check_grid(source, path)
         wanted = _window(source, bounds, (1, 1))
         if wanted is None:
