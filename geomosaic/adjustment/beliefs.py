@@ -54,7 +54,7 @@ _READOUT_SD_S: Annotated[
     float,
     Because(
         "s",
-        "of a readout that nothing tells: small cameras take 0.01 to 0.1 s",
+        "of a readout that nothing reports: small cameras take 0.01 to 0.1 s",
         CHOSEN,
     ),
 ] = 0.05
@@ -62,7 +62,7 @@ NOMINAL_READOUT_S: Annotated[
     float,
     Because(
         "s",
-        "where one is asked for and nothing tells it: small cameras take 0.01 to 0.1 s",
+        "where one is asked for and nothing reports it: small cameras take 0.01 to 0.1 s",
         CHOSEN,
     ),
 ] = 0.05
@@ -143,7 +143,7 @@ def priors_of(
     points_m: Floats,
     terrain: Terrain | None = None,
 ) -> Priors:
-    """Poses as told, lenses, tie points (p, 3) about where they begin, and the terrain that binds them.
+    """Poses as given, lenses, tie points (p, 3) about where they begin, and the terrain that binds them.
 
     A frame without position is drawn to where it begins, with a share of its height above the ground for a
     deviation: next to nothing beside its ties, but it holds a block that nothing else holds.
@@ -192,7 +192,7 @@ def _zero_unknown(block: Block, settings: Settings) -> bool:
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     """Prior deviations of a camera's numbers in the order of INTERIOR; 0 for a readout that is known, or that
-    nobody told of and nobody asked for.
+    is neither reported nor asked for.
 
     The principal point is known no better than the focal length, between three and ten in a thousand of the
     longer side: small drones' are off by one in a hundred, whatever is known of their focal length.
@@ -220,7 +220,7 @@ def _point_deviations(block: Block, points: Floats) -> Floats:
 
 
 def believed_terrain(block: Block, points: int) -> Terrain:
-    """A DEM binds the points; what POS says of the ground's height only tells their common level.
+    """A DEM binds the points; what POS says of the ground's height only determines their common level.
 
     Relief is alike over many points: all of them together say no more than 50 would. Else their number would
     tilt the block until its hills lie level in the mean, against what the attitudes say.
@@ -228,8 +228,8 @@ def believed_terrain(block: Block, points: int) -> Terrain:
     height = flying_height_m(block)
     if block.ground.kind == "dem":
         return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M)
-    told_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
-    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, told_sd_m)
+    reported_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
+    level_sd_m = max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, reported_sd_m)
     return Terrain(block.ground, _ANY_RELIEF * np.sqrt(max(points / _HILLS, 1.0)), float(level_sd_m))
 
 

@@ -152,7 +152,7 @@ _ANYWHERE_M: Annotated[
     float,
     Because(
         "m",
-        "deviation of a frame that is left out and whose position nobody told: with more, the equations "
+        "deviation of a frame that is left out and whose position is not given: with more, the equations "
         "lose their digits",
         CHOSEN,
     ),
@@ -261,34 +261,34 @@ def _solve(
             tracks, camera_of, priors, state, factors, rough=False, settled=True
         )
         iterations += used
-        priors, shown = _with_untold_shutters(tracks, camera_of, priors, state, factors)
+        priors, shown = _with_unreported_shutters(tracks, camera_of, priors, state, factors)
     found = _finish(tracks, camera_of, priors, state, factors, iterations)
     return replace(found, strayed=strayed, held=held, readout_shown=shown)
 
 
-def _with_untold_shutters(
+def _with_unreported_shutters(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors
 ) -> tuple[Priors, Floats]:
-    """A readout that nobody told of and that isn't solved for is held at none: what it may be off counts,
+    """A readout that is not reported and isn't solved for is held at none: what it may be off counts,
     the step that the images would have it make and that step's deviation.
 
     The second, (c,), is the step by its deviation, a score test (Rao 1948): many frames together may show
     what in each image is far below the noise.
     """
     sd, held, shown = priors.interior_sd.copy(), priors.held, np.zeros(len(priors.cameras))
-    untold = np.array([0.0 if c.readout_s else c.readout_sd_s for c in priors.cameras])
-    untold[sd[:, READOUT] > 0.0] = 0.0
-    if priors.poses.velocities_m_per_s is None or held is None or not untold.any():
+    unreported = np.array([0.0 if c.readout_s else c.readout_sd_s for c in priors.cameras])
+    unreported[sd[:, READOUT] > 0.0] = 0.0
+    if priors.poses.velocities_m_per_s is None or held is None or not unreported.any():
         return priors, shown
-    sd[:, READOUT] += untold
+    sd[:, READOUT] += unreported
     free = reduce_normals(normals_of(tracks, camera_of, replace(priors, interior_sd=sd), state, factors))
-    readouts = np.arange(len(untold)) * len(INTERIOR) + READOUT
+    readouts = np.arange(len(unreported)) * len(INTERIOR) + READOUT
     step_s = free.solve()[1].ravel()[readouts]
     own_s = np.sqrt(np.diag(free.covariance()[1])[readouts])
-    sd[:, READOUT] = np.where(untold > 0.0, np.hypot(step_s, own_s), sd[:, READOUT])
+    sd[:, READOUT] = np.where(unreported > 0.0, np.hypot(step_s, own_s), sd[:, READOUT])
     off = np.zeros(len(held), dtype=bool)
-    off[readouts] = untold > 0.0
-    return replace(priors, interior_sd=sd, held=held | off), np.where(untold > 0.0, step_s / own_s, 0.0)
+    off[readouts] = unreported > 0.0
+    return replace(priors, interior_sd=sd, held=held | off), np.where(unreported > 0.0, step_s / own_s, 0.0)
 
 
 def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:

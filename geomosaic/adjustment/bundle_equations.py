@@ -20,7 +20,7 @@ from geomosaic.adjustment.collinearity import (
 )
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
-from geomosaic.adjustment.robust import TELLS, student_cost, student_weight
+from geomosaic.adjustment.robust import INFORMATION, student_cost, student_weight
 from geomosaic.adjustment.terrain import add_terrain, terrain_cost
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.constants import CHOSEN, Because
@@ -64,7 +64,7 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
 
 
 def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Normals:
-    """Those of Fisher's scoring: weights are what image errors are expected to tell."""
+    """Those of Fisher's scoring: weights are what image errors are expected to contribute."""
     sd_px, shown = image_sd_px(tracks, priors, factors), share_shown(tracks, priors)
 
     def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -74,7 +74,7 @@ def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, fa
         seen = np.isfinite(residual).all(axis=1) & has_say(some, priors)
         length = np.linalg.norm(residual, axis=1) / (sd * np.sqrt(shown[which]))
         weight = np.where(seen, student_weight(length) / sd**2, 0.0)
-        residual /= TELLS
+        residual /= INFORMATION
         for a in (residual, by_pose, by_interior, by_point):
             a[~seen] = 0.0
         return residual, weight, by_pose, by_interior, by_point
@@ -128,12 +128,12 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
 
 def swing_sd_rad(priors: Priors, factors: Factors) -> Floats:
     """Deviations of the frames' swings in rad with their present components, (f, t, 3)."""
-    told = np.zeros((len(priors.poses), 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
-    return np.repeat((told * factors.swing)[:, :, None], 3, axis=2)
+    given = np.zeros((len(priors.poses), 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
+    return np.repeat((given * factors.swing)[:, :, None], 3, axis=2)
 
 
 def present_miss(priors: Priors, state: State) -> Floats:
-    """Told minus what present poses and mounting make of it, (f, 6)."""
+    """Given minus what present poses and mounting make of it, (f, 6)."""
     return pose_miss(priors.poses, state.positions, state.rotations, state.mounting)
 
 
@@ -181,8 +181,8 @@ def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> t
     interior, kinds = state.interior[camera], kinds_of(priors.cameras)
     seen = state.positions[frame], state.rotations[frame], interior, state.points[tracks.point]
     kind = None if kinds is None else kinds[camera]
-    told = poses.velocities_m_per_s is not None or poses.turns is not None
-    if not _rolls(priors) or not (told or state.swing is not None):
+    moving = poses.velocities_m_per_s is not None or poses.turns is not None
+    if not _rolls(priors) or not (moving or state.swing is not None):
         return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
     read = _readout(tracks, priors, state, tracks.image_px[:, 1], heights, interior[:, READOUT])

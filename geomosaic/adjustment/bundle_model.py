@@ -1,4 +1,4 @@
-"""What a bundle is told, and what it finds."""
+"""What a bundle is given, and what it finds."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ GROUPS: Annotated[
 
 @dataclass(frozen=True)
 class Factors:
-    """Variance components: deviations of normal errors that would tell as much as tie points' and control's
-    image coordinates do, in px, and what the
-    stated deviations of each group of pose priors and of each function of a swing are multiplied with."""
+    """Variance components: deviations of normal errors that would contribute as much as tie points' and
+    control's image coordinates do, in px, and what the stated deviations of each group
+    of pose priors and of each function of a swing are multiplied with."""
 
     image_px: float = 0.5
     control_px: float = MEASURED_SD_PX
@@ -73,8 +73,8 @@ class Priors:
     control, measured by hand and not bound to the terrain. terrain: a surface that tie points lie on, if
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
-    that each frame belongs to; all are one if it isn't told. assumed (f,): frames whose position nobody
-    observed, so that it tells nothing of the others' deviations. swing_sd_rad (f, t): of how
+    that each frame belongs to; all are one if it isn't given. assumed (f,): frames whose position nobody
+    observed, so that it shows nothing of the others' deviations. swing_sd_rad (f, t): of how
     frames swing while their rows are read, beside the poses' turns, see `swing`;
     None where it isn't asked for; swing_common: whether a part of it may be common to all. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
@@ -117,7 +117,7 @@ class Bundle:
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
     swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the
     terrain's own. reduced: the last normal equations. readout_shown (c,): by how many of its deviations the
-    solution would leave the readout none that nobody told of, of each camera.
+    solution would leave the readout of none that is held where none is reported, of each camera.
     """
 
     poses: Poses

@@ -39,7 +39,7 @@ _SEEN_THRICE: Annotated[
     float,
     Because(
         "share of the tie points",
-        "seen in three frames or more, without which nothing tells relief from tilts",
+        "seen in three frames or more, without which nothing distinguishes relief from tilts",
         CHOSEN,
     ),
 ] = 0.1
@@ -113,8 +113,8 @@ def chosen_ground(
     """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
     ground pixels it moves points is the second, NaN where not known. The surface is a rough one.
 
-    Where hardly a point is seen from three frames, the frames' tilts and the relief can't be told apart, and
-    flat ground is to be tried first, see `lies_flat`.
+    Where hardly a point is seen from three frames, frames' tilts and relief can't be distinguished, and flat
+    ground is to be tried first, see `lies_flat`.
 
     Args: asked: see `Settings.ground`; lengths (p,): in how many frames each point is seen; part (p,): the
         number of the connected part of the block that each belongs to: each may lie at its own level.

@@ -26,7 +26,7 @@ GOOD_PX: Annotated[
     float,
     Because(
         "px",
-        "image errors of a block that is told all there is to tell: SIFT's own are 0.3 to 0.7 px of a "
+        "image errors of a block of which all is given correctly: SIFT's own are 0.3 to 0.7 px of a "
         "image that is matched at its size or half of it",
         CHOSEN,
     ),
@@ -100,7 +100,7 @@ _PER_FRAME: Annotated[
     int,
     Because(
         "tracks",
-        "asked for by each frame: enough to tell models apart by a twentieth",
+        "asked for by each frame: enough to distinguish models by a twentieth",
         CHOSEN,
     ),
 ] = 64
@@ -108,7 +108,7 @@ _CELLS: Annotated[
     int,
     Because(
         "cells a side",
-        "of an image over which they are spread: the corners tell lenses apart",
+        "of an image over which they are spread: the corners distinguish lenses",
         CHOSEN,
     ),
 ] = 8
@@ -117,7 +117,7 @@ _LEAST_PX: Annotated[
     Because(
         "px",
         "of tracks left out: nothing is to be gained below. Above it a shutter may hide though all looks "
-        "well, or turns that no gyroscope tells of or not well enough: along straight lines a shutter only "
+        "well, or turns that no gyroscope reports or not well enough: along straight lines a shutter only "
         "stretches the block, and the principal point takes up how frames turn while they are read. 3 "
         "degrees a second over a readout of 0.1 s bent a block by 8 px and left 0.2 px at its tracks",
         "docs/results.md, surveys as people deliver them: seed 792, bent by 1.1 px, left 0.098",
@@ -127,7 +127,7 @@ _SURE: Annotated[
     float,
     Because(
         "share of the median",
-        "of what both models leave together, below which a point tells no more than others: with less, a few "
+        "of what both models leave together, below which a point shows no more than others: with less, a few "
         "points that happen to fit would decide",
         CHOSEN,
     ),
@@ -166,7 +166,7 @@ _SHOWN: Annotated[
     Because(
         "deviations",
         "by which the solution would leave a readout of none: cameras that read all rows at once came to "
-        "3 at most, since image errors are alike along a track; see `bundle._with_untold_shutters`",
+        "3 at most, since image errors are alike along a track; see `bundle._with_unreported_shutters`",
         "docs/results.md, surveys as people deliver them",
     ),
 ] = 5.0
@@ -179,7 +179,7 @@ _TEXTS = {
     "fisheye": "a fisheye lens",
     "readout": "rows read one after the other, their time solved for",
     "turning": "each frame swinging in its own way while its rows are read one after the other",
-    "untold_turns": "without the turns that the tags tell",
+    "untold_turns": "without the turns that the tags report",
 }
 
 
@@ -297,7 +297,7 @@ def _in_vain(now: _Tried, its: _Tried) -> bool:
 
 
 def with_readout(block: Block, settings: Settings) -> tuple[Block, Settings]:
-    """The model with rows read one after the other, where no tag tells how long."""
+    """The model with rows read one after the other, where no tag reports how long."""
     turns = block.poses.turns
     begin_s = NOMINAL_READOUT_S if turns is None else turns.span_s
     cameras = tuple(c if c.readout_s else replace(c, readout_s=begin_s) for c in block.cameras)
@@ -305,18 +305,18 @@ def with_readout(block: Block, settings: Settings) -> tuple[Block, Settings]:
 
 
 def readout_shown(solved: Bundle) -> bool:
-    """Whether the images show that rows are read one after the other, though nothing tells of it."""
+    """Whether the images show that rows are read one after the other, though nothing reports it."""
     return bool((solved.readout_shown > _SHOWN).any())
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     """A line if something other than the given was needed, and one if how frames turn is the images' word
-    alone or can't be told."""
+    alone or can't be determined."""
     out: list[Warn] = []
     judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
     if choice is not None and choice.shown:
         text = (
-            f"{_TEXTS['readout']}: no tag tells of it, but it stretches each line along its own way, and all "
+            f"{_TEXTS['readout']}: no tag reports it, but it stretches each line along its own way, and all "
             "images together show it"
         )
         out.append(Warn("model-chosen", "", text))
@@ -328,8 +328,8 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
         )
         out.append(Warn("model-chosen", "", text))
     if choice is not None and "turning" in choice.taken:
-        told = "no gyroscope tells how" if block.poses.turns is None else "not as the gyroscope tells"
-        text = f"frames turn while their rows are read, and {told}: their shapes are estimated"
+        why = "no gyroscope reports how" if block.poses.turns is None else "not as the gyroscope reports"
+        text = f"frames turn while their rows are read, and {why}: their shapes are estimated"
         out.append(Warn("shutter-doubtful", "", text))
     elif choice is not None and choice.contradicted:
         what = _TEXTS[choice.contradicted[0].split("+")[-1]]

@@ -55,8 +55,8 @@ class Readout:
 
     rows_px, heights_px (m,): the rows, and heights of the images. rotations (m, 3, 3): as they were when
     each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
-    told of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames swing,
-    swinging_rad (m, 3): by how much these turn over a whole height at the present rate.
+    given of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames
+    swing, swinging_rad (m, 3): by how much these turn over a whole height at the present rate.
     """
 
     rows_px: Floats

@@ -1,4 +1,4 @@
-"""What frames' own rates of turning have in common beside told ones: the zero of the gyroscope."""
+"""What frames' own rates of turning have in common beside reported ones: the zero of the gyroscope."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ _OWN_SD_RAD_PER_S: Annotated[
 
 
 def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[Block, Settings]:
-    """The block whose told turns hold the median of the frames' own rates in camera axes too, and settings by
-    which these keep near it.
+    """The block whose reported turns hold the median of the frames' own rates in camera axes too, and
+    settings by which these keep near it.
 
     Each frame's own rate, free within what a gyroscope's zero may be off, costs a small block its shape.
     """

@@ -35,7 +35,7 @@ _UNKNOWN_SD: Annotated[
     float,
     Because(
         "m",
-        "of a coordinate that nobody told: farther than any frame sees",
+        "of a coordinate that is not given: farther than any frame sees",
         CHOSEN,
     ),
 ] = 1e3

@@ -82,7 +82,7 @@ _MEDIAN_LENGTH: Annotated[
 
 def strayed_frames(block: Block, poses: Poses) -> dict[int, Warn]:
     """Frames that came to lie far from their own positions and to look aside among others that look down, by
-    number. Flat ground seen aslant has two poses that look alike: where a frame was told to look down and
+    number. Flat ground seen aslant has two poses that look alike: where a frame was given as looking down and
     looks to the horizon, the wrong one is found.
     """
     far, limit = _off_m(block, poses)
@@ -113,7 +113,7 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
     are left out."""
     far, limit = _off_m(block, poses)
     turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
-    told, found = (
+    given, found = (
         np.degrees(Rotation(p.rotations).yaw_pitch_roll()[0]) % 360.0 for p in (block.poses, poses)
     )
     yaw_limit = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(block.poses.rotations_sd_rad[:, 2]))
@@ -130,7 +130,7 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
         Warn(
             "yaw-wrong",
             block.names[i],
-            f"its heading was given as {told[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
+            f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
         )
         for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses))
         if i not in strayed
@@ -161,8 +161,8 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
     given, found = block.poses.positions_m[seen, :2], poses.positions_m[seen, :2]
     stated_m = float(np.median(stated[:, :2]))
     extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
-    told_apart = len(seen) >= 3 and bool(np.ptp(given, axis=0).max() > _SAME_PLACE_M)
-    if extent_m == 0.0 or not told_apart:
+    distinct = len(seen) >= 3 and bool(np.ptp(given, axis=0).max() > _SAME_PLACE_M)
+    if extent_m == 0.0 or not distinct:
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
@@ -194,13 +194,13 @@ def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
 
 
 def undetermined_wishes(shared: SharedUnknowns, cameras: Sequence[Camera]) -> list[Warn]:
-    """What was asked for beyond the lens and can't be told from this block; a readout that is told about
-    nobody asked for."""
-    told = {c.name for c in cameras if c.readout_s}
+    """What was asked for beyond the lens and can't be determined from this block; a readout that is
+    reported nobody asked for."""
+    reported = {c.name for c in cameras if c.readout_s}
     names = [
         name
         for of, name, held in zip(shared.of, shared.names, shared.held, strict=True)
-        if held and name not in INTERIOR[:-1] and not (name == INTERIOR[-1] and of in told)
+        if held and name not in INTERIOR[:-1] and not (name == INTERIOR[-1] and of in reported)
     ]
     text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
     return [Warn("not-determined", "", f"{name}: {text}") for name in names]

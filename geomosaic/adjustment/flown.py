@@ -26,7 +26,7 @@ _MOST_SCALE: Annotated[
     float,
     Because(
         "times",
-        "between solved and told paths: beyond, the positions are no measure of the scale either",
+        "between solved and given paths: beyond, the positions are no measure of the scale either",
         CHOSEN,
     ),
 ] = 1.5
@@ -34,19 +34,19 @@ _MOST_SCALE: Annotated[
 
 def flown(block: Block, poses: Poses) -> tuple[Block, bool]:
     """The block with the velocities of solved poses, and whether one differs from what it was by a tenth:
-    those of told positions are wrong where one is far off, missing, or at the end of a line."""
-    told = block.poses.velocities_m_per_s
-    if told is None or block.times_s is None or not np.isfinite(block.times_s).any():
+    those of given positions are wrong where one is far off, missing, or at the end of a line."""
+    given = block.poses.velocities_m_per_s
+    if given is None or block.times_s is None or not np.isfinite(block.times_s).any():
         return block, False
     velocities = flown_m_per_s(_scale(block, poses) * poses.positions_m, block.times_s)
-    velocities = np.where(np.isfinite(block.times_s)[:, None], velocities, told)
-    off, speed = (np.linalg.norm(v, axis=1) for v in (velocities - told, velocities))
+    velocities = np.where(np.isfinite(block.times_s)[:, None], velocities, given)
+    off, speed = (np.linalg.norm(v, axis=1) for v in (velocities - given, velocities))
     other = bool((off > _OTHER_VELOCITY * speed).any())
     return replace(block, poses=replace(block.poses, velocities_m_per_s=velocities)), other
 
 
 def _scale(block: Block, poses: Poses) -> float:
-    """Of the told positions against the solved ones. How far rows are stretched says how large a block is if
+    """Of the given positions against the solved ones. How far rows are stretched says how large a block is if
     velocities are known; those of a block that has come out too large would say that it is as large as that.
     """
     known = ~position_assumed(block.poses)

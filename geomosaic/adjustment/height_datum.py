@@ -26,23 +26,23 @@ _DRIFT_CLEARLY: Annotated[
 def common_height_sd_m(survey: Survey, adjusted: Adjusted) -> float:
     """The deviation of the block's height as a whole, besides what its covariance says; 0 where control
     points or a DEM hold it, or where all is in a local frame; that of nothing observed where no height is
-    told.
+    given.
 
     Altitudes in EXIF have no stated datum: their deviation is one that all frames share. And heights that
     drift say no better where the block lies than they differ from it.
     """
     held = any(not c.check and not c.plan_only and c.images for c in survey.control)
     heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=np.float64)
-    told = np.isfinite(heights) & (np.array(adjusted.status) == "tied")
+    known = np.isfinite(heights) & (np.array(adjusted.status) == "tied")
     if held or survey.elevation is not None or is_local(survey.map_crs):
         return 0.0
-    if not told.any():
+    if not known.any():
         return POSITION["none"].sd_vertical_m
-    stated = np.array([f.position.sd_vertical_m for f in survey.frames])[told]
-    unknown_datum = np.array([f.position.source == "exif" for f in survey.frames])[told]
+    stated = np.array([f.position.sd_vertical_m for f in survey.frames])[known]
+    unknown_datum = np.array([f.position.source == "exif" for f in survey.frames])[known]
     datum_m = float(np.median(stated)) if unknown_datum.mean() > 0.5 else 0.0
-    found = survey.work_frame.geodetic_from_enu(adjusted.poses.positions_m[told])[:, 2]
-    off = heights[told] - found
+    found = survey.work_frame.geodetic_from_enu(adjusted.poses.positions_m[known])[:, 2]
+    off = heights[known] - found
     spread_m = NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off))))
     drift_m = spread_m if spread_m > _DRIFT_CLEARLY * float(np.median(stated)) or datum_m else 0.0
     return float(np.hypot(datum_m, drift_m))

@@ -1,4 +1,4 @@
-"""Heights that drift by weather or jump with a battery, told apart from the ground that the images show."""
+"""Heights that drift by weather or jump with a battery, distinguished from ground that the images show."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEAST: Annotated[
     int,
     Because(
         "frames",
-        "of which a drift can be told from noise",
+        "of which a drift can be distinguished from noise",
         CHOSEN,
     ),
 ] = 4
@@ -52,7 +52,7 @@ _MOST: Annotated[
 
 @dataclass(frozen=True)
 class HeightDrift:
-    """By how much told heights go astray in order of flight.
+    """By how much reported heights go astray in order of flight.
 
     order (n,): frames by time. metres (n,): of each, without their mean, which says where the block lies.
     parts: the largest first, its rise in metres and the place in `order` behind which it jumps, or None for
@@ -86,7 +86,7 @@ class HeightDrift:
 
 
 def height_drift(block: Block, poses: Poses, seen: NDArray[np.intp]) -> HeightDrift:
-    """What told minus solved heights of the frames `seen` do in order of flight.
+    """What reported minus solved heights of the frames `seen` do in order of flight.
 
     One after the other, whichever explains most: a line through all, or a jump (another battery, another
     zero), or both where neither alone does; as long as each is more than three stated deviations of a height,
@@ -116,7 +116,7 @@ def _grown(off_m: Floats, parts: tuple[int, ...], least_m: float) -> tuple[tuple
         beside = (*parts, *line)
         if len(set(beside)) < len(beside) or len(beside) >= min(_MOST, len(off_m) - 3):
             continue
-        tried = (*beside, _most_telling(off_m, beside))
+        tried = (*beside, _most_explaining(off_m, beside))
         rises, sds = _fit(_shapes(tried, len(off_m)), off_m)
         if (np.abs(rises) > np.maximum(least_m, _DRIFTS_CLEARLY * sds))[len(parts) :].all():
             return tried, rises
@@ -130,7 +130,7 @@ def _shapes(parts: tuple[int, ...], n: int) -> Floats:
     return np.array([s - s.mean() for s in shapes]).reshape(len(parts), n)
 
 
-def _most_telling(off_m: Floats, beside: tuple[int, ...]) -> int:
+def _most_explaining(off_m: Floats, beside: tuple[int, ...]) -> int:
     """Which line or jump takes most off the squares that those beside it leave.
 
     All jumps at once, by running sums: what a jump has in common with a course without mean is the sum of

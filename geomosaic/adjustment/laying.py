@@ -97,19 +97,19 @@ def laid(
     Headings and heights have their say with the deviation of one frame: what they are off by they mostly have
     in common. A position beyond six deviations has none.
 
-    Args: shape (n,): turn and scale of each frame against what was told of it. place (n,): nadir points.
+    Args: shape (n,): turn and scale of each frame against what was given of it. place (n,): nadir points.
     """
-    told = _told(shape, beliefs)
+    given = _given(shape, beliefs)
     if not len(fixes.at):
-        return told, complex(np.mean(beliefs.nadir - told * place)), np.zeros(0)
+        return given, complex(np.mean(beliefs.nadir - given * place)), np.zeros(0)
     known = place[fixes.frame] + shape[fixes.frame] * fixes.offset
     sd = float(np.median(beliefs.scale_sd[fixes.frame])), float(min(np.median(beliefs.yaw_sd_rad), np.pi))
-    tried = [_improved(whole, known, told, sd, fixes) for whole in (told, *_drawn(known, fixes))]
+    tried = [_improved(whole, known, given, sd, fixes) for whole in (given, *_drawn(known, fixes))]
     return min(tried, key=lambda t: t[0])[1:]
 
 
-def _told(shape: Complexes, beliefs: Beliefs) -> complex:
-    """What headings and heights say of the whole: that most frames are turned and scaled as told."""
+def _given(shape: Complexes, beliefs: Beliefs) -> complex:
+    """What headings and heights say of the whole: that most frames are turned and scaled as given."""
     turns = np.conj(shape) / np.abs(shape)
     apart = np.abs(np.angle(turns[:, None] * np.conj(turns)))
     best = turns[np.minimum(apart, _ALIKE_RAD).sum(axis=1).argmin()]
@@ -128,18 +128,18 @@ def _drawn(place: Complexes, fixes: Fixes) -> list[complex]:
         far = np.argsort(-np.abs(place[i] - place[j]), kind="stable")[: len(i) // 2]
         far = far[:: max(1, len(far) // _DRAWS)]
         i, j = i[far], j[far]
-    base, told = place[i] - place[j], fixes.at[i] - fixes.at[j]
-    apart = (np.abs(base) > 0.0) & (np.abs(told) > 0.0)
+    base, given = place[i] - place[j], fixes.at[i] - fixes.at[j]
+    apart = (np.abs(base) > 0.0) & (np.abs(given) > 0.0)
     if n < 4 or not apart.any():
         return []
-    whole = told[apart] / base[apart]
+    whole = given[apart] / base[apart]
     left = fixes.at[None] - whole[:, None] * place[None]
     shift = np.median(left.real, axis=1) + 1j * np.median(left.imag, axis=1)
     return [complex(whole[np.median(np.abs(left - shift[:, None]), axis=1).argmin()])]
 
 
 def _improved(
-    whole: complex, place: Complexes, told: complex, sd: tuple[float, float], fixes: Fixes
+    whole: complex, place: Complexes, given: complex, sd: tuple[float, float], fixes: Fixes
 ) -> tuple[float, complex, complex, Floats]:
     """Cost, similarity and trust after re-weighting from `whole` on."""
     left = fixes.at - whole * place
@@ -153,9 +153,9 @@ def _improved(
         noise = max(float(np.median(standard)) / _MEDIAN_LENGTH, _LEAST_SHARE)
         weight = lie_weight(standard / noise)
         root = np.sqrt(weight) / (noise * fixes.sd_m)
-        axis, off = whole / abs(whole), float(np.angle(whole / told))
+        axis, off = whole / abs(whole), float(np.angle(whole / given))
         held = np.array([[axis.real, axis.imag, 0, 0], [-axis.imag, axis.real, 0, 0]])
-        held[0] /= sd[0] * abs(told)
+        held[0] /= sd[0] * abs(given)
         heard = np.sqrt(float(lie_weight(np.array(abs(off) / sd[1])))) / sd[1]
         held[1] *= heard / abs(whole)
         rows = np.concatenate([design * np.tile(root, 2)[:, None], held])
@@ -164,6 +164,6 @@ def _improved(
         x = np.linalg.lstsq(rows / size, sides, rcond=1e-12)[0] / size
         whole, shift = complex(x[0], x[1]), complex(x[2], x[3])
     standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
-    scale, turn = np.log(abs(whole / told)) / sd[0], np.angle(whole / told) / sd[1]
+    scale, turn = np.log(abs(whole / given)) / sd[0], np.angle(whole / given) / sd[1]
     cost = float(np.log1p(standard**2).sum() + np.log1p(scale**2) + np.log1p(turn**2))
     return cost, whole, shift, weight

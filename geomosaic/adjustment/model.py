@@ -53,7 +53,7 @@ class Block:
     `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
     number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
     poses, cameras, tie points and control are those of the images as they lie in the files. times_s (n,):
-    of frames whose velocity no tag tells, when they were taken, or NaN.
+    of frames whose velocity no tag reports, when they were taken, or NaN.
     """
 
     names: tuple[str, ...]
@@ -82,7 +82,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the methods can be told.
+    """What the methods can be given.
 
     epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
     rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.

@@ -40,9 +40,9 @@ class Mounting:
     """Prior deviations of the seven numbers of MOUNTING, in rad, m and s; 0 for those held at nothing.
 
     The camera's own axes are the body's: forward is the image's top, right its right side, down the view.
-    Boresight: the told attitude is the camera's, turned further by roll, pitch and yaw about the body's
-    forward, right and down axes. Lever arm: from the projection centre to where positions are told, along
-    forward, right and down. Lag: a told position is where the platform was so long before.
+    Boresight: the reported attitude is the camera's, turned further by roll, pitch and yaw about the body's
+    forward, right and down axes. Lever arm: from the projection centre to where positions are reported, along
+    forward, right and down. Lag: a reported position is where the platform was so long before.
     """
 
     sd: Floats
@@ -53,18 +53,18 @@ class Mounting:
         return np.asarray(self.sd > 0.0)
 
 
-def pose_miss(told: Poses, positions_m: Floats, rotations: Floats, mounting: Floats) -> Floats:
-    """Told position and attitude minus what poses and mounting (7,) make of them, (f, 6)."""
+def pose_miss(reported: Poses, positions_m: Floats, rotations: Floats, mounting: Floats) -> Floats:
+    """Reported position and attitude minus what poses and mounting (7,) make of them, (f, 6)."""
     boresight, lever, lag_s = mounting[:3], mounting[3:6], mounting[6]
     at = positions_m + rotations @ (_CAMERA_FROM_BODY @ lever)
-    if told.velocities_m_per_s is not None:
-        at = at - lag_s * told.velocities_m_per_s
-    straight = told.rotations @ exp_turn(-(_CAMERA_FROM_BODY @ boresight)[None])[0]
-    return np.column_stack([told.positions_m - at, log_turn(straight @ np.swapaxes(rotations, 1, 2))])
+    if reported.velocities_m_per_s is not None:
+        at = at - lag_s * reported.velocities_m_per_s
+    straight = reported.rotations @ exp_turn(-(_CAMERA_FROM_BODY @ boresight)[None])[0]
+    return np.column_stack([reported.positions_m - at, log_turn(straight @ np.swapaxes(rotations, 1, 2))])
 
 
-def mounting_derivatives(told: Poses, rotations: Floats, mounting: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of what poses and mounting make of the told numbers, by pose (f, 6, 6) and by mounting
+def mounting_derivatives(reported: Poses, rotations: Floats, mounting: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of what poses and mounting make of the reported numbers, by pose (f, 6, 6) and by mounting
     (f, 6, 7); turns from the left as in `collinearity.project`, for small misses."""
     f = len(rotations)
     lever = rotations @ (_CAMERA_FROM_BODY @ mounting[3:6])
@@ -73,6 +73,6 @@ def mounting_derivatives(told: Poses, rotations: Floats, mounting: Floats) -> tu
     by_mounting = np.zeros((f, 6, 7))
     by_mounting[:, 3:, :3] = rotations @ _CAMERA_FROM_BODY
     by_mounting[:, :3, 3:6] = rotations @ _CAMERA_FROM_BODY
-    if told.velocities_m_per_s is not None:
-        by_mounting[:, :3, 6] = -told.velocities_m_per_s
+    if reported.velocities_m_per_s is not None:
+        by_mounting[:, :3, 6] = -reported.velocities_m_per_s
     return by_pose, by_mounting

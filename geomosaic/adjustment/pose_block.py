@@ -72,7 +72,7 @@ _FEW_CELLS: Annotated[
     Because(
         "cells",
         "across and along a frame, each of which asks for 3 of the 192 observations: with fewer cells "
-        "corners, which tell the lens, may stay empty; with more than 13 they ask for more than 192",
+        "corners, which determine the lens, may stay empty; with more than 13 they ask for more than 192",
         CHOSEN,
     ),
 ] = 8
@@ -169,7 +169,7 @@ def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks) -> _Wo
 
 def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
     """Poses as if rows were not read one after the other, with lenses as given: sure to a part of what a
-    platform flies meanwhile, from which it is told how fast it flew. By velocities of told positions, which
+    platform flies meanwhile, which shows how fast it flew. By velocities of given positions, which
     are off by metres where frames are a few metres apart, lenses stray far to explain what they do to rows.
     """
     points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
@@ -220,10 +220,10 @@ def _free(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Bun
 
 
 def _turning_too(work: _Work) -> _Work:
-    """Beside told turns, what a gyroscope's filter and its last sample leave of them."""
+    """Beside reported turns, what a gyroscope's filter and its last sample leave of them."""
     settings = work.settings
-    told = work.rolling and work.block.poses.turns is not None and not settings.turning
-    if settings.model != "auto" or not told:
+    reported = work.rolling and work.block.poses.turns is not None and not settings.turning
+    if settings.model != "auto" or not reported:
         return work
     return work.again(work.block, replace(settings, turning=True))
 
@@ -314,7 +314,7 @@ def _relief(found: Solution) -> dict[str, float]:
 def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
     """The cameras' numbers and the mounting's that are not known beforehand, in the units of their names."""
     cameras, unit = priors.cameras, np.concatenate([np.ones(bundle.interior_sd.size), UNIT])
-    told = np.concatenate([*(interior_of(c) for c in cameras), np.zeros(len(MOUNTING))])
+    given = np.concatenate([*(interior_of(c) for c in cameras), np.zeros(len(MOUNTING))])
     found = np.concatenate([*(interior_of(c) for c in bundle.cameras), bundle.mounting])
     of = [c.name for c in cameras for _ in INTERIOR] + ["platform"] * len(MOUNTING)
     names = INTERIOR * len(cameras) + MOUNTING
@@ -322,7 +322,7 @@ def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
     return SharedUnknowns(
         of=tuple(of[k] for k in rows),
         names=tuple(names[k] for k in rows),
-        given=(told / unit)[rows],
+        given=(given / unit)[rows],
         found=(found / unit)[rows],
         sd=(np.concatenate([bundle.interior_sd.ravel(), bundle.mounting_sd]) / unit)[rows],
         correlation=bundle.shared_correlation[np.ix_(rows, rows)],

@@ -34,7 +34,7 @@ MOST_CAPTURES: Annotated[
     Because(
         "captures",
         "looked at, spread over the flight: each gives a hundred places and more, and three angles and a "
-        "focal length are all that is asked; more take time and tell nothing new",
+        "focal length are all that is asked; more take time and show nothing new",
         CHOSEN,
     ),
 ] = 12
@@ -51,7 +51,7 @@ _LEAST_STEP_PX: Annotated[
     int,
     Because(
         "ground px",
-        "from patch to patch at least: closer ones share nearly all of their pixels and tell the same",
+        "from patch to patch at least: closer ones share nearly all of their pixels and show the same",
         CHOSEN,
     ),
 ] = 16
@@ -95,7 +95,7 @@ _LEAST_PLACES: Annotated[
     int,
     Because(
         "places in all captures",
-        "three for each of the four unknowns, so that wrong ones can be told; of fewer, what the tags say "
+        "three for each of the four unknowns, so that wrong ones can be found; of fewer, what the tags say "
         "stands",
         CHOSEN,
     ),
@@ -173,7 +173,7 @@ def register_bands(
     the greys' logarithm: plants, dark in red and bright in infrared, show the same) are correlated patch by
     patch; the turn and the focal length that explain most places follow by least squares with Cauchy's loss.
     Twice, since the first round may be far off. The lenses stand centimetres apart, which level ground can't
-    tell from a turn.
+    distinguish from a turn.
     """
     out = []
     for k, band in enumerate(survey.other_bands):

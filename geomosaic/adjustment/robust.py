@@ -43,17 +43,17 @@ _FREEDOM: Annotated[
         "degrees of freedom",
         "of image errors: keypoints on what moves or looks alike leave long tails, for which 5 to 9 gave "
         "shapes up to a third better than Cauchy's function at 3 deviations. Where errors are normal, "
-        "squares are 3 % above those stated with 5, 8 % with 4. No survey tells its own: a point seen twice "
+        "squares are 3 % above those stated with 5, 8 % with 4. No survey shows its own: a point seen twice "
         "takes three of four numbers, and whatever its errors are, its residuals look long-tailed",
         "docs/results.md, Student's distribution of image errors: 14 dirty surveys, seeds 102 to 329; "
         "normal errors: tests/test_bundle_covariance.py, seeds 1 to 6",
     ),
 ] = 5.0
-TELLS: Annotated[
+INFORMATION: Annotated[
     float,
     Because(
         "share of a normal pair's information",
-        "what a pair that errs by Student's distribution tells beside a normal one of the same scale: "
+        "what a pair that errs by Student's distribution contributes beside a normal one of the same scale: "
         "weights without it state deviations that are too small",
         "Lange, Little and Taylor 1989, Journal of the American Statistical Association 84, appendix B",
     ),
@@ -83,10 +83,10 @@ def lie_weight(standardised: Floats) -> Floats:
 
 def student_weight(standardised: Floats) -> Floats:
     """Weights of lengths of pairs that err by Student's distribution, 1 in the mean; they are standardised by
-    the deviation of normal pairs that would tell as much (Lange, Little and Taylor 1989, section 3)."""
-    return np.asarray((_FREEDOM + 2.0) / (_FREEDOM + standardised**2 / TELLS))
+    the deviation of normal pairs that would contribute as much (Lange, Little and Taylor 1989, section 3)."""
+    return np.asarray((_FREEDOM + 2.0) / (_FREEDOM + standardised**2 / INFORMATION))
 
 
 def student_cost(standardised: Floats) -> Floats:
-    """Twice the negative logarithm of the density, 0 at 0; its slope by the square: the weight over TELLS."""
-    return np.asarray((_FREEDOM + 2.0) * np.log1p(standardised**2 / (TELLS * _FREEDOM)))
+    """Twice the negative logarithm of the density, 0 at 0; its slope by the square: weight / INFORMATION."""
+    return np.asarray((_FREEDOM + 2.0) * np.log1p(standardised**2 / (INFORMATION * _FREEDOM)))

@@ -129,8 +129,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
         np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
         np.array([_scale_sd(block, i, h) for i, h in enumerate(height)]),
     )
-    told = np.flatnonzero(~assumed)
-    positions = Fixes(told, np.zeros(len(told), np.complex128), nadir[told], position_sd_m[told])
+    known = np.flatnonzero(~assumed)
+    positions = Fixes(known, np.zeros(len(known), np.complex128), nadir[known], position_sd_m[known])
     control = _control_fixes(block, height * tilt)
     for frames in connected_parts(net.n, edges):
         if len(frames) == 1:
@@ -185,7 +185,7 @@ def _control_fixes(block: Block, off_m: Floats) -> Fixes:
 
 
 def _scale_sd(block: Block, frame: int, height_m: float) -> float:
-    """How well a frame's scale on the ground is told by its height and focal length, as a share."""
+    """How well a frame's scale on the ground is determined by its height and focal length, as a share."""
     if position_assumed(block.poses)[frame]:
         return _ANYWHERE
     camera = block.cameras[frame]

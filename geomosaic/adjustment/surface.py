@@ -40,8 +40,8 @@ _POINTS_PER_NODE: Annotated[
     float,
     Because(
         "tie points a node",
-        "with fewer points a node stiffness alone would tell many nodes; with more, relief that points show "
-        "is lost between nodes",
+        "with fewer points a node stiffness alone would determine many nodes; with more, relief that points "
+        "show is lost between nodes",
         CHOSEN,
     ),
 ] = 3.0
@@ -71,7 +71,7 @@ _CURVINGS: Annotated[
         CHOSEN,
     ),
 ] = (2.0, 4.0, 8.0, 16.0, 32.0)
-_UNTOLD_CURVING: Annotated[
+_USUAL_CURVING: Annotated[
     float,
     Because(
         "1 / flying height²",
@@ -129,7 +129,7 @@ _LOWEST: Annotated[
     float,
     Because(
         "share of the points",
-        "that tell how ground scatters: with more, crowns are among them and the plane rises into them; "
+        "that show how ground scatters: with more, crowns are among them and the plane rises into them; "
         "with less, ground that is rough counts as wrong",
         CHOSEN,
     ),
@@ -146,7 +146,7 @@ _GAP: Annotated[
     float,
     Because(
         "flying heights",
-        "side of the squares of which every fifth is left out: a smaller gap is foretold by any stiffness, "
+        "side of the squares of which every fifth is left out: a smaller gap is predicted by any stiffness, "
         "a larger one by none",
         CHOSEN,
     ),
@@ -182,7 +182,7 @@ _SIDE: Annotated[
     Because(
         "flying heights",
         "width of what is left out of the block's sides and corners in turn: as far as frames show ground "
-        "beyond their last tie points; by a narrower one nothing is told of that ground",
+        "beyond their last tie points; by a narrower one nothing is known of that ground",
         CHOSEN,
     ),
 ] = 0.25
@@ -232,7 +232,7 @@ _OUTERMOST: Annotated[
         CHOSEN,
     ),
 ] = 0.98
-_UNTOLD_BEYOND: Annotated[
+_USUAL_BEYOND: Annotated[
     float,
     Because(
         "m per m",
@@ -277,14 +277,14 @@ def tie_surface(
     the surface, each over what this ground does in the mean. Third derivatives let hills go on beyond the
     last points as they curve there, where second derivatives would go straight on; slopes bring the surface
     back to level further out. How much the curvature changes is found by cross-validation: every fifth
-    square of a fifth of the flying height is left out and foretold by the others. In the same way it is
-    found by the block's corners, as ground beyond the points has to be foretold, whether and how strongly a
+    square of a fifth of the flying height is left out and predicted by the others. In the same way it is
+    found by the block's corners, as ground beyond the points has to be predicted, whether and how strongly a
     plane or a paraboloid laid below the points holds the surface, judged by low points: beyond a wood lies
     the ground it stands on, not its crowns. Lengths count in flying heights, so that a smaller block gets the
     same surface, smaller. The grid has about one node to three points; rho is Cauchy's, so that single trees,
     poles and wrong matches don't pull the ground.
 
-    The surface tells how far its heights may be off: they go astray with the distance from the points, by as
+    The surface states how far its heights may be off: they go astray with the distance from the points, by as
     much as the points of the block's sides are missed if they are left out.
 
     Args: points_m (p, 3), sd_up_m (p,), low_m and high_m (2,): the rectangle to cover, which may reach
@@ -296,7 +296,7 @@ def tie_surface(
     task = _Task.of(points_m, sd_up_m, low_m, high_m, height_m)
     trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
     if rough:
-        return task.fitted(trial_m, _UNTOLD_CURVING, _UNHELD, _TRIAL_ROUNDS)
+        return task.fitted(trial_m, _USUAL_CURVING, _UNHELD, _TRIAL_ROUNDS)
     curving = _curving(task, trial_m)
     standing = _standing(task, trial_m, curving)
     surface = task.fitted(node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
@@ -391,7 +391,7 @@ def _astray(
     of_bin = np.digitize(np.concatenate(away), _AWAY)
     bins = [k for k in range(1, len(_AWAY)) if np.sum(of_bin == k) >= _FEWEST]
     if len(bins) < 2:
-        return lambda away_m: _UNTOLD_BEYOND * away_m
+        return lambda away_m: _USUAL_BEYOND * away_m
     middle = np.log([np.sqrt(_AWAY[k - 1] * _AWAY[k]) * task.height_m for k in bins])
     miss = np.concatenate(missed)
     off = np.log([max(np.quantile(miss[of_bin == k], _ONE_DEVIATION), 1e-9) for k in bins])
@@ -405,7 +405,7 @@ def _curving(task: _Task, spacing_m: float) -> float:
     col, row = np.floor((task.points_m[:, :2] - task.low_m) / (_GAP * task.height_m)).astype(np.intp).T
     out = (col + 2 * row) % 5 == 0
     if out.sum() < _FEWEST or out.all():
-        return _UNTOLD_CURVING
+        return _USUAL_CURVING
     known, asked = task.without(out), task.points_m[out]
     misses = [known.missed(asked, spacing_m, curving, _UNHELD) for curving in _CURVINGS]
     return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in misses]))]

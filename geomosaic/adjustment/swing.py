@@ -42,8 +42,8 @@ GUST_M_PER_S: Annotated[
     Because(
         "m/s",
         "deviation of a velocity while a frame is read about that by positions: over the flying height it "
-        "is a rate of turning, as far as level ground can tell. Taken as exact (0), chance differences of "
-        "velocities told readout and scale: blocks came out 12 and 21 % too large",
+        "is a rate of turning, as far as level ground can show. Taken as exact (0), chance differences of "
+        "velocities determined readout and scale: blocks came out 12 and 21 % too large",
         "commit 1b27d03: velocities by positions are off by 0.3 to 1 m/s; docs/results.md, velocities taken "
         "as exact, seeds 37 and 48",
     ),

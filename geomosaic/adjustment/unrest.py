@@ -18,12 +18,12 @@ _BESIDE: Annotated[
     int,
     Because(
         "points",
-        "that tell together how sure a place is: fewer leave it to chance, more reach beyond a crown",
+        "that show together how sure a place is: fewer leave it to chance, more reach beyond a crown",
         CHOSEN,
     ),
 ] = 8
 _FEWEST: Annotated[
-    int, Because("points", "of a block, below which all count alike: too few to tell places apart", CHOSEN)
+    int, Because("points", "of a block, below which all count alike: too few to distinguish places", CHOSEN)
 ] = 100
 _LEAST_PX: Annotated[
     float, Because("px", "of a point's residuals, so that exact ones have a logarithm", CHOSEN)
@@ -34,7 +34,7 @@ def unrest(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -
     """How many times the median place's deviation image coordinates have about each point, (p,).
 
     Where all places are alike it is 1 for all: the logarithm of each point's variance is known as well as
-    its redundancy tells (Bartlett and Kendall 1946, The statistical analysis of variance-heterogeneity and
+    its redundancy allows (Bartlett and Kendall 1946, The statistical analysis of variance-heterogeneity and
     the logarithmic transformation), neighbours are taken together, and what their means scatter by beyond
     that is how much places differ; each is drawn to the middle accordingly (Efron and Morris 1975, Data
     analysis using Stein's estimator, section 2).

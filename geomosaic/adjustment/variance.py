@@ -23,7 +23,7 @@ from geomosaic.adjustment.bundle_equations import (
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import reduce_normals
-from geomosaic.adjustment.robust import TELLS, lie_weight, student_weight
+from geomosaic.adjustment.robust import INFORMATION, lie_weight, student_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
@@ -67,7 +67,7 @@ _DETERMINED: Annotated[
     Because(
         "share of the deviation before",
         "below which a shared unknown counts as determined, half of its variance being taken away: with "
-        "more, what images hardly tell goes astray; with less, what they tell is held as it was given",
+        "more, what images hardly show goes astray; with less, what they show is held as it was given",
         CHOSEN,
     ),
 ] = 0.7
@@ -77,15 +77,15 @@ _ERRORS_ALIKE: Annotated[
         "times the image deviation",
         "with which an unknown still has to be determined, since keypoints err alike from neighbour to "
         "neighbour. Left free, a real nadir flight's focal length went 9 % off; with more, lenses that are "
-        "told would be held",
+        "determined would be held",
         CHOSEN,
     ),
 ] = 5.0
-_TELLING: Annotated[
+_INFORMATIVE: Annotated[
     int,
     Because(
         "image observations a frame",
-        "beyond which more tell nothing new of what all frames share: with all of 30,000 tie points a focal "
+        "beyond which more show nothing new of what all frames share: with all of 30,000 tie points a focal "
         "length looked determined to 2 px and was 75 px off; with 192 a lens's second term was held and a "
         "block 0.10 px off instead of 0.02",
         "docs/results.md, surveys as people deliver them: seeds 4 and 5 of 1 to 10",
@@ -105,8 +105,8 @@ _SWING_FACTORS: Annotated[
     tuple[float, float],
     Because(
         "times the deviation to begin with",
-        "least and largest: nobody tells what frames swing by, and a copter's good mount leaves a twentieth "
-        "of a small wing in gusts; with less, swings could not grow again",
+        "least and largest: nothing reports what frames swing by, and a copter's good mount leaves a "
+        "twentieth of a small wing in gusts; with less, swings could not grow again",
         CHOSEN,
     ),
 ] = (0.02, 10.0)
@@ -198,13 +198,13 @@ def variance_components(
     by_group: dict[str, float] = {}
     for group, (first, *more) in GROUPS.items():
         columns = [first, *more]
-        told: Bools = np.isfinite(sd[:, columns]) & observed[:, columns]
+        stated: Bools = np.isfinite(sd[:, columns]) & observed[:, columns]
         in_all = np.where(observed[:, columns], weight[:, columns], 0.0).sum(axis=1)
         alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
-        r = min(float((weight[:, columns] - share[:, columns])[told].sum()), alone)
+        r = min(float((weight[:, columns] - share[:, columns])[stated].sum()), alone)
         if r < _LEAST_REDUNDANCY:
             continue
-        total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[told].sum())
+        total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[stated].sum())
         factor = np.clip(_believed(factors.of(group) * np.sqrt(total / r), r), *_PRIOR_FACTORS)
         by_group[group] = float(factor)
     swing = _swing_factors(priors, state, of_swing, variances[:, 6:], factors)
@@ -216,7 +216,7 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: floa
     error_px, scale_px = np.nan_to_num(error_px, nan=1e6 * begun_px), begun_px
     for _ in range(_SCALINGS):
         error = error_px / scale_px
-        squares = float((shown * student_weight(error) * error**2).sum()) / TELLS
+        squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION
         scale_px *= float(np.sqrt(squares / redundancy))
     return scale_px
 
@@ -268,8 +268,8 @@ def _observed(priors: Priors) -> Bools:
 
 
 def own_miss(priors: Priors, state: State, factors: Factors) -> Floats:
-    """Told minus present (f, 6), less what the frames of each part miss in common: a similarity of the plane,
-    a height, a heading. Frames that lie don't tell what is common. Of assumed positions it is 0."""
+    """Given minus present (f, 6), less what the frames of each part miss in common: a similarity of the
+    plane, a height, a heading. Frames that lie don't show what is common. Of assumed positions it is 0."""
     miss, sd, observed = present_miss(priors, state), pose_sd(priors, factors), _observed(priors)
     out = miss.copy()
     for part in parts_of(priors):
@@ -353,22 +353,22 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
     """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
 
     Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
-    is not what it seems: beyond _TELLING a frame, more of them tell nothing new. A number counts as
+    is not what it seems: beyond _INFORMATIVE a frame, more of them show nothing new. A number counts as
     determined if with image errors _ERRORS_ALIKE times as large its deviation would still be below
     _DETERMINED of what it was before images and POS spoke.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
-    many = max(1.0, float(np.sqrt(len(tracks.frame) / (_TELLING * len(priors.poses)))))
+    many = max(1.0, float(np.sqrt(len(tracks.frame) / (_INFORMATIVE * len(priors.poses)))))
     wider = replace(factors, image_px=_ERRORS_ALIKE * many * factors.image_px)
     normals = normals_of(tracks, camera_of, replace(priors, held=None), state, wider)
     shared = np.delete(reduce_normals(normals).shared_covariance(), priors.interior_sd.size, axis=0)
     shared = np.delete(shared, priors.interior_sd.size, axis=1)
     free = np.flatnonzero(sd[: len(shared)] > 0.0)
     covariance = shared[np.ix_(free, free)] / np.outer(sd[free], sd[free])
-    told = np.linalg.inv(covariance) - np.eye(len(free))
+    shown = np.linalg.inv(covariance) - np.eye(len(free))
     out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
     while left.size:
-        share = np.sqrt(np.diag(np.linalg.inv(told[np.ix_(left, left)] + np.eye(left.size))))
+        share = np.sqrt(np.diag(np.linalg.inv(shown[np.ix_(left, left)] + np.eye(left.size))))
         worst = int(share.argmax())
         if share[worst] < _DETERMINED:
             break
@@ -394,8 +394,8 @@ def common_error(bundle: Bundle, given: Poses) -> Floats:
     known = ~position_assumed(given)
     if not known.any():
         return np.zeros(3)
-    told = np.median(given.positions_sd_m[known], axis=0)
-    rest = told**2 * max(1.0 - bundle.factors.horizontal**2 / _MAY_BE_CHANCE, 0.0)
+    stated = np.median(given.positions_sd_m[known], axis=0)
+    rest = stated**2 * max(1.0 - bundle.factors.horizontal**2 / _MAY_BE_CHANCE, 0.0)
     return np.minimum(rest, [_COMMON_SD_M**2, _COMMON_SD_M**2, 0.0])
 
 
