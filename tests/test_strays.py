@@ -151,7 +151,7 @@ def test_other_bands_and_other_cameras(folder: Path) -> None:
     write_jpeg(folder / "Screenshot.jpg", image(200, 100, seed=99))
     assert left_out_but_kinds(folder) == {
         "DJI_0004.JPG": "has 1 band of uint8, most frames 3 bands of uint8",
-        "Screenshot.jpg": "the frame doesn't tell its focal length",
+        "Screenshot.jpg": "the frame doesn't report its focal length",
     }
 
 

@@ -244,7 +244,7 @@ def test_djis_own_calibration() -> None:
 
 def test_no_focal_length_says_how_to_give_it() -> None:
     with pytest.raises(
-        InputError, match=r"/f/a\.jpg: the frame doesn't tell its focal length; give .* --camera FILE"
+        InputError, match=r"/f/a\.jpg: the frame doesn't report its focal length; give .* --camera FILE"
     ):
         camera_from_header(header(make="X", model="Y", focal_length_mm=8.8))
 

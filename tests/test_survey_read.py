@@ -191,11 +191,11 @@ def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 2)
     bare = write_jpeg(folder / "bare.jpg", image(), exif_block(Make="X", Model="Y", **gps(9.1, 48.7)))
     with pytest.raises(
-        InputError, match=r"bare\.jpg: the frame doesn't tell its focal length; give .*--camera"
+        InputError, match=r"bare\.jpg: the frame doesn't report its focal length; give .*--camera"
     ):
         read_survey(folder, leave_out="none")
     assert [(o.name, o.reason) for o in read_survey(folder).left_out] == [
-        ("bare.jpg", "the frame doesn't tell its focal length")
+        ("bare.jpg", "the frame doesn't report its focal length")
     ]
     bare.unlink()
     cut = folder / "DJI_0002.JPG"

@@ -1,4 +1,4 @@
-"""How long rows take to be read: by tags, by the model, or untold."""
+"""How long rows take to be read: by tags, by the model, or unreported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.header import FrameHeader
-from geomosaic.survey.shutters import UNTOLD_SD_S, Shutter, shutter
+from geomosaic.survey.shutters import UNREPORTED_SD_S, Shutter, shutter
 
 
 def header(bands: int = 3, xmp: dict[str, str] | None = None, **exif: str) -> FrameHeader:
@@ -33,11 +33,11 @@ def sized(width_px: int, height_px: int, model: str) -> FrameHeader:
         (header(make="DJI", model="FC6310"), Shutter(0.0, 0.0, "global")),
         (header(make="Canon", model="Canon PowerShot S110"), Shutter(0.0, 0.0, "global")),
         (header(make="NIKON CORPORATION", model="NIKON D800"), Shutter(0.0, 0.0, "global")),
-        (header(make="DJI", model="FC9999"), Shutter(0.0, UNTOLD_SD_S, "untold")),
+        (header(make="DJI", model="FC9999"), Shutter(0.0, UNREPORTED_SD_S, "unreported")),
         (header(xmp={"drone-dji:ShutterType": "Mechanical"}), Shutter(0.0, 0.0, "global")),
-        (header(xmp={"drone-dji:ShutterType": "Electronic"}), Shutter(0.0, UNTOLD_SD_S, "untold")),
+        (header(xmp={"drone-dji:ShutterType": "Electronic"}), Shutter(0.0, UNREPORTED_SD_S, "unreported")),
         (header(xmp={"Camera:LineReadoutTime": "20000"}, model="FC330"), Shutter(0.06, 0.0, "tag")),
-        (header(xmp={"Camera:LineReadoutTime": "-20000"}), Shutter(0.0, UNTOLD_SD_S, "absurd")),
+        (header(xmp={"Camera:LineReadoutTime": "-20000"}), Shutter(0.0, UNREPORTED_SD_S, "absurd")),
         (header(1, {"Camera:LineReadoutTime": "20000"}, model="Sequoia"), Shutter(0.0, 0.0, "global")),
     ],
 )

@@ -22,7 +22,7 @@ from geomosaic.placement.heights import (
 from geomosaic.placement.reach import ground_pixel_m, half_extent_m
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.relief import relief
-from geomosaic.survey.dem import dem_crs, outliers_told, read_heights
+from geomosaic.survey.dem import dem_crs, outliers_warning, read_heights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -117,7 +117,7 @@ class ProjectionGround(Stage):
         finest_m = _NODE_PX * ground_pixel_m(survey.cameras, above)
         raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)), finest_m / metres)
         if raster.outliers:
-            warning = outliers_told(raster.outliers, Path(survey.elevation.path))
+            warning = outliers_warning(raster.outliers, Path(survey.elevation.path))
             context.warn(warning.code, warning.frame, warning.text)
         spacing = max(finest_m, float(raster.pixel_y * metres))
         return relief(survey.work_frame, raster, corners[0], corners[3], spacing)

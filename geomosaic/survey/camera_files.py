@@ -16,7 +16,7 @@ from geomosaic.doors.plain import read_json, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
-from geomosaic.survey.shutters import UNTOLD_SD_S
+from geomosaic.survey.shutters import UNREPORTED_SD_S
 
 _MAX_BYTES: Annotated[
     dict[str, int],
@@ -82,7 +82,7 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
             camera = replace(
                 reader(name, entry, path),
                 readout_s=_getter(name, entry, path)("readout_s", 0.0),
-                readout_sd_s=0.0 if "readout_s" in entry else UNTOLD_SD_S,
+                readout_sd_s=0.0 if "readout_s" in entry else UNREPORTED_SD_S,
             )
             break
     else:

@@ -44,7 +44,7 @@ SENSOR_WIDTHS_MM: Annotated[
         "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
         "wrong one makes the focal length wrong by as much",
         "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
-        "35.9; where the rest are from is not told",
+        "35.9; where the rest are from is not known",
     ),
 ] = {
     "fc300c": 6.17, "fc300s": 6.17, "fc300x": 6.17, "fc330": 6.17, "fc220": 6.17, "fc350": 6.17,
@@ -103,10 +103,10 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     A frame whose focal length can't be, or not among the others of its make, model and size, takes the one
     that most of those have.
 
-    Raises: `InputError` naming a frame that doesn't tell its focal length, where no such other does.
+    Raises: `InputError` naming a frame that doesn't report its focal length, where no such other does.
     """
-    told = [_told(header) for header in headers]
-    known, wrong = _among_others(headers, told)
+    reported = [_reported(header) for header in headers]
+    known, wrong = _among_others(headers, reported)
     found: dict[str, Camera] = {}
     names: list[str] = []
     warnings: list[Warn] = []
@@ -135,10 +135,10 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
     if camera.kind == "fisheye":
         text += " of a fisheye lens"
         text += "" if camera.terms.any() else ", whose distortion the adjustment has to find"
-    return [Warn("camera-assumed", "", text), *_shutter_told(header, camera)]
+    return [Warn("camera-assumed", "", text), *_shutter_reported(header, camera)]
 
 
-def _shutter_told(header: FrameHeader, camera: Camera) -> list[Warn]:
+def _shutter_reported(header: FrameHeader, camera: Camera) -> list[Warn]:
     """What a frame's tags or model say of its shutter, where that isn't nothing."""
     source, rolling = shutter(header).source, f"{camera.name}: a rolling shutter, all rows read within"
     if source == "tag":
@@ -153,23 +153,23 @@ def _shutter_told(header: FrameHeader, camera: Camera) -> list[Warn]:
 
 
 def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
-    """A frame's camera and which source told it, the surest first whose focal length can be.
+    """A frame's camera and which source reported it, the surest first whose focal length can be.
 
     The maker's calibration in the XMP (DJI's `DewarpData`, Pix4D's `Camera:Perspective...`, DJI's
     `CalibratedFocalLength`); focal length with the focal plane's resolution; focal length with the
     sensor's width from `SENSOR_WIDTHS_MM`; the 35 mm equivalent, which compares diagonals
     (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
 
-    Raises: `InputError` where none tells a focal length that can be.
+    Raises: `InputError` where none reports a focal length that can be.
     """
-    camera, source, wrong = _told(header)
+    camera, source, wrong = _reported(header)
     if camera is None:
-        raise _untold(header, wrong)
+        raise _unreported(header, wrong)
     return camera, source
 
 
-def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
-    """The camera that a header tells, by which source, and what it told before that can't be."""
+def _reported(header: FrameHeader) -> tuple[Camera | None, str, str]:
+    """The camera that a header reports, by which source, and what it reports before that can't be."""
     exif, width, height = header.exif, header.width_px, header.height_px
     mm = exif.focal_length_mm
     zoom = (
@@ -228,20 +228,20 @@ def _told(header: FrameHeader) -> tuple[Camera | None, str, str]:
 
 
 def _among_others(
-    headers: Sequence[FrameHeader], told: Sequence[tuple[Camera | None, str, str]]
+    headers: Sequence[FrameHeader], reported: Sequence[tuple[Camera | None, str, str]]
 ) -> tuple[list[tuple[Camera, str]], list[str]]:
-    """Each frame's camera and source, and what was told instead that can't be, or is '' where all can."""
+    """Each frame's camera and source, and what was reported instead that can't be, or is '' where all can."""
     kinds: dict[tuple[str, int, int], list[int]] = {}
     for i, header in enumerate(headers):
         kinds.setdefault((label(header), header.width_px, header.height_px), []).append(i)
-    known: list[tuple[Camera, str] | None] = [None if c is None else (c, source) for c, source, _ in told]
-    wrong = [w for _, _, w in told]
+    known: list[tuple[Camera, str] | None] = [None if c is None else (c, source) for c, source, _ in reported]
+    wrong = [w for _, _, w in reported]
     for alike in kinds.values():
-        having = [(i, c.focal_length_px) for i in alike if (c := told[i][0]) is not None]
+        having = [(i, c.focal_length_px) for i in alike if (c := reported[i][0]) is not None]
         strange = strange_lenses(np.array([focal for _, focal in having]))
         for (i, focal), is_strange in zip(having, strange, strict=True):
             if is_strange:
-                known[i], wrong[i] = None, f"a focal length of {focal:.3g} px (from {told[i][1]})"
+                known[i], wrong[i] = None, f"a focal length of {focal:.3g} px (from {reported[i][1]})"
         usual = Counter(k for i in alike if (k := known[i]) is not None and not wrong[i]).most_common(1)
         for i in alike:
             if wrong[i] and usual:
@@ -249,13 +249,13 @@ def _among_others(
     cameras = []
     for header, camera, problem in zip(headers, known, wrong, strict=True):
         if camera is None:
-            raise _untold(header, problem)
+            raise _unreported(header, problem)
         cameras.append(camera)
     return cameras, wrong
 
 
-def _untold(header: FrameHeader, wrong: str) -> InputError:
-    problem = f"{wrong} can't be" if wrong else "the frame doesn't tell its focal length"
+def _unreported(header: FrameHeader, wrong: str) -> InputError:
+    problem = f"{wrong} can't be" if wrong else "the frame doesn't report its focal length"
     return InputError(problem, file=header.path, mend=_GIVE)
 
 
@@ -266,7 +266,7 @@ def cameras_from_file(
 
     With several cameras in the file: the one that the POS file names (`wanted`), else those whose name
     holds the frame's make and model, else those of the frame's size, else of its shape. Of the shutter, where
-    the file says nothing, the frame's tags and model tell.
+    the file says nothing, the frame's tags and model count.
 
     Raises: `InputError` when none fits a frame or several do.
     """
@@ -287,9 +287,9 @@ def cameras_from_file(
         if camera.name not in found:
             warnings += _unlike_tags(header, camera)
             if not camera.readout_s and camera.readout_sd_s:
-                told = shutter(header)
-                camera = replace(camera, readout_s=told.readout_s, readout_sd_s=told.sd_s)
-                warnings += _shutter_told(header, camera)
+                reported = shutter(header)
+                camera = replace(camera, readout_s=reported.readout_s, readout_sd_s=reported.sd_s)
+                warnings += _shutter_reported(header, camera)
         found.setdefault(camera.name, camera)
         names.append(camera.name)
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
@@ -297,12 +297,13 @@ def cameras_from_file(
 
 def _unlike_tags(header: FrameHeader, camera: Camera) -> list[Warn]:
     """A word where a camera file's focal length is far from what the frame's own tags say: another unit?"""
-    told, source, _ = _told(header)
-    if told is None or 1.0 / _UNLIKE_TAGS < camera.focal_length_px / told.focal_length_px < _UNLIKE_TAGS:
+    tagged, source, _ = _reported(header)
+    if tagged is None or 1.0 / _UNLIKE_TAGS < camera.focal_length_px / tagged.focal_length_px < _UNLIKE_TAGS:
         return []
     text = (
         f"{camera.name}: the focal length of {camera.focal_length_px:.0f} px is far from the "
-        f"{told.focal_length_px:.0f} px of the frames' tags ({source}); the file is followed: check its units"
+        f"{tagged.focal_length_px:.0f} px of the frames' tags ({source}); the file is followed: "
+        "check its units"
     )
     return [Warn("focal-length-differs", "", text)]
 

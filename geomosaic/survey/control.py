@@ -90,7 +90,7 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
     lines of the same coordinates are one point. A point whose lines differ a little lies in their mean, with
     half their spread added to its deviation. Pixels are counted from the corner of the first pixel.
 
-    Where all heights are 0 they are those of a list without heights: the points tell the plan alone.
+    Where all heights are 0 they are those of a list without heights: the points determine the plan alone.
 
     Raises: `InputError` naming the file, the line and the mend.
     """
@@ -110,7 +110,9 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
         not np.nan_to_num(table.numbers(c), nan=1.0).any() for c in _HEIGHTS if c in table.factors
     )
     if plan_only:
-        text = f"{path.name}: all heights are 0, taken as not given: the points tell the plan, not heights"
+        text = (
+            f"{path.name}: all heights are 0, taken as not given: the points determine the plan, not heights"
+        )
         heights, doubts = np.zeros(len(heights)), [Warn("control-plan-only", "", text)]
     warnings += doubts
     places = np.column_stack([lonlat, heights])

@@ -26,7 +26,7 @@ _COARSE: Annotated[
     Because(
         "px of the half-size image",
         "side of the coarse pixels that fine detail is held against: blur of some pixels doesn't show in "
-        "them; smaller ones are blurred too, larger ones tell of the land",
+        "them; smaller ones are blurred too, larger ones show the land",
         CHOSEN,
     ),
 ] = 4
@@ -34,7 +34,7 @@ _LEAST_LOOKED_AT_PX: Annotated[
     int,
     Because(
         "px of the half-size image",
-        "shortest side of an image that is looked at: smaller ones have too few coarse pixels to tell detail",
+        "shortest side of an image that is looked at: smaller ones have too few coarse pixels to show detail",
         CHOSEN,
     ),
 ] = 32
@@ -92,7 +92,7 @@ class Look:
 class Wholeness:
     """damage: what the decoder said, '' where the frame is whole.
 
-    whole_rows: of a damaged frame, how many rows from the top are surely whole; 0 where that can't be told.
+    whole_rows: of a damaged frame, how many rows from the top are surely whole; 0 where that isn't known.
     look: of a whole frame; None of pixels without contrast, and of TIFF that isn't decoded.
     """
 

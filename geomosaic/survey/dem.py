@@ -34,7 +34,7 @@ _AROUND: Annotated[
     Because(
         "px",
         "beside the window, by which those in it are judged: with fewer a fill or a spike at its edge has "
-        "nothing around it that tells",
+        "nothing around it to judge it by",
         CHOSEN,
     ),
 ] = 32
@@ -97,7 +97,7 @@ class HeightRaster:
         return replace(self, height_ellipsoidal_m=self.height_ellipsoidal_m[tuple(nearest)])
 
 
-def outliers_told(found: tuple[tuple[float, int], ...], path: Path) -> Warn:
+def outliers_warning(found: tuple[tuple[float, int], ...], path: Path) -> Warn:
     """What a DEM's outliers are said to be."""
     count = sum(n for _, n in found)
     values = ", ".join(f"{value:g} m ({n:,} times)" for value, n in found[:3])
@@ -162,7 +162,7 @@ def read_heights(
         rows, step_y = _part(window.row_off, window.height, wanted.row_off, wanted.height, shape[0])
         cols, step_x = _part(window.col_off, window.width, wanted.col_off, wanted.width, shape[1])
         heights, bad = heights[rows, cols], bad[rows, cols]
-        told = _counted(heights[bad])
+        outlying = _counted(heights[bad])
         heights[bad] = np.nan
         return HeightRaster(
             height_ellipsoidal_m=heights + elevation.offset_m,
@@ -171,7 +171,7 @@ def read_heights(
             north=t.f + (window.row_off + rows.start * step_y) * t.e,
             pixel_x=t.a * step_x,
             pixel_y=-t.e * step_y,
-            outliers=told,
+            outliers=outlying,
         )
 
 

@@ -63,7 +63,7 @@ _SPIKE_SPREADS: Annotated[
     ),
 ] = 10.0
 _LEAST_STEPS: Annotated[
-    int, Because("steps", "from pixel to pixel that tell what is usual; of fewer one cliff decides", CHOSEN)
+    int, Because("steps", "from pixel to pixel that show what is usual; of fewer one cliff decides", CHOSEN)
 ] = 100
 _MOST_FILLS: Annotated[
     int,

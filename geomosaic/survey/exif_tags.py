@@ -1,4 +1,4 @@
-"""The tags of an EXIF block (CIPA DC-008, TIFF 6.0) that tell of camera, place and time."""
+"""The tags of an EXIF block (CIPA DC-008, TIFF 6.0) that report camera, place and time."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _MAIN: Annotated[
     dict[int, str],
     Because(
         "tag",
-        "names of the main directory's that tell of camera and time, or where the other two directories are",
+        "names of the main directory's that report camera and time, or where the other two directories are",
         _TAGS,
     ),
 ] = {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS"}
 _EXIF: Annotated[
-    dict[int, str], Because("tag", "names of the EXIF directory's that tell of time, lens and size", _TAGS)
+    dict[int, str], Because("tag", "names of the EXIF directory's that report time, lens and size", _TAGS)
 ] = {
     0x9003: "DateTimeOriginal", 0x9004: "DateTimeDigitized",
     0x9010: "OffsetTime", 0x9011: "OffsetTimeOriginal", 0x9012: "OffsetTimeDigitized",
@@ -32,7 +32,7 @@ _EXIF: Annotated[
     0x920A: "FocalLength", 0xA002: "PixelXDimension", 0xA003: "PixelYDimension",
     0xA20E: "FocalPlaneXResolution", 0xA210: "FocalPlaneResolutionUnit", 0xA405: "FocalLengthIn35mmFilm",
 }  # fmt: skip
-_GPS: Annotated[dict[int, str], Because("tag", "names of the GPS directory's that tell the place", _TAGS)] = {
+_GPS: Annotated[dict[int, str], Because("tag", "names of the GPS directory's that hold the place", _TAGS)] = {
     1: "GPSLatitudeRef", 2: "GPSLatitude", 3: "GPSLongitudeRef", 4: "GPSLongitude",
     5: "GPSAltitudeRef", 6: "GPSAltitude",
 }  # fmt: skip

@@ -67,10 +67,10 @@ def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | N
 
     Lengths are in mm, or in pixels of the full frame where `PerspectiveFocalLengthUnits` says so; the
     principal point counts from the top left corner. The distortion is Brown's as `Camera` writes it, T1 its
-    p1 and T2 its p2; all 0 tell nothing. None too where the principal point lies as no lens has it: then the
+    p1 and T2 its p2; all 0 say nothing. None too where the principal point lies as no lens has it: then the
     tags are of another image, turned or cut.
 
-    Args: pixels_per_mm: of the frame, None if nothing tells it.
+    Args: pixels_per_mm: of the frame, None if nothing reports it.
     """
     xmp = header.xmp or {}
     focal = number(xmp, "Camera:PerspectiveFocalLength")
@@ -124,7 +124,7 @@ def fisheye(header: FrameHeader) -> bool:
 
 
 def label(header: FrameHeader) -> str:
-    """Make and model, each word once, then what tells the cameras of one rig apart."""
+    """Make and model, each word once, then what distinguishes the cameras of one rig."""
     xmp = header.xmp or {}
     words = list(dict.fromkeys(f"{header.exif.make} {header.exif.model}".split())) or ["camera"]
     band, index = xmp.get("Camera:BandName", ""), number(xmp, "Camera:RigCameraIndex")

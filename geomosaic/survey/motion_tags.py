@@ -54,7 +54,7 @@ _LONGEST: Annotated[
         "RFC 4648, section 4 (base64)",
     ),
 ] = 4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4
-_LEAST_SAMPLES: Annotated[int, Because("samples", "of a frame: fewer tell no turn within it", CHOSEN)] = 8
+_LEAST_SAMPLES: Annotated[int, Because("samples", "of a frame: fewer show no turn within it", CHOSEN)] = 8
 _SAMPLES_A_TURN: Annotated[
     int,
     Because(

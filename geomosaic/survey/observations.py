@@ -30,7 +30,7 @@ _FAR_M: Annotated[
     float,
     Because(
         "m",
-        "between a POS file and the frames' own GPS that is told, and within which exchanged columns fit: "
+        "between a POS file and the frames' own GPS that warns, and within which exchanged columns fit: "
         "GPS is off by tens of metres, other data by hundreds, a wrong CRS or line by more",
         CHOSEN,
     ),
@@ -113,8 +113,8 @@ def lonlat_of(positions: Sequence[Position]) -> Floats:
 def _with_missing(own: Sequence[Position | None], anywhere: tuple[float, float]) -> list[Position]:
     """All positions: those that nobody observed evenly between the ones before and after."""
     known = [i for i, p in enumerate(own) if p is not None]
-    told = lonlat_of([p for p in own if p is not None]) if known else np.array([anywhere])
-    at = [np.interp(np.arange(len(own)), known or [0], column) for column in told.T]
+    lonlat = lonlat_of([p for p in own if p is not None]) if known else np.array([anywhere])
+    at = [np.interp(np.arange(len(own)), known or [0], column) for column in lonlat.T]
     default = POSITION["none"]
     plan, up = default.sd_horizontal_m, default.sd_vertical_m
     return [
@@ -308,7 +308,7 @@ def _doubts(
         ),
         "positions-all-alike": (
             [len(at) == 1 and int(known.sum()) > 1] * len(positions),
-            "all frames have the same position: only their overlaps tell how they lie to each other",
+            "all frames have the same position: only their overlaps show how they lie to each other",
         ),
         "position-far-away": (
             [*far],

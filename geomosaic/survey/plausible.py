@@ -2,7 +2,7 @@
 
 A slip of a decimal point or a damaged tag puts a frame so high, or its image so wide, that ground,
 mosaic and memory would have to reach for it. Such a value is taken as not given, and named. Errors that
-a survey can have (barometers that drift, a datum that isn't told, a position far off) are none of this
+a survey can have (barometers that drift, a datum that isn't stated, a position far off) are none of this
 module's: they are for the adjustment to find.
 """
 
@@ -111,7 +111,7 @@ def plausible_positions(
         worst = float(heights[0] if np.isfinite(heights[0]) else above[np.flatnonzero(given)[0]])
         raise InputError(
             f"no frame has a height that can be: {names[int(np.argmax(given))]} has {worst:g} m",
-            mend="give heights in metres, or leave them out: images tell how high they were taken",
+            mend="give heights in metres, or leave them out: images show how high they were taken",
         )
     kept = tuple(
         replace(
@@ -121,14 +121,14 @@ def plausible_positions(
         )
         for p, high, far in zip(positions, *wrong, strict=True)
     )
-    told = [
+    warnings = [
         warn("height-absurd", names, where, [f"a {kind} of {v:g} m" for v in values])
         for where, values, kind in (
             (wrong[0], heights, "height"), (wrong[1], above, "height above the ground"),
         )
         if where.any()
     ]  # fmt: skip
-    return kept, told
+    return kept, warnings
 
 
 def plausible_attitudes(

@@ -33,7 +33,7 @@ from geomosaic.survey.strays import (
     copies,
     misplaced,
     other_kinds,
-    told,
+    stray_warnings,
     without,
     without_camera,
 )
@@ -41,8 +41,8 @@ from geomosaic.survey.usable import Inspect, Usable, inspect_all, usable
 
 Floats = NDArray[np.float64]
 _LEANS: Final = (
-    "no frame has a position, and two control points alone don't tell how the block leans about the line "
-    "through them: a third one, off it, does"
+    "no frame has a position, and two control points alone don't determine how the block leans about the "
+    "line through them: a third one, off it, does"
 )
 Progress = Callable[[int, int, str], None]
 _LOCAL: Final = (
@@ -201,7 +201,7 @@ def read_survey(
             *lost,
             *([Warn("local-frame", "", _LOCAL)] if local else []),
             *found.warnings,
-            *told(strays),
+            *stray_warnings(strays),
             *order,
             *outside,
             *observed.warnings,
@@ -250,7 +250,7 @@ def _strays(
     headers: Sequence[FrameHeader], found: Usable, table: PosFile | None, *, with_lens: bool
 ) -> list[Stray]:
     """Images that don't belong to the survey. Args: headers of one kind, in order of capture; with_lens: a
-    camera file tells the lenses."""
+    camera file gives the lenses."""
     out = copies(headers, [found.looks[h.path.name] for h in headers])
     rest = without(headers, out)
     if not with_lens:

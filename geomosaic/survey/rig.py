@@ -29,7 +29,7 @@ LEAST_BANDS: Annotated[
 @dataclass(frozen=True)
 class BandHeader:
     """A file of one band: the capture it belongs to, the band's name, wavelength in nm and number in the rig,
-    None where nothing tells."""
+    None where nothing reports it."""
 
     header: FrameHeader
     capture: str

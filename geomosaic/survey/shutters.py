@@ -51,12 +51,12 @@ STILL_CAMERAS: Final = {
     "pentax", "ricoh", "ricoh imaging company, ltd.", "fujifilm", "panasonic", "leica camera ag",
     "phase one", "samsung",
 }  # fmt: skip
-"""Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are told not to."""
-UNTOLD_SD_S: Annotated[
+"""Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are set not to."""
+UNREPORTED_SD_S: Annotated[
     float,
     Because(
         "s",
-        "deviation of the readout of a camera of which nothing tells the shutter: none, or 0.02 to 0.1 s "
+        "deviation of the readout of a camera of which nothing reports the shutter: none, or 0.02 to 0.1 s "
         "as small cameras have; a smaller one hides what that leaves open",
         CHOSEN,
     ),
@@ -75,7 +75,7 @@ _BANDS_AT_ONCE: Annotated[
 @dataclass(frozen=True)
 class Shutter:
     """readout_s, sd_s: from the first row to the last, 0 for a global shutter, and its deviation, 0 where it
-    is known; source: `tag`, `model`, `global`, `untold`, or `absurd` for a tag that can't be."""
+    is known; source: `tag`, `model`, `global`, `unreported`, or `absurd` for a tag that can't be."""
 
     readout_s: float
     sd_s: float
@@ -91,7 +91,7 @@ def shutter(header: FrameHeader) -> Shutter:
     seconds = 1e-9 * line_ns * (header.exif.height_px or header.height_px)
     if seconds:
         possible = 0.0 <= seconds <= SLOWEST.value
-        return Shutter(seconds, 0.0, "tag") if possible else Shutter(0.0, UNTOLD_SD_S, "absurd")
+        return Shutter(seconds, 0.0, "tag") if possible else Shutter(0.0, UNREPORTED_SD_S, "absurd")
     mechanical = xmp.get("drone-dji:ShutterType", "").lower() == "mechanical"
     if mechanical or model in GLOBAL_SHUTTERS or header.exif.make.lower().strip() in STILL_CAMERAS:
         return Shutter(0.0, 0.0, "global")
@@ -101,4 +101,4 @@ def shutter(header: FrameHeader) -> Shutter:
         least, most, other_s = _READOUTS_BY_SIZE.get(model, (0.0, 0.0, 0.0))
         seconds = other_s if least <= size < most else READOUTS_S[model]
         return Shutter(seconds, READOUT_SD_SHARE * seconds, "model")
-    return Shutter(0.0, UNTOLD_SD_S, "untold")
+    return Shutter(0.0, UNREPORTED_SD_S, "unreported")

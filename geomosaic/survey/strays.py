@@ -1,6 +1,6 @@
 """Images in a folder of frames that don't belong to the survey: each kind is left out and named.
 
-Told against the other frames, never by a value alone, and in doubt a frame stays: what is merely odd the
+Judged against the other frames, never by a value alone, and in doubt a frame stays: what is merely odd the
 adjustment judges.
 """
 
@@ -85,7 +85,7 @@ _LEAST_FLIGHT: Annotated[
     Because(
         "frames",
         "of a flight: fewer at a place of their own may have wrong positions; where there aren't twice as "
-        "many, nothing tells what is usual",
+        "many, nothing shows what is usual",
         CHOSEN,
     ),
 ] = 3
@@ -112,7 +112,7 @@ _WORDS: Final = {
     "frame-oblique": "look aside or to the horizon while most look down",
     "frame-other-place": "of another flight, far from the largest: mosaic it by itself",
     "frame-blurred": "far blurrier than the frames beside them, which are sharp",
-    "frame-no-camera": "no lens is told, nor are they of the others' camera",
+    "frame-no-camera": "no lens is reported, nor are they of the others' camera",
 }
 
 
@@ -127,7 +127,7 @@ def without(headers: Sequence[FrameHeader], strays: Sequence[Stray]) -> list[Fra
 
 
 def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
-    """Frames of a camera and size that tell no lens, as long as they are fewer than half."""
+    """Frames of a camera and size that report no lens, as long as they are fewer than half."""
     out: list[Stray] = []
     while True:
         rest = without(headers, out)
@@ -144,7 +144,7 @@ def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
             return out
 
 
-def told(left_out: Sequence[Stray]) -> list[Warn]:
+def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
     """One line for each kind of stray."""
     out = []
     for code, words in _WORDS.items():
@@ -259,8 +259,8 @@ def _tilt_deg(attitude: Attitude) -> float:
 
 
 def _heights_above_ground_m(positions: Sequence[Position]) -> Floats:
-    """As told, else by the absolute height over the ground that the others tell: on the ground, tags say 0,
-    which counts as not told."""
+    """As reported, else by the absolute height over the ground that the others show: on the ground, tags say
+    0, which counts as not reported."""
     above = np.array([p.height_above_ground_m for p in positions], dtype=np.float64)
     absolute = np.array([p.height_ellipsoidal_m for p in positions], dtype=np.float64)
     both = np.isfinite(above) & np.isfinite(absolute)

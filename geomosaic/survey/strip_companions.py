@@ -119,20 +119,20 @@ def check_rpc(
     middle, half = rpc.offset[:2] + 0.5, rpc.scale[:2]
     if (np.abs(middle - wanted / 2.0) > half).any() or (half > wanted).any() or (half < wanted / 4.0).any():
         own, ours = (f"{w:.0f} x {n:.0f}" for n, w in (2.0 * half, wanted))
-        told = f"an image of some {own} px, where the strips make {ours}"
-        raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
+        why = f"an image of some {own} px, where the strips make {ours}"
+        raise InputError(f"is of another scene: {why}", file=path, mend=_MEND)
     lat, lon, height = (float(v) for v in rpc.offset[2:])
     if model is not None:
         at = model.ground_from_image(len(model.right_tan) // 2, 0.0, size_px[1] / 2.0, height)
         away_m = float(np.hypot(*mid_latitude_offset_m(at[0], at[1], lon, lat)))
         if not away_m < float(np.hypot(*wanted)) * pixel_m:
-            told = f"its middle is {away_m / 1000.0:,.0f} km from where the model looks"
-            raise InputError(f"is of another scene: {told}", file=path, mend=_MEND)
+            why = f"its middle is {away_m / 1000.0:,.0f} km from where the model looks"
+            raise InputError(f"is of another scene: {why}", file=path, mend=_MEND)
     elif dem is not None:
         crs, bounds = check_dem(dem)
         x, y = MapProjection(crs.to_wkt()).map_from_geodetic(lon, lat)
         if not (bounds.left <= x <= bounds.right and bounds.bottom <= y <= bounds.top):
-            told = f"its middle ({lon:.3f}, {lat:.3f} deg) is not on {dem.name}"
+            why = f"its middle ({lon:.3f}, {lat:.3f} deg) is not on {dem.name}"
             mend = "correct 'rpc' or 'dem'"
-            raise InputError(f"it or {dem.name} is of another scene: {told}", file=path, mend=mend)
+            raise InputError(f"it or {dem.name} is of another scene: {why}", file=path, mend=mend)
     return rpc

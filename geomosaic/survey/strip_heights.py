@@ -16,7 +16,7 @@ from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.survey.dem import HeightRaster, outliers_told, read_heights
+from geomosaic.survey.dem import HeightRaster, outliers_warning, read_heights
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel, Warn
 
@@ -101,7 +101,7 @@ class DemHeights:
 def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     """The heights of a DEM under a scene that is sampled by places (n, 2), in degrees.
 
-    The vertical datum is the DEM's own, if its CRS tells one; else its heights are taken for ellipsoidal,
+    The vertical datum is the DEM's own, if its CRS states one; else its heights are taken for ellipsoidal,
     with a warning. Another warning says how much of the scene it doesn't cover.
     Raises: `InputError` if it covers none of the places or has no heights there, or its datum isn't usable.
     """
@@ -138,6 +138,6 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
         text = f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene; the nearest are taken"
         warnings.append(Warn("dem-gaps", "", text))
     if heights.outliers:
-        warnings.append(outliers_told(heights.outliers, path))
+        warnings.append(outliers_warning(heights.outliers, path))
     heights.warnings = tuple(warnings)
     return heights

@@ -280,7 +280,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
             first = ccd.path, found
         elif found != first[1]:
             raise FileError(
-                f"has {_told(*found)}, but {first[0].name} has {_told(*first[1])}",
+                f"has {_described(*found)}, but {first[0].name} has {_described(*first[1])}",
                 file=ccd.path,
                 mend="strips of one camera agree; give those of one scene",
             )
@@ -289,7 +289,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
     return width_px, tuple(lines), pixels, nodata_value
 
 
-def _told(width: int, kind: str, nodata: float | None) -> str:
+def _described(width: int, kind: str, nodata: float | None) -> str:
     return f"{width} columns of {kind}" + ("" if nodata is None else f" with nodata {nodata:g}")
 
 

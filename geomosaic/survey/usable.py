@@ -50,7 +50,7 @@ def usable(
     mask_damaged: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Usable:
-    """The frames that can be read whole; of damaged ones the whole part, if asked for and if that is told.
+    """The frames that can be read whole; of damaged ones the whole part, if asked for and if that is known.
 
     Raises: `InputError` of the first, if none can be used.
     """
@@ -78,7 +78,7 @@ def usable(
         else:
             problem = f"the image data are damaged: {found.damage}"
             if mask_damaged:
-                problem += f" (where is not told, or above row {_LEAST_WHOLE * header.height_px:.0f})"
+                problem += f" (where is not known, or above row {_LEAST_WHOLE * header.height_px:.0f})"
             mend = "copy it again from the camera, or take it out of the folder"
             unreadable[name] = FileError(problem, file=header.path, mend=mend)
     if not used:
