@@ -16,7 +16,7 @@ from geomosaic.ccd.overlaps import StripFiles, strips_in_memory
 from geomosaic.ccd.virtual_line import relief_px, virtual_line
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import ecef_from_geodetic
-from geomosaic.simulate.strip_files import told_heights
+from geomosaic.simulate.strip_files import given_heights
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strip_scene import Scene
 from geomosaic.simulate.strips import simulate_strips
@@ -33,14 +33,14 @@ def quiet(_done: int, _total: int) -> None:
 
 
 def space_of(scene: Scene) -> ObjectSpace:
-    """Model and heights as they are told."""
-    told = told_heights(scene)
+    """Model and heights as they are reported."""
+    heights = given_heights(scene)
 
     def height_at(lon: Any, lat: Any) -> Any:
         xy = scene.projection.map_from_geodetic(lon, lat)
-        return told.height_at(xy[..., 0], xy[..., 1])
+        return heights.height_at(xy[..., 0], xy[..., 1])
 
-    return ObjectSpace(scene.cameras.told, height_at, scene.relief.base_m)
+    return ObjectSpace(scene.cameras.reported, height_at, scene.relief.base_m)
 
 
 def found(plan: StripPlan, space: ObjectSpace | None = None):

@@ -312,7 +312,7 @@ def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> Non
     assert tags["PerspectiveDistortion"] == ",".join(["0.000000000"] * 5)
     (true,) = json.loads((tmp_path / "hidden" / "truth" / "cameras.json").read_text()).values()
     assert (true["projection_type"], true["focal_x"], true["k1"]) == ("fisheye_opencv", 200.0 / 160.0, 0.04)
-    (told,) = opensfm_camera(hidden.told_camera(), "simulated").values()
+    (told,) = opensfm_camera(hidden.reported_camera(), "simulated").values()
     assert told["projection_type"] == "brown"
 
 

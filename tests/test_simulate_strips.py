@@ -337,10 +337,10 @@ def test_the_model_on_disk_is_the_camera(spots: SimulatedStrips) -> None:
 def test_what_is_told_is_off_by_what_was_asked() -> None:
     plan = StripPlan(**SMALL, attitude_bias_urad=30.0)
     cameras = Scene(plan).cameras
-    away = cameras.told.roll_pitch_yaw_rad - cameras.true.roll_pitch_yaw_rad
+    away = cameras.reported.roll_pitch_yaw_rad - cameras.true.roll_pitch_yaw_rad
     np.testing.assert_allclose(np.abs(away), 30e-6, rtol=1e-6)
     noisy = Scene(dataclasses.replace(plan, attitude_bias_urad=0.0, attitude_noise_urad=7.0)).cameras
-    away = noisy.told.roll_pitch_yaw_rad - noisy.true.roll_pitch_yaw_rad
+    away = noisy.reported.roll_pitch_yaw_rad - noisy.true.roll_pitch_yaw_rad
     assert away.std() == pytest.approx(7e-6, rel=0.1)
 
 

@@ -29,7 +29,7 @@ from geomosaic.ccd.model import Settings
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.virtual_line import virtual_line
-from geomosaic.simulate.strip_files import told_heights
+from geomosaic.simulate.strip_files import given_heights
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strip_scene import PairTruth, Scene
 
@@ -61,14 +61,14 @@ class Row:
 
 
 def space_of(scene: Scene) -> ObjectSpace:
-    """Model and heights as they are told."""
-    told = told_heights(scene)
+    """Model and heights as they are reported."""
+    heights = given_heights(scene)
 
     def height_at(lon_deg: Floats, lat_deg: Floats) -> Floats:
         xy = scene.projection.map_from_geodetic(lon_deg, lat_deg)
-        return np.asarray(told.height_at(xy[..., 0], xy[..., 1]))
+        return np.asarray(heights.height_at(xy[..., 0], xy[..., 1]))
 
-    return ObjectSpace(scene.cameras.told, height_at, scene.relief.base_m)
+    return ObjectSpace(scene.cameras.reported, height_at, scene.relief.base_m)
 
 
 def errors_px(plan: StripPlan, truth: list[PairTruth]) -> Floats:

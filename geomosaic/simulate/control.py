@@ -88,7 +88,7 @@ def true_points(
 
 
 def surveyed(plan: SurveyPlan, points: Sequence[SurveyedPoint]) -> list[SurveyedPoint]:
-    """The points as they are told, with noise of SURVEYED_SD_M and MEASURED_SD_PX."""
+    """The points as they are given, with noise of SURVEYED_SD_M and MEASURED_SD_PX."""
     rng = plan.rng("control noise")
     out = []
     for p in points:

@@ -53,7 +53,7 @@ class DirtySurvey:
     given: Values
     plan: SurveyPlan
 
-    def told(self) -> Values:
+    def summary(self) -> Values:
         """For truth/dirty.json."""
         return {
             "seed": self.seed,

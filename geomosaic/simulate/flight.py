@@ -251,9 +251,9 @@ def observe(plan: SurveyPlan, flight: Flight) -> Observed:
 
     geodetic = flight.work_frame.geodetic_from_enu(flight.poses.positions_m + errors_m)
     above_m = geodetic[:, 2] - offset_m - plan.ground_height_m - plan.take_off_up_m
-    told_m = _altitudes(plan, geodetic[:, 2], above_m)
-    errors_m[:, 2] += told_m - geodetic[:, 2]
-    geodetic[:, 2] = told_m
+    reported_m = _altitudes(plan, geodetic[:, 2], above_m)
+    errors_m[:, 2] += reported_m - geodetic[:, 2]
+    geodetic[:, 2] = reported_m
     attitude = flight.yaw_pitch_roll_deg + errors_deg
     attitude[:, 0] %= 360.0
     return Observed(geodetic, attitude, errors_m, errors_deg, outlier, yaw_wrong, above_m)
@@ -268,11 +268,11 @@ def battery_offset(plan: SurveyPlan) -> Floats:
 def _altitudes(plan: SurveyPlan, height_m: Floats, above_take_off_m: Floats) -> Floats:
     """What the tags give as altitude: the height flown, or something else that passes for it; in steps."""
     noise = plan.rng("altitude").standard_normal(len(height_m))
-    told = {
+    altitude_m = {
         "flown": height_m,
         "take_off": above_take_off_m,
         "constant": np.full(len(height_m), height_m[0]),
         "ground": plan.ground_height_m + _GROUND_TAG_SD_M * noise,
     }[plan.altitude]
     step = plan.altitude_step_m
-    return np.asarray(np.round(told / step) * step if step else told)
+    return np.asarray(np.round(altitude_m / step) * step if step else altitude_m)

@@ -254,8 +254,8 @@ class SurveyPlan:
             p2=self.p2,
         )
 
-    def told_camera(self) -> Camera:
-        """The camera as the camera file tells it: perhaps a wrong focal length, perhaps no distortion."""
+    def reported_camera(self) -> Camera:
+        """The camera as the camera file reports it: perhaps a wrong focal length, perhaps no distortion."""
         true = self.camera()
         focal = true.focal_length_px * (1.0 + self.focal_error)
         if self.lens_told:
@@ -263,10 +263,10 @@ class SurveyPlan:
         middle = true.width_px / 2.0, true.height_px / 2.0
         return Camera(true.name, true.width_px, true.height_px, focal, *middle)
 
-    def told_readout_s(self) -> float | None:
-        """What the camera file tells of the shutter, None for nothing."""
-        told = self.readout_told if self.rolling_shutter_s else self.shutter_told
-        return self.rolling_shutter_s if told else None
+    def reported_readout_s(self) -> float | None:
+        """What the camera file reports of the shutter, None for nothing."""
+        known = self.readout_told if self.rolling_shutter_s else self.shutter_told
+        return self.rolling_shutter_s if known else None
 
     @property
     def pixel_m(self) -> float:

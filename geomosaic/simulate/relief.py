@@ -96,7 +96,7 @@ class RasterRelief:
 
 
 def raster_height_m(dem: Path, lon_deg: float, lat_deg: float) -> float:
-    """A DEM's height at a place, ellipsoidal as far as its CRS tells (see `survey.elevation`).
+    """A DEM's height at a place, ellipsoidal as far as its CRS states (see `survey.elevation`).
 
     Raises: `InputError` or `FileError` for what is no DEM or doesn't reach there.
     """

@@ -1,4 +1,4 @@
-"""A simulated scene's files other than images' content: geometry, model, RPC, told DEM, tables of truth."""
+"""A simulated scene's files other than images' content: geometry, model, RPC, given DEM, tables of truth."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ def write_rpc(path: Path, scene: Scene) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class ToldHeights:
-    """The relief as the told DEM has it: a constant off, and bumps of some hundred metres' length."""
+class GivenHeights:
+    """The relief as the given DEM has it: a constant off, and bumps of some hundred metres' length."""
 
     relief: Relief | RasterRelief
     seed: int
@@ -125,10 +125,10 @@ class ToldHeights:
         return np.asarray(true + self.bias_m + self.error_m * bumps)
 
 
-def told_heights(scene: Scene) -> Any:
+def given_heights(scene: Scene) -> Any:
     """The heights that dem.tif holds: the truth plus `dem_bias_m` and `dem_error_m` (sd)."""
     plan = scene.plan
-    return ToldHeights(scene.relief, plan.seed, plan.dem_bias_m, plan.dem_error_m)
+    return GivenHeights(scene.relief, plan.seed, plan.dem_bias_m, plan.dem_error_m)
 
 
 def offset_rows(pairs: Sequence[PairTruth], clouds: bool = False) -> Iterator[list[str]]:

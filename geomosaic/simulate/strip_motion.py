@@ -43,13 +43,13 @@ def scene_crs(plan: StripPlan) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """The camera that took the strips, as it is and as it is told, and the ideal one of the true scene.
+    """The camera that took the strips, as it is and as it is reported, and the ideal one of the true scene.
 
     slow_rad: roll, pitch, yaw (..., 3) at times, without what is faster than some seconds.
     """
 
     true: Pushbroom
-    told: Pushbroom
+    reported: Pushbroom
     ideal: Pushbroom
     slow_rad: CubicSpline
 
@@ -58,7 +58,7 @@ def cameras_of(plan: StripPlan) -> Cameras:
     """The three cameras of a plan, all on one orbit.
 
     The ideal camera is one unbroken line of CCDs that looks straight down, midway between the rows, and whose
-    attitude neither drifts nor jitters. What is told differs by `attitude_bias_urad` (about each axis),
+    attitude neither drifts nor jitters. What is reported differs by `attitude_bias_urad` (about each axis),
     `attitude_error_urad` (changing within seconds) and `attitude_noise_urad` (of each sample).
     """
     start, stop = -_SPARE_S, plan.lines / plan.line_rate_hz + _SPARE_S
@@ -76,8 +76,8 @@ def cameras_of(plan: StripPlan) -> Cameras:
     attitude = slow + _jitter_rad(plan, time_s) + _given_rad(plan, time_s)
     forward, right = _looks(plan, middle_s)
     true = Pushbroom(plan.line_rate_hz, orbit_s, orbit, time_s, attitude, forward, right)
-    error = _told_error_rad(plan, time_s)
-    told = Pushbroom(plan.line_rate_hz, orbit_s, orbit, time_s, attitude + error, forward, right)
+    error = _reported_error_rad(plan, time_s)
+    reported = Pushbroom(plan.line_rate_hz, orbit_s, orbit, time_s, attitude + error, forward, right)
     half_px = (plan.ccds * plan.width_px - (plan.ccds - 1) * plan.overlap_px) / 2.0
     ideal = Pushbroom(
         plan.line_rate_hz,
@@ -88,7 +88,7 @@ def cameras_of(plan: StripPlan) -> Cameras:
         np.zeros((1, 3)),
         np.array([[half_px * plan.pixel_rad, -plan.pixel_rad, 0.0]]),
     )
-    return Cameras(true, told, ideal, CubicSpline(time_s, slow))
+    return Cameras(true, reported, ideal, CubicSpline(time_s, slow))
 
 
 def _drift_rad(plan: StripPlan, time_s: Floats, middle_s: float) -> Floats:
@@ -151,8 +151,8 @@ def _given_rad(plan: StripPlan, time_s: Floats) -> Floats:
     return out
 
 
-def _told_error_rad(plan: StripPlan, time_s: Floats) -> Floats:
-    """Told minus true attitude."""
+def _reported_error_rad(plan: StripPlan, time_s: Floats) -> Floats:
+    """Reported minus true attitude."""
     rng = np.random.default_rng([plan.seed, 43])
     bias = plan.attitude_bias_urad * rng.choice([-1.0, 1.0], 3)
     knots_s = np.arange(time_s[0] - 3.0, time_s[-1] + 2.0 * _ERROR_PERIOD_S, _ERROR_PERIOD_S)

@@ -1,4 +1,4 @@
-"""What to simulate of CCD strips: focal plane, motion, ground, clouds, sensor, faults, and what is told."""
+"""What to simulate of CCD strips: focal plane, motion, ground, clouds, sensor, faults, and reports."""
 
 from __future__ import annotations
 

@@ -17,10 +17,10 @@ from geomosaic.errors import OutputError
 from geomosaic.simulate.rasters import write_heights
 from geomosaic.simulate.spread import in_threads
 from geomosaic.simulate.strip_files import (
+    given_heights,
     offset_rows,
     open_whole_strip,
     target_rows,
-    told_heights,
     write_geometry,
     write_model,
     write_rpc,
@@ -87,11 +87,11 @@ def simulate_strips(
                 progress(done, total, path.name)
     if scene:
         _write_scene(truth / "scene.tif", world, lambda n: progress(done + n, total, "true scene"))
-    write_model(out / "model.yaml", world.cameras.told)
+    write_model(out / "model.yaml", world.cameras.reported)
     write_model(truth / "model.yaml", world.cameras.true)
     write_rpc(out / "scene_RPC.TXT", world)
     crs = world.projection.crs
-    write_heights(out / "dem.tif", crs, told_heights(world), world.bounds_m, plan.dem_pixel_m)
+    write_heights(out / "dem.tif", crs, given_heights(world), world.bounds_m, plan.dem_pixel_m)
     write_heights(truth / "dem.tif", crs, world.relief, world.bounds_m, plan.dem_pixel_m)
     pairs = [world.truth(k) for k in geometry.pairs if k in strips and k + 1 in strips]
     write_csv(truth / "offsets.csv", ("pair", "line", "dcol_px", "dline_px"), offset_rows(pairs))

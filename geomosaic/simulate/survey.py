@@ -76,7 +76,7 @@ def simulate_frames(
 ) -> SimulatedSurvey:
     """Write a survey: frames, pos.csv, cameras.json, and truth/ with poses, ortho, DEM and every error drawn.
 
-    drawn: what chance made of the plan (`dirty.DirtySurvey.told`), for truth/dirty.json.
+    drawn: what chance made of the plan (`dirty.DirtySurvey.summary`), for truth/dirty.json.
     Equal plans write equal bytes. A folder that holds frames which this function didn't write is left
     alone (`OutputError`).
     """
@@ -89,7 +89,7 @@ def simulate_frames(
         )
     flight = fly(plan)
     observed = observe(plan, flight)
-    camera, told = plan.camera(), plan.told_camera()
+    camera, reported = plan.camera(), plan.reported_camera()
     world = world_of(plan, flight)
     paths = _paths(out, plan)
     if drawn is not None:
@@ -100,7 +100,7 @@ def simulate_frames(
     write_json(
         out / "truth" / "cameras.json", opensfm_camera(camera, plan.camera_model, plan.rolling_shutter_s)
     )
-    write_json(paths.camera, opensfm_camera(told, plan.camera_model, plan.told_readout_s()))
+    write_json(paths.camera, opensfm_camera(reported, plan.camera_model, plan.reported_readout_s()))
     rows = true_positions(plan, flight, observed, world.projection)
     write_csv(paths.positions, POSITIONS_COLUMNS, rows)
     if paths.pos:
@@ -127,7 +127,7 @@ def simulate_frames(
 
         def image(i: int) -> bytes:
             light = _frame(plan, camera, flight, readouts[i], world, sights[i], texture, cars[i], i)
-            return frame_bytes(plan, told, flight, observed, i, light)
+            return frame_bytes(plan, reported, flight, observed, i, light)
 
         for n, (i, data) in enumerate(zip(plan.kept, in_threads(image, plan.kept), strict=True)):
             for name in (names[i], copies.get(i)):
@@ -147,11 +147,13 @@ def _write_control(
     world: World,
 ) -> None:
     assert paths.control and paths.gcp_list and paths.true_control
-    told = control.surveyed(plan, points)
+    surveyed = control.surveyed(plan, points)
     rows = control.control_rows(points, names, world, (0.0, 0.0))
     write_csv(paths.true_control, control.COLUMNS, rows)
-    write_csv(paths.control, control.COLUMNS, control.control_rows(told, names, world, control.SURVEYED_SD_M))
-    write_bytes(paths.gcp_list, control.gcp_list(told, names, world.projection.crs).encode())
+    write_csv(
+        paths.control, control.COLUMNS, control.control_rows(surveyed, names, world, control.SURVEYED_SD_M)
+    )
+    write_bytes(paths.gcp_list, control.gcp_list(surveyed, names, world.projection.crs).encode())
 
 
 def world_of(plan: SurveyPlan, flight: Flight) -> World:

@@ -99,7 +99,7 @@ def frame_name(plan: SurveyPlan, i: int) -> str:
 
 
 def frame_bytes(
-    plan: SurveyPlan, told: Camera, flight: Flight, observed: Observed, i: int, light: NDArray[np.float32]
+    plan: SurveyPlan, reported: Camera, flight: Flight, observed: Observed, i: int, light: NDArray[np.float32]
 ) -> bytes:
     """One frame encoded: `light` is (rows, cols, 3) RGB in [0, 255]; 16-bit TIFFs use the whole range."""
     if plan.format == "tiff16":
@@ -110,10 +110,10 @@ def frame_bytes(
     if plan.format != "jpeg":
         return cv2.imencode(".tif", bgr, [cv2.IMWRITE_TIFF_COMPRESSION, 8])[1].tobytes()
     jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality])[1].tobytes()
-    size = told.width_px, told.height_px
-    per_mm = Fraction(told.width_px) / SENSOR_WIDTH_MM
-    focal_35mm = max(round(told.focal_length_px * FILM_DIAGONAL_MM / math.hypot(*size)), 1)
-    focal_mm = told.focal_length_px / float(per_mm)
+    size = reported.width_px, reported.height_px
+    per_mm = Fraction(reported.width_px) / SENSOR_WIDTH_MM
+    focal_35mm = max(round(reported.focal_length_px * FILM_DIAGONAL_MM / math.hypot(*size)), 1)
+    focal_mm = reported.focal_length_px / float(per_mm)
     exposure_s = Fraction(round(plan.exposure_time_s * 1e6), 1_000_000) or _USUAL_EXPOSURE_S
     main, exif = camera_tags(
         float(flight.time_s[i]), MAKE, plan.camera_model, size, focal_mm, per_mm, focal_35mm, exposure_s
@@ -122,7 +122,7 @@ def frame_bytes(
         return with_segments(jpeg, tiff_bytes(main, exif, []), None)
     lon, lat, height = (float(v) for v in observed.lon_lat_height[i])
     gps = gps_tags(float(flight.time_s[i]), lon, lat, height if plan.height_told else None)
-    xmp = _dji(plan, observed, i) | _camera_xmp(plan, told, flight, i)
+    xmp = _dji(plan, observed, i) | _camera_xmp(plan, reported, flight, i)
     return with_segments(
         jpeg,
         tiff_bytes(main, exif, [] if i in plan.numbered("no_gps") else gps),
@@ -136,25 +136,25 @@ def copies_of(plan: SurveyPlan) -> dict[int, str]:
     return {int(i): frame_name(plan, int(i)).replace(".", " (1).") for i in sorted(chosen)}
 
 
-def _camera_xmp(plan: SurveyPlan, told: Camera, flight: Flight, i: int) -> dict[str, str]:
-    """What Pix4D's namespace tells of lens, readout and gyroscope, as a Parrot Sequoia writes it."""
+def _camera_xmp(plan: SurveyPlan, reported: Camera, flight: Flight, i: int) -> dict[str, str]:
+    """What Pix4D's namespace reports of lens, readout and gyroscope, as a Parrot Sequoia writes it."""
     tags = {}
-    mm = float(SENSOR_WIDTH_MM) / told.width_px
+    mm = float(SENSOR_WIDTH_MM) / reported.width_px
     if plan.lens_in_tags:
-        tags["PrincipalPoint"] = f"{told.principal_col_px * mm:.6f},{told.principal_row_px * mm:.6f}"
-        if told.kind == "fisheye":
-            half_turn_px = told.focal_length_px * math.pi / 2.0
+        tags["PrincipalPoint"] = f"{reported.principal_col_px * mm:.6f},{reported.principal_row_px * mm:.6f}"
+        if reported.kind == "fisheye":
+            half_turn_px = reported.focal_length_px * math.pi / 2.0
             tags["ModelType"] = "fisheye"
             tags["FisheyeAffineMatrix"] = f"{half_turn_px:.6f},0,0,{half_turn_px:.6f}"
-            tags["FisheyePolynomial"] = f"0,1,0,{told.k1 * (math.pi / 2.0) ** 2:.9f}"
+            tags["FisheyePolynomial"] = f"0,1,0,{reported.k1 * (math.pi / 2.0) ** 2:.9f}"
         else:
-            terms = (told.k1, told.k2, told.k3, told.p1, told.p2)
+            terms = (reported.k1, reported.k2, reported.k3, reported.p1, reported.p2)
             tags["ModelType"] = "perspective"
-            tags["PerspectiveFocalLength"] = f"{told.focal_length_px * mm:.6f}"
+            tags["PerspectiveFocalLength"] = f"{reported.focal_length_px * mm:.6f}"
             tags["PerspectiveFocalLengthUnits"] = "mm"
             tags["PerspectiveDistortion"] = ",".join(f"{term:.9f}" for term in terms)
     if plan.readout_told:
-        tags["LineReadoutTime"] = str(round(1e9 * plan.rolling_shutter_s / told.height_px))
+        tags["LineReadoutTime"] = str(round(1e9 * plan.rolling_shutter_s / reported.height_px))
     if plan.gyroscope_told:
         first_row_s = float(flight.time_s[i]) - START_S + _BOOTED_S - 0.5 * plan.rolling_shutter_s
         tags["IMUAngularVelocity"] = gyroscope_tag(
@@ -207,7 +207,7 @@ def _files(plan: SurveyPlan) -> list[tuple[int, str]]:
 
 
 def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list[str]]]:
-    """The POS table with the standard deviations that it states; columns that aren't told are left out."""
+    """The POS table with the standard deviations that it states; columns that aren't given are left out."""
     hidden = (
         set() if plan.attitude_told else {"yaw_deg", "pitch_deg", "roll_deg", "sd_yaw_deg", "sd_tilt_deg"}
     )
@@ -265,7 +265,7 @@ def opensfm_camera(
     camera: Camera, model: str, readout_s: float | None = None
 ) -> dict[str, dict[str, object]]:
     """A camera in OpenSfM's cameras.json: Brown or OpenCV's fisheye, lengths over the longer side, the centre
-    from the middle; with the readout, 0 for none, where that is told."""
+    from the middle; with the readout, 0 for none, where that is reported."""
     side = float(max(camera.width_px, camera.height_px))
     fisheye = camera.kind == "fisheye"
     terms = {"k1": camera.k1, "k2": camera.k2}

@@ -259,7 +259,9 @@ class SimulateFrames(Stage):
             without = [name.strip() for name in params.without.split(",") if name.strip()]
             drawn = dirty_survey(params.dirty, given, without)
             plan = drawn.plan
-        paths = simulate_frames(context.run_folder, plan, context.progress, drawn.told() if drawn else None)
+        paths = simulate_frames(
+            context.run_folder, plan, context.progress, drawn.summary() if drawn else None
+        )
         for path in dataclasses.astuple(paths):
             if path is not None and path.is_file():
                 context.keep(path)
