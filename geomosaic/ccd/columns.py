@@ -1,4 +1,4 @@
-"""The columns' own response: what of it can be told from the image, and images without it."""
+"""The columns' own response: what of it can be determined from the image, and images without it."""
 
 from __future__ import annotations
 

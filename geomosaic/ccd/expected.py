@@ -26,7 +26,7 @@ class Nature:
     (1.2 px at 1.1 Hz to 0.06 px at 22 Hz; a pixel is 3.7 microradians) has its place. drift_rad_per_s: of
     its mean between the rows, as platforms that are stabilised on three axes hold it (1e-3 degrees a second).
     knot_s: jitter of up to 100 Hz, as reaction wheels make it, needs a knot every 5 ms (Nyquist). steady_s:
-    how long motion is about one, for layers of clouds and ground to be told apart.
+    how long motion is about one, for layers of clouds and ground to be distinguished.
     """
 
     cloud_height_m: float = 3500.0

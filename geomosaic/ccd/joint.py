@@ -108,7 +108,7 @@ _UNKNOWN_SD_PX: Annotated[
     float,
     Because(
         "px",
-        "deviation of lines that nothing tells of: about as far as TH-1's ground may lie from the nominal "
+        "deviation of lines that nothing shows: about as far as TH-1's ground may lie from the nominal "
         "geometry; less would claim knowledge, more says no more",
         CHOSEN,
     ),
@@ -121,7 +121,7 @@ def joint(
     """Offsets of every line of every pair, with standard deviations.
 
     The strips are gone through in windows of about `window_lines` lines, which overlap and fade into each
-    other; all pairs are solved together in each (`joint_window`). What a DEM tells of dline is taken out
+    other; all pairs are solved together in each (`joint_window`). What a DEM shows of dline is taken out
     before and added after. Lines whose ground only one strip has keep the nearest offset, `unreliable`.
     """
     likely = expected(strips.geometry, settings.knot_lines)

@@ -106,7 +106,7 @@ _KNOTS_PER_FACT: Annotated[
     Because(
         "knots",
         "that count as one fact of how far the suspect part lies off, since neighbours err alike: with "
-        "fewer, still ground seems to move, with more, it can hardly be told whether anything does",
+        "fewer, still ground seems to move, with more, it can hardly be decided whether anything does",
         CHOSEN,
     ),
 ] = 10.0
@@ -114,8 +114,8 @@ _ENOUGH_FIT: Annotated[
     float,
     Because(
         "share of the suspect part's knots",
-        "that must fit anything, else it can't be told whether the part moves: with less, a few chance fits "
-        "decide, with more, bright ground of low contrast is lost",
+        "that must fit anything, else it can't be decided whether the part moves: with less, a few chance "
+        "fits decide, with more, bright ground of low contrast is lost",
         CHOSEN,
     ),
 ] = 0.3
@@ -281,7 +281,7 @@ def _beside(
     centres: Floats,
     habits: Habits,
 ) -> tuple[bool, bool]:
-    """Whether the suspect part lies off the curves that the rest draws; and whether that can be told."""
+    """Whether the suspect part lies off the curves that the rest draws; and whether that can be decided."""
     cells, offset, measured = _measured(pairs, ready, now, coarse, centres)
     step = round(centres[1] - centres[0])
     rows = len(centres) * step

@@ -99,8 +99,8 @@ _SHARP_LINES: Annotated[
     Because(
         "lines",
         "on either side of a step on which the one offset must fit and the other fail, and within which two "
-        "pairs' steps are one: fewer decide by noise where contrast is low, more don't tell steps that are "
-        "near to each other",
+        "pairs' steps are one: fewer decide by noise where contrast is low, more don't distinguish "
+        "steps that are near to each other",
         CHOSEN,
     ),
 ] = 48

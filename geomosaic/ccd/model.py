@@ -1,4 +1,4 @@
-"""Nouns of the strips' offsets: the overlap of a pair, its offsets line by line, what a method may be told.
+"""Nouns of the strips' offsets: the overlap of a pair, its offsets line by line, what a method may be given.
 
 Convention: a ground point at (col, line) of the left strip lies in the right strip at
 `col - (width - overlap) + dcol` and `line + side * row_separation + dline`; side is +1 when the left
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Images = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
-"""Told how much of how much is done; may raise to stop the work."""
+"""Hears how much of how much is done; may raise to stop the work."""
 
 LABELS: Final = ("measured", "bridged", "unreliable")
 _LABEL: Final = "index into LABELS"
@@ -84,7 +84,7 @@ class StripOffsets:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the methods may be told.
+    """What the methods may be given.
 
     search_cols_px, search_lines_px: how far the offsets may lie from the nominal geometry. knot_lines: the
     distance of the knots between which `joint` draws its curves, 0: by the line rate. segment_lines: the

@@ -71,7 +71,7 @@ _MOTION_ORDER: Annotated[
     int,
     Because(
         "knots",
-        "from which the motion's next one is foretold, two for each of six pure tones: fewer can't bridge "
+        "from which the motion's next one is predicted, two for each of six pure tones: fewer can't bridge "
         "jitter of as many, more learn noise where little is seen",
         "x(n) = 2 cos(w) x(n - 1) - x(n - 2) of a pure tone; TH-1 has three; the six are chosen",
     ),
@@ -80,7 +80,7 @@ _OWN_STRIDE: Annotated[
     int,
     Because(
         "knots",
-        "between those by which own parts are foretold, which change slowly: from nearer ones a slope is "
+        "between those by which own parts are predicted, which change slowly: from nearer ones a slope is "
         "mostly noise, between farther ones hills are lost",
         CHOSEN,
     ),
@@ -101,7 +101,7 @@ class Curve:
     """A linear prediction of a curve's knot from some before, `stride` knots apart.
 
     weights (order,), the nearest first; sd_px: deviation of what is left. With a stride the chains that
-    lie between one another tell nearly the same, and each counts as its share.
+    lie between one another show nearly the same, and each counts as its share.
     """
 
     weights: Floats

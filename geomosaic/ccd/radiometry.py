@@ -30,7 +30,7 @@ _PIECE_LINES: Annotated[
     Because(
         "lines",
         "read at once: in fewer, the spare lines at both ends are a larger part of what is read, and "
-        "columns' responses are told worse, more take memory",
+        "columns' responses are determined worse, more take memory",
         CHOSEN,
     ),
 ] = 512
@@ -39,7 +39,7 @@ _MOST_PIECES: Annotated[
     Because(
         "pieces",
         "of a strip that are looked at, evenly spread, 32,768 lines in all: nearly all of a scene of TH-1; "
-        "more take time by their number and tell the same gain",
+        "more take time by their number and show the same gain",
         CHOSEN,
     ),
 ] = 64
@@ -84,7 +84,7 @@ _OFFSET_SD: Annotated[
     Because(
         "of the full scale",
         "deviation of the offset between neighbours about 0: with less, real offsets are taken for gains, "
-        "with more, blocks of one grey, which don't tell one from the other, make large offsets of noise",
+        "with more, blocks of one grey, which don't distinguish the two, make large offsets of noise",
         CHOSEN,
     ),
 ] = 0.01
@@ -240,7 +240,7 @@ def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] |
 
     The slope is of total least squares, both sides being equally noisy, over the blocks' differences from
     their own column's mean: column patterns don't enter. Robust: Cauchy weights at three times a deviation
-    that half of the blocks may spoil. As far as the blocks' greys don't tell the slope, o is drawn to 0
+    that half of the blocks may spoil. As far as the blocks' greys don't determine the slope, o is drawn to 0
     (deviation 1 % of the full scale).
     """
     if not parts:
@@ -266,11 +266,13 @@ def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] |
         xx, yy, xy = (float((weight * a * b).sum()) for a, b in ((dx, dx), (dy, dy), (dx, dy)))
         if _stuck(*(v / float(total.sum()) for v in (xx, yy, xy))):
             return None
-        told = (yy - xx + np.hypot(yy - xx, 2.0 * xy)) / (2.0 * xy) if xy > 0.0 else 1.0
+        slope = (yy - xx + np.hypot(yy - xx, 2.0 * xy)) / (2.0 * xy) if xy > 0.0 else 1.0
         level_x, level_y = max(float(mean_x.mean()), 1.0), float(mean_y.mean())
-        sure_of_told = max(xy, 0.0) / scale**2
+        sure_of_slope = max(xy, 0.0) / scale**2
         sure_of_ratio = (level_x / (_OFFSET_SD * full)) ** 2
-        g = float((told * sure_of_told + level_y / level_x * sure_of_ratio) / (sure_of_told + sure_of_ratio))
+        g = float(
+            (slope * sure_of_slope + level_y / level_x * sure_of_ratio) / (sure_of_slope + sure_of_ratio)
+        )
         rest = dy - g * dx
     return g, float((mean_y - g * mean_x).mean())
 

@@ -94,7 +94,7 @@ def scene_rpc(geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace |
     With a model: what pixels of every strip see on the ground, at their places in the raster. Where higher or
     lower ground would lie follows the ideal line's rays, since neighbouring strips see height the opposite
     way; 500 m more than the ground's own span. What a cubic can't follow, such as the jitter that is left in
-    a raster of image-space layout, the RPC doesn't follow, and its residuals tell. Without a model: the given
+    a raster of image-space layout, the RPC doesn't follow, as its residuals show. Without a model: the given
     RPC, which is of scene lines from 0.
     Raises: `InputError` if the model sees too little of the raster.
     """

@@ -80,7 +80,7 @@ NOTHING_SD_PX: Annotated[
     float,
     Because(
         "px",
-        "deviation of what nothing tells of: about as far as TH-1's ground may lie from the nominal "
+        "deviation of what nothing shows: about as far as TH-1's ground may lie from the nominal "
         "geometry; less would claim knowledge, more says no more",
         CHOSEN,
     ),
@@ -279,7 +279,7 @@ def piecewise_linear(strips: Strips, settings: Settings, progress: Progress) -> 
     """Offsets linear between the centres of the segments kept: the new chain.
 
     The standard deviation has the points' own part and what the segments' departures from their neighbours
-    tell of the way in between; it grows with the distance to the next segment kept.
+    show of the way in between; it grows with the distance to the next segment kept.
     """
     return tuple(_polyline(strips.lines(found.pair), found) for found in segments(strips, settings, progress))
 
@@ -304,7 +304,7 @@ def _polyline(lines: int, found: Segments) -> PairOffsets:
 def bridging_sd(t: Floats, at: Floats, values: Floats, own_sd: Floats, reach: float) -> Floats:
     """Standard deviation at t of a polyline through values (k,) at `at`, whose own are own_sd (at t).
 
-    Two parts are told by how far evenly spaced values are from their neighbours: from a cubic through four of
+    Two parts follow from how far evenly spaced values are from their neighbours: from a cubic through four of
     them, their noise; from the line between two, beyond that noise, the bend of the curve, which between
     values leaves about a fifth of it. Beyond `reach` lines of any value the curve may have gone at its usual
     rate, at most as far as its whole spread.

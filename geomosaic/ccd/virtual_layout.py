@@ -142,7 +142,7 @@ class VirtualLayout:
     """The object-space `SceneLayout`; places are found block by block, as they are asked for.
 
     columns: of each CCD, first and one beyond the last; (0, 0) where it is dead. sample_lines (s,): scene
-    lines at which shift_lines (ccds, s) tells the strip's line less the scene's.
+    lines at which shift_lines (ccds, s) is the strip's line less the scene's.
     """
 
     geometry: StripGeometry

@@ -14,7 +14,7 @@ BLOCK_LINES: Annotated[
     int,
     Because(
         "lines",
-        "whose evidence is taken together: of fewer, low contrast tells no shift, of more, hardly any are "
+        "whose evidence is taken together: of fewer, low contrast shows no shift, of more, hardly any are "
         "clear between small clouds, and lost lines part more of them",
         CHOSEN,
     ),
