@@ -16,7 +16,7 @@ from geomosaic.errors import InputError
 
 @dataclass(frozen=True)
 class _Scene:
-    """A run's figures; `misplaced` as run.json tells it, None where nothing is known."""
+    """A run's figures; `misplaced` as run.json reports it, None where nothing is known."""
 
     run: str
     method: str
@@ -38,8 +38,8 @@ def misplacement(
     methods = sorted({s.method for s in scenes})
     rates = {m: asdict(misplacement_rate([s for s in scenes if s.method == m])) for m in methods}
     if as_json:
-        told = {m: {k: v if isfinite(v) else None for k, v in rate.items()} for m, rate in rates.items()}
-        print(json.dumps({"scenes": [asdict(s) for s in scenes], "rates": told}, indent=2))
+        plain = {m: {k: v if isfinite(v) else None for k, v in rate.items()} for m, rate in rates.items()}
+        print(json.dumps({"scenes": [asdict(s) for s in scenes], "rates": plain}, indent=2))
         return
     for s in scenes:
         verdict = {True: "misplaced", False: "in place", None: "unknown"}[s.misplaced]
@@ -60,13 +60,15 @@ def _scene(run: Path) -> _Scene:
     from geomosaic.pipeline.finished import read_summary
 
     metrics: dict[str, Any] = read_summary(run)["metrics"]
-    told = metrics.get("misplacement")
-    if not isinstance(told, dict) or not isinstance(told.get("misplaced", ""), bool | None):
+    figures = metrics.get("misplacement")
+    if not isinstance(figures, dict) or not isinstance(figures.get("misplaced", ""), bool | None):
         raise InputError(
-            "tells no misplacement", file=run / "run.json", mend="give runs of `geomosaic strips`"
+            "reports no misplacement", file=run / "run.json", mend="give runs of `geomosaic strips`"
         )
     method = str(metrics.get("offsets", {}).get("method", ""))
-    return _Scene(str(run), method, told["misplaced"], told.get("rms_px"), told.get("worst_segment_px"))
+    return _Scene(
+        str(run), method, figures["misplaced"], figures.get("rms_px"), figures.get("worst_segment_px")
+    )
 
 
 def _px(value: float | None) -> str:

@@ -60,7 +60,7 @@ class Lines:
         self._line(f"warning: {text}")
 
     def note(self, text: str) -> None:
-        """What a stage tells that is no warning."""
+        """What a stage reports that is no warning."""
         self._line(f"{self._name}: {text}")
 
     def stage_finished(self, seconds: float, source: Source) -> None:
@@ -102,7 +102,7 @@ class Bar:
         self._say(f"warning: {text}", style="yellow")
 
     def note(self, text: str) -> None:
-        """What a stage tells that is no warning."""
+        """What a stage reports that is no warning."""
         self._say(f"{self._name}: {text}")
 
     def stage_finished(self, seconds: float, source: Source) -> None:

@@ -72,9 +72,9 @@ def stoppable() -> Iterator[Stop]:
     before = {number: signal.signal(number, stop.ask) for number in numbers}
     hook = sys.unraisablehook
 
-    def unraisable(told: Any) -> None:
-        if not (stop.signal is not None and issubclass(told.exc_type, KeyboardInterrupt)):
-            hook(told)
+    def unraisable(raised: Any) -> None:
+        if not (stop.signal is not None and issubclass(raised.exc_type, KeyboardInterrupt)):
+            hook(raised)
 
     sys.unraisablehook = unraisable
     try:
