@@ -38,7 +38,7 @@ BLOCK_LINES: Annotated[
     int,
     Because(
         "lines",
-        "that one residual is told for: two rows of patches, which fewer don't hold; over more, fast jitter "
+        "that one residual is given for: two rows of patches, which fewer don't hold; over more, fast jitter "
         "is lost in the mean",
         CHOSEN,
     ),
@@ -92,7 +92,7 @@ _AGREE_PX: Annotated[
     Because(
         "px",
         "by which patches of a block, or a block and its neighbour, may differ and still say the same: half "
-        "of the limit, so that ground and clouds apart are told apart; less calls relief and noise a "
+        "of the limit, so that ground and clouds apart are distinguished; less calls relief and noise a "
         "disagreement",
         CHOSEN,
     ),
@@ -263,7 +263,7 @@ def quality_metrics(quality: StripQuality) -> dict[str, object]:
     shares = np.array([p.share_of_labels for p in quality.pairs]).reshape(-1, len(LABELS))
     common = np.isfinite(shares).all(axis=1)
     weight = np.array([p.lines for p in quality.pairs], dtype=np.float64)[common]
-    told = np.average(shares[common], axis=0, weights=weight) if len(weight) else np.full(len(LABELS), np.nan)
+    mean = np.average(shares[common], axis=0, weights=weight) if len(weight) else np.full(len(LABELS), np.nan)
     return {
         "misplaced": quality.misplaced,
         "lines": quality.lines,
@@ -271,7 +271,7 @@ def quality_metrics(quality: StripQuality) -> dict[str, object]:
         **{key: _plain(value) for key, value in numbers.items()},
         "others_share_above_1px": _plain(quality.others.share_above),
         "share_unmeasurable": round(quality.unmeasured_lines / n, 6),
-        **{f"share_{label}": _plain(float(value)) for label, value in zip(LABELS, told, strict=True)},
+        **{f"share_{label}": _plain(float(value)) for label, value in zip(LABELS, mean, strict=True)},
         "pairs": [
             {"pair": p.pair, "worst_segment_px": _plain(float(np.nanmax(p.segments_px, initial=-1.0)))}
             for p in quality.pairs

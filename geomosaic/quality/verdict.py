@@ -152,7 +152,7 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
     "shutter-doubtful": (
         "doubtful",
-        "the frames' rows were read one after the other while the camera turned, in a way that nothing tells",
+        "the frames' rows were read one after the other while the camera turned, in a way that no tag states",
         "a camera with a global shutter or a gyroscope in its tags, or control points",
     ),
     "lens-strayed": (
@@ -229,7 +229,7 @@ def verdict_of(
     warned = {w.code for w in adjusted.warnings}
     evidence = (
         *(_judged(name, value) for name, value in figures.items()),
-        *(Evidence(code, 1.0, "", *told) for code, told in _WARNED.items() if code in warned),
+        *(Evidence(code, 1.0, "", *words) for code, words in _WARNED.items() if code in warned),
     )
     worst = max(evidence, key=lambda e: GRADES.index(e.grade))
     return Verdict(
