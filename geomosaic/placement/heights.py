@@ -1,4 +1,4 @@
-"""Heights of frames and of flat ground, from whatever POS tells."""
+"""Heights of frames and of flat ground, from whatever POS reports."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _ESTIMATED_SD_SHARE: Annotated[
     float,
     Because(
         "share of the height above the ground",
-        "deviation of a height that nobody told: a degree of tilt makes 1.7 % of it, hills more; a smaller "
-        "one holds poses to a guess, a larger one leaves the scale to whatever is told besides",
+        "deviation of a height that is not given: a degree of tilt makes 1.7 % of it, hills more; a smaller "
+        "one holds poses to a guess, a larger one leaves the scale to whatever is given besides",
         CHOSEN,
     ),
 ] = 0.1
@@ -192,7 +192,7 @@ def with_heights_above_ground(survey: Survey, above_m: float) -> tuple[Survey, f
     """The survey flown above_m over flat ground, and that ground's ellipsoidal height.
 
     Absolute heights that are known stay, and put the ground below their median; else the ground is at 0
-    and every frame at above_m, to a tenth of it. Heights above the ground that were told are dropped.
+    and every frame at above_m, to a tenth of it. Heights above the ground that were given are dropped.
     """
     absolute = np.array([or_nan(f.position.height_ellipsoidal_m) for f in survey.frames])
     level = float(np.nanmedian(absolute)) - above_m if np.isfinite(absolute).any() else 0.0

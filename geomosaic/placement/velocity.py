@@ -115,8 +115,8 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocity of each frame, (n, 3).
 
     The median, axis by axis, of the steps from frame to frame up to three before and three behind, so that
-    neither whole seconds of a clock nor a position far off tell much; where these differ, as at the end of a
-    line, of the side that agrees with itself. Across pauses nothing is told. 0 where times are missing.
+    neither whole seconds of a clock nor a position far off count much; where these differ, as at the end of a
+    line, of the side that agrees with itself. Across pauses nothing is known. 0 where times are missing.
 
     Args: positions_m (n, 3), times_s (n,) or NaN.
     """
@@ -141,7 +141,7 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
     The slopes of smoothing splines through the ways between pauses and corners: how much of what leaves a
     straight line is flown, and how much jitter, is asked of all ways together, level and upright each by
-    itself. A frame at a corner flies as the longer way does. Clocks that tell whole seconds are off by a
+    itself. A frame at a corner flies as the longer way does. Clocks that report whole seconds are off by a
     third of a step: by them, times go by the way.
     """
     out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
@@ -158,7 +158,7 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
 
 def _spread(steps: Floats) -> float:
-    """How far steps lie from their median, in the mean; of one alone that can't be told."""
+    """How far steps lie from their median, in the mean; of one alone that isn't known."""
     if len(steps) < 2:
         return float("inf")
     return float(np.linalg.norm(steps - np.median(steps, axis=0), axis=1).mean())
