@@ -28,7 +28,7 @@ from geomosaic.report.solved_figures import (
 )
 from geomosaic.report.solved_plots import correlation_map, ellipse_map, image_vectors
 from geomosaic.report.svg import COLOURS
-from geomosaic.stages.telling import record_adjusted
+from geomosaic.stages.reporting import record_adjusted
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -31,7 +31,7 @@ class AdjustmentRig(Stage):
         threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Registers, and tells how far apart the bands were and are."""
+        """Registers, and reports how far apart the bands were and are."""
         adjusted: Adjusted = inputs["adjusted"]
         rig = register_bands(
             inputs["survey"],

@@ -19,7 +19,7 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_figures
-from geomosaic.stages.telling import record_adjusted
+from geomosaic.stages.reporting import record_adjusted
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
@@ -54,7 +54,7 @@ class AdjustmentSolve(Stage):
             choices=("auto", "flat", "tie_surface"),
         )
         boresight: bool = param(False, help="a bundle solves for the attitude between platform and camera")
-        lever_arm: bool = param(False, help="a bundle solves for where positions are told, from the camera")
+        lever_arm: bool = param(False, help="a bundle solves for where positions are given, from the camera")
         gps_lag: bool = param(False, help="a bundle solves for how late positions are, along the flight")
         model: str = param(
             "auto",
@@ -74,7 +74,7 @@ class AdjustmentSolve(Stage):
         return [("frames", frames), ("agreement", f"{error_px:.2f} px mean reprojection error")]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Builds the block, adjusts it, tells what happened."""
+        """Builds the block, adjusts it, reports what happened."""
         survey: Survey = inputs["survey"]
         placement: Placement = inputs["placement"]
         ties: TiePoints = inputs["ties"]
@@ -117,8 +117,8 @@ class AdjustmentSolve(Stage):
         )
         for warning in adjusted.warnings:
             context.warn(warning.code, warning.frame, warning.text)
-        _tell_control(context, adjusted)
-        _tell_shared(context, adjusted)
+        _report_control(context, adjusted)
+        _report_shared(context, adjusted)
         if adjusted.model is not None:
             context.metric("adjustment.model", asdict(adjusted.model))
         for name, value in adjusted.figures.items():
@@ -148,7 +148,7 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
     )
 
 
-def _tell_control(context: Context, adjusted: Adjusted) -> None:
+def _report_control(context: Context, adjusted: Adjusted) -> None:
     """Figures of control and of check points apart."""
     for kind, check in (("control", False), ("check", True)):
         off_m = [c.residual_m for c in adjusted.control if c.check == check]
@@ -156,12 +156,12 @@ def _tell_control(context: Context, adjusted: Adjusted) -> None:
             context.metric(f"adjustment.{kind}", asdict(control_figures(np.stack(off_m))))
 
 
-def _tell_shared(context: Context, adjusted: Adjusted) -> None:
+def _report_shared(context: Context, adjusted: Adjusted) -> None:
     """What frames share, each with what was given, found, its deviation, and whether it was held."""
     shared = adjusted.shared
     if shared is not None:
         columns = (shared.of, shared.names, shared.given, shared.found, shared.sd, shared.held)
-        told = [
+        unknowns = [
             {
                 "of": of,
                 "name": name,
@@ -172,4 +172,4 @@ def _tell_shared(context: Context, adjusted: Adjusted) -> None:
             }
             for of, name, given, found, sd, held in zip(*columns, strict=True)
         ]
-        context.metric("adjustment.shared", told)
+        context.metric("adjustment.shared", unknowns)

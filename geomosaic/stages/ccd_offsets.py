@@ -76,7 +76,7 @@ class CcdOffsets(Stage):
             text = "has no DEM: heights are unknown, and so are offsets by the model alone"
             context.warn("dem-missing", "geometry", text)
         for offsets in pairs:
-            self._tell(context, geometry, offsets)
+            self._report(context, geometry, offsets)
         far = far_from_nominal(geometry, pairs)
         if far is not None:
             text = (
@@ -88,7 +88,7 @@ class CcdOffsets(Stage):
         return {"offsets": StripOffsets(params.method, pairs)}
 
     @staticmethod
-    def _tell(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:
+    def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:
         left, right = (geometry.ccds[k].path for k in (offsets.pair, offsets.pair + 1))
         assert left is not None
         assert right is not None

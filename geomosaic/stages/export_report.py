@@ -17,7 +17,7 @@ from geomosaic.survey.model import Survey
 
 
 class ExportReport(Stage):
-    """Runs every time, since it also tells what run.json holds so far."""
+    """Runs every time, since it also reports what run.json holds so far."""
 
     id = "export.report"
     display_name = "Write the report"

@@ -17,7 +17,7 @@ REPORT = "report.html"
 
 
 class ExportStripReport(Stage):
-    """Runs every time, since it also tells what run.json holds so far."""
+    """Runs every time, since it also reports what run.json holds so far."""
 
     id = "export.strip_report"
     display_name = "Write the strips' report"

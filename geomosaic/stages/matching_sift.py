@@ -111,7 +111,7 @@ class MatchingSift(Stage):
         )
         sizes = [(f.width_px, f.height_px) for f in frames]
         turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
-        self._tell(context, [f.name for f in frames], placement.poses, turns, headings)
+        self._report(context, [f.name for f in frames], placement.poses, turns, headings)
         context.metric("matching.pairs_tried", len(tried))
         context.metric("matching.pairs_tied", len(pairs))
         context.metric("matching.tie_points", sum(len(p) for p in pairs))
@@ -139,7 +139,7 @@ class MatchingSift(Stage):
         return likely_pairs(compared, found)
 
     @staticmethod
-    def _tell(
+    def _report(
         context: Context,
         names: Sequence[str],
         poses: Poses,

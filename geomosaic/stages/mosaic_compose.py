@@ -75,7 +75,7 @@ class MosaicCompose(Stage):
         return [(BLENDS_GROUP, params.blend)]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Composes into RUN/work, and tells run.json what came out."""
+        """Composes into RUN/work, and reports to run.json what came out."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
         ground = inputs["ground"]
@@ -125,11 +125,11 @@ class MosaicCompose(Stage):
             else:
                 mosaic = composing(survey, poses, cameras, used, raster, sources)
         mosaic = replace(mosaic, raster=RASTER)
-        self._tell(context, grid, mosaic)
+        self._report(context, grid, mosaic)
         return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}
 
     @staticmethod
-    def _tell(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:
+    def _report(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:
         size = {"width": grid.width_px, "height": grid.height_px}
         context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
         context.metric("mosaic.frames_used", len(mosaic.frames_used))

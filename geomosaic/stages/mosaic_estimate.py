@@ -19,7 +19,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.stages.mosaic_seams import MosaicSeams
-from geomosaic.stages.telling import params_of, tell_estimate
+from geomosaic.stages.reporting import params_of, report_estimate
 from geomosaic.survey.model import Survey
 
 
@@ -49,7 +49,7 @@ class MosaicEstimate(Stage):
         cameras = [survey.camera_of(i) for i in range(len(names))]
         ground = inputs["prior_ground"]
         if not any(survey.located):
-            context.tell("no frame has a position: how large the mosaic will be only the images can tell")
+            context.tell("no frame has a position: how large the mosaic will be only the images can show")
             return {}
         views = frame_views(
             survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground
@@ -72,7 +72,7 @@ class MosaicEstimate(Stage):
         core_s, memory = before_composing(
             sizes_px, len(placement.pairs), context.workers, memory, compose.threads
         )
-        told = estimate(
+        expected = estimate(
             grid.width_px,
             grid.height_px,
             gsd_m,
@@ -91,5 +91,5 @@ class MosaicEstimate(Stage):
                 f"lies so far out that without it the mosaic would have {100.0 * share:.2g} % of its size; "
                 "check its position and height",
             )
-        tell_estimate(context, told)
+        report_estimate(context, expected)
         return {}

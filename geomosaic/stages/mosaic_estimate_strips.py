@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from geomosaic.mosaic.estimate import estimate_scene
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.stages.mosaic_strips import MosaicStrips
-from geomosaic.stages.telling import params_of, tell_estimate
+from geomosaic.stages.reporting import params_of, report_estimate
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -30,12 +30,12 @@ class MosaicEstimateStrips(Stage):
         """From the strips' sizes."""
         geometry: StripGeometry = inputs["strips"]
         width, height = geometry.scene_width_px, geometry.scene_lines
-        told = estimate_scene(
+        expected = estimate_scene(
             width,
             height,
             filled_share=min(1.0, sum(geometry.lines) * geometry.width_px / (width * height)),
             pixel_bytes=1 if geometry.bit_depth <= 8 else 2,
             max_gigapixels=params_of(context, MosaicStrips).max_gigapixels,
         )
-        tell_estimate(context, told)
+        report_estimate(context, expected)
         return {}

@@ -114,7 +114,7 @@ class MosaicStrips(Stage):
             with context.writing(RPC) as path:
                 path.write_text(rpc.rpc.text(), encoding="ascii")
         rings = outlines(geometry, layout, space, rpc) or Outlines(np.zeros((0, 2)), {})
-        self._tell(context, geometry, mosaic, rpc, rings)
+        self._report(context, geometry, mosaic, rpc, rings)
         return {
             "strip_mosaic": replace(mosaic, raster=RASTER),
             "outlines": rings,
@@ -122,7 +122,7 @@ class MosaicStrips(Stage):
         }
 
     @staticmethod
-    def _tell(
+    def _report(
         context: Context, geometry: StripGeometry, mosaic: StripMosaic, rpc: SceneRpc | None, rings: Outlines
     ) -> None:
         context.report(

@@ -40,7 +40,7 @@ class MosaicTones(Stage):
         )
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Samples the frames where they overlap, solves, and tells how far they differ."""
+        """Samples the frames where they overlap, solves, and reports how far they differ."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
         frames, ground = survey.frames, inputs["ground"]

@@ -18,7 +18,7 @@ from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.telling import outline_feature, record_locations
+from geomosaic.stages.reporting import outline_feature, record_locations
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
@@ -101,12 +101,12 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
     """Heights (n,) that frames can have had above the ground below_m (n,), all ellipsoidal, and
     deviations."""
     names = [f.name for f in survey.frames]
-    told_m = frame_heights_m(survey.frames, below_m)
+    given_m = frame_heights_m(survey.frames, below_m)
     sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
-    heights_m, sd_m = with_missing_heights(told_m, sd_m, below_m)
+    heights_m, sd_m = with_missing_heights(given_m, sd_m, below_m)
     filled = [
         f.name
-        for f, a, b in zip(survey.frames, told_m, heights_m, strict=True)
+        for f, a, b in zip(survey.frames, given_m, heights_m, strict=True)
         if np.isnan(a) and np.isfinite(b) and f.position.known
     ]
     if filled:

@@ -61,7 +61,7 @@ class QualityCompare(Stage):
         return [("accuracy", f"{rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, {places}")]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Compares, tells the figures, and warns where too little could be measured."""
+        """Compares, reports the figures, and warns where too little could be measured."""
         comparison = compare(
             context.path_of(inputs["mosaic_file"]),
             params.reference,
@@ -84,11 +84,11 @@ class QualityCompare(Stage):
                 f"{comparison.reference}; the figures speak for those alone",
             )
         if params.truth is not None and "adjusted" in inputs:
-            _tell_frame_errors(inputs, params.truth, context)
+            _report_frame_errors(inputs, params.truth, context)
         return {"comparison": comparison}
 
 
-def _tell_frame_errors(inputs: Mapping[str, Any], truth: Path, context: Context) -> None:
+def _report_frame_errors(inputs: Mapping[str, Any], truth: Path, context: Context) -> None:
     """How far each frame's middle lands from its true place, in order of flight, and whether that grows."""
     survey, adjusted, placement = inputs["survey"], inputs["adjusted"], inputs["placement"]
     true_poses = read_poses(truth, [f.name for f in survey.frames], survey.work_frame)

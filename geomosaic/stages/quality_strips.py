@@ -40,10 +40,10 @@ class QualityStrips(Stage):
                 strips, offsets, lambda done, total: context.progress(done, total, "misplacement")
             )
         metrics: dict[str, Any] = quality_metrics(quality)
-        for told, pair in zip(metrics["pairs"], quality.pairs, strict=True):
-            told["segments_px"] = pair.segments_px.round(6)
+        for figures, pair in zip(metrics["pairs"], quality.pairs, strict=True):
+            figures["segments_px"] = pair.segments_px.round(6)
         context.metric("misplacement", metrics)
-        self._tell(context, geometry, offsets, quality)
+        self._report(context, geometry, offsets, quality)
         if params.truth is not None:
             true = read_true_offsets(params.truth, geometry)
             context.metric("errors", asdict(scene_errors(offsets, true, geometry)))
@@ -54,7 +54,7 @@ class QualityStrips(Stage):
         return {"strip_quality": quality}
 
     @staticmethod
-    def _tell(
+    def _report(
         context: Context, geometry: StripGeometry, offsets: StripOffsets, quality: StripQuality
     ) -> None:
         """What is left, and the spectra of what was found and of what is left."""

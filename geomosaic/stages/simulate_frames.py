@@ -91,13 +91,13 @@ class SimulateFrames(Stage):
         )
         lens: str = param(_PLAN.lens, help="how the lens bends", choices=LENSES)
         lens_told: bool = param(
-            _PLAN.lens_told, help="the told camera has lens, distortion and centre as they are"
+            _PLAN.lens_told, help="the reported camera has lens, distortion and centre as they are"
         )
         lens_in_tags: bool = param(
-            _PLAN.lens_in_tags, help="frames hold the told camera as the maker's calibration (XMP)"
+            _PLAN.lens_in_tags, help="frames hold the reported camera as the maker's calibration (XMP)"
         )
         focal_error: float = param(
-            _PLAN.focal_error, help="share by which the told focal length is too long", ge=-0.5, le=0.5
+            _PLAN.focal_error, help="share by which the reported focal length is too long", ge=-0.5, le=0.5
         )
         dem: Path | None = param(
             _PLAN.dem, help="ground from this DEM (ellipsoidal heights), which must hold lon_deg, lat_deg"
@@ -158,7 +158,7 @@ class SimulateFrames(Stage):
         attitude_told: bool = param(_PLAN.attitude_told, help="the POS holds yaw, pitch and roll")
         height_told: bool = param(_PLAN.height_told, help="the POS holds heights")
         relative_height_told: bool = param(
-            _PLAN.relative_height_told, help="frames tell their height above the take-off too (XMP)"
+            _PLAN.relative_height_told, help="frames report their height above the take-off too (XMP)"
         )
         position_bias_m: float = param(
             _PLAN.position_bias_m, help="error that all positions share, in one direction", unit="m", ge=0
@@ -179,7 +179,7 @@ class SimulateFrames(Stage):
             choices=ALTITUDES,
         )
         altitude_step_m: float = param(
-            _PLAN.altitude_step_m, help="told altitudes are rounded to it, 0 not", unit="m", ge=0, le=1000
+            _PLAN.altitude_step_m, help="reported altitudes are rounded to it, 0 not", unit="m", ge=0, le=1000
         )
         take_off_up_m: float = param(
             _PLAN.take_off_up_m, help="the take-off above the middle's ground", unit="m", ge=-1000, le=1000

@@ -137,18 +137,21 @@ class SimulateStrips(Stage):
             _PLAN.attitude_hz, help="samples a second of the attitude", unit="Hz", ge=100, le=20000
         )
         attitude_bias_urad: float = param(
-            _PLAN.attitude_bias_urad, help="told attitude: constant error of each axis", unit="urad", ge=0
+            _PLAN.attitude_bias_urad, help="reported attitude: constant error of each axis", unit="urad", ge=0
         )
         attitude_error_urad: float = param(
-            _PLAN.attitude_error_urad, help="told attitude: error that changes in 2 s (sd)", unit="urad", ge=0
+            _PLAN.attitude_error_urad,
+            help="reported attitude: error that changes in 2 s (sd)",
+            unit="urad",
+            ge=0,
         )
         attitude_noise_urad: float = param(
-            _PLAN.attitude_noise_urad, help="told attitude: noise of each sample (sd)", unit="urad", ge=0
+            _PLAN.attitude_noise_urad, help="reported attitude: noise of each sample (sd)", unit="urad", ge=0
         )
         dem_bias_m: float = param(
-            _PLAN.dem_bias_m, help="told DEM: constant error", unit="m", ge=-1000, le=1000
+            _PLAN.dem_bias_m, help="given DEM: constant error", unit="m", ge=-1000, le=1000
         )
-        dem_error_m: float = param(_PLAN.dem_error_m, help="told DEM: bumps (sd)", unit="m", ge=0, le=500)
+        dem_error_m: float = param(_PLAN.dem_error_m, help="given DEM: bumps (sd)", unit="m", ge=0, le=500)
         dem_pixel_m: float = param(
             _PLAN.dem_pixel_m, help="pixel of the DEMs written", unit="m", ge=1, le=1000
         )

@@ -57,15 +57,15 @@ class SurveyRead(Stage):
 
     @classmethod
     def check(cls, params: Params) -> None:
-        """The frames' names and every file beside them, but for what only the frames' headers tell."""
-        told = params.model_dump(exclude={"frames", "dem_offset_m", "damaged", "leave_out"})
-        check_survey_files(params.frames, **told)
+        """The frames' names and every file beside them, but for what only the frames' headers show."""
+        given = params.model_dump(exclude={"frames", "dem_offset_m", "damaged", "leave_out"})
+        check_survey_files(params.frames, **given)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
-        told = params.model_dump(exclude={"frames"})
+        given = params.model_dump(exclude={"frames"})
         inspect = partial(context.map, "looking for damage", wholeness, reads=_itself)
-        survey = read_survey(params.frames, **told, inspect=inspect, progress=context.progress)
+        survey = read_survey(params.frames, **given, inspect=inspect, progress=context.progress)
         for warning in survey.warnings:
             context.warn(warning.code, warning.frame, warning.text)
         for camera in survey.cameras:

@@ -1,4 +1,4 @@
-"""What several stages tell the recording and run.json in the same words."""
+"""What several stages report to the recording and run.json in the same words."""
 
 from __future__ import annotations
 
@@ -92,11 +92,11 @@ def params_of(context: Context, stage: type[Stage]) -> Any:
     return stage.Params.model_validate(given)
 
 
-def tell_estimate(context: Context, estimate: Estimate) -> None:
+def report_estimate(context: Context, estimate: Estimate) -> None:
     """One line and `metrics.estimate`; `OutputError` where the disk hasn't the room for the least of it.
 
     What an earlier run left there counts as free. Memory and time depend on the workers, which results must
-    not: they are told and not kept.
+    not: they are reported and not kept.
     """
     left = [p.lstat() for p in context.run_folder.rglob("*")]
     before = sum(s.st_size for s in left if stat.S_ISREG(s.st_mode)) / 1e9
