@@ -31,7 +31,7 @@ _MOST_TRIAL_NODES: Annotated[
     int,
     Because(
         "nodes",
-        "of a surface that only foretells points which were left out: some thirty are made of each block, "
+        "of a surface that only predicts points which were left out: some thirty are made of each block, "
         "so a tenth of the last one's",
         CHOSEN,
     ),
@@ -401,7 +401,7 @@ def _astray(
 
 
 def _curving(task: _Task, spacing_m: float) -> float:
-    """The curving that foretells every fifth square of points best: least mean miss, wild ones capped."""
+    """The curving that predicts every fifth square of points best: least mean miss, wild ones capped."""
     col, row = np.floor((task.points_m[:, :2] - task.low_m) / (_GAP * task.height_m)).astype(np.intp).T
     out = (col + 2 * row) % 5 == 0
     if out.sum() < _FEWEST or out.all():
@@ -412,7 +412,7 @@ def _curving(task: _Task, spacing_m: float) -> float:
 
 
 def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float]:
-    """The standing that foretells the low points of left-out corners best, by the median: crowns are no
+    """The standing that predicts the low points of left-out corners best, by the median: crowns are no
     ground, and it is beyond the points that ground needs something to stand on."""
     above = task.above(max(terms for terms, _ in _STANDINGS))
     total = np.zeros(len(_STANDINGS))

@@ -25,8 +25,8 @@ class Camera:
     distortion is a share of the corner's radius.
     readout_s: time from reading the first row to the last, 0 for a global shutter; a pose is that of the
     middle row. Negative if the last row is read first, as in an image turned by 180 degrees.
-    readout_sd_s: how well it is known, 0 where it is; without a readout, how long one might be that nobody
-    told.
+    readout_sd_s: how well it is known, 0 where it is; without a readout, how long an unreported one
+    might be.
     """
 
     name: str

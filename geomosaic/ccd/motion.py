@@ -135,7 +135,7 @@ LEVEL: Annotated[
     Floats,
     Because(
         "1",
-        "weights of the knot before that foretell the next: it stays; others would draw a level away from "
+        "weights of the knot before that predict the next: it stays; others would draw a level away from "
         "itself",
         "binomial coefficients: the first difference is 0",
     ),
@@ -144,7 +144,7 @@ STRAIGHT: Annotated[
     Floats,
     Because(
         "1",
-        "weights of two knots before, the nearest first, that foretell the next: it goes straight on; "
+        "weights of two knots before, the nearest first, that predict the next: it goes straight on; "
         "others would bend slopes",
         "binomial coefficients: the second difference is 0",
     ),
@@ -153,7 +153,7 @@ CUBIC: Annotated[
     Floats,
     Because(
         "1",
-        "weights of four knots before, the nearest first, that foretell the next: it goes on as a cubic, "
+        "weights of four knots before, the nearest first, that predict the next: it goes on as a cubic, "
         "which ties the knots between strides to each other and no more; with fewer, hills would count as "
         "unrest",
         "binomial coefficients: the fourth difference is 0",

@@ -1,4 +1,4 @@
-"""No file that geomosaic reads makes it open a connection: GDAL and PROJ are told so before they are loaded.
+"""No file that geomosaic reads makes it open a connection: GDAL and PROJ are set so before they are loaded.
 
 By environment variables, since two builds of GDAL (rasterio's and osgeo's), PROJ and the programs that are
 started read them alike. Remote paths are refused at the doors; this is the bolt behind.

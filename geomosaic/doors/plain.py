@@ -20,7 +20,7 @@ MOST_YAML_NODES: Final = 10_000
 _MOST_JSON: Final = {b"{": 2_000_000, b"[": 2_000_000, b",": 5_000_000}
 """A reconstruction.json of 600,000 points has 1.8 million lists and mappings; these limits hold 1 GB."""
 _MOST_DIGITS: Final = 30
-"""Of a whole number: the largest that a float64 tells apart has 16."""
+"""Of a whole number: the largest that a float64 distinguishes has 16."""
 _SHORT: Final = reprlib.Repr()
 _SHORT.maxstring = 60
 

@@ -93,7 +93,7 @@ def write_cog(
             # GDAL holds as many rows at once as one of the smallest overview stands for.
             options.append(f"OVERVIEW_COUNT={_MOST_OVERVIEWS}")
         with gdal_options({"GDAL_PAM_ENABLED": "NO"}):
-            _tell_statistics(source)
+            _write_statistics(source)
         placed = source.GetGeoTransform(can_return_null=True)
         gsd = [f"GSD_M={placed[1]:.10g}"] if placed is not None else []
         done = gdal.Translate(
@@ -107,7 +107,7 @@ def write_cog(
         del done, band, source
 
 
-def _tell_statistics(source: Any) -> None:
+def _write_statistics(source: Any) -> None:
     """Puts every band's statistics into its metadata, by valid pixels of evenly chosen blocks.
 
     GDAL's own count masked pixels as zeros.
@@ -130,10 +130,10 @@ def _tell_statistics(source: Any) -> None:
     count, least, most, sums, squares = (np.array(column) for column in zip(*found, strict=True))
     mean = sums.sum(axis=0) / count.sum()
     sd = np.sqrt(np.maximum(squares.sum(axis=0) / count.sum() - mean**2, 0.0))
-    told = {"MINIMUM": least.min(axis=0), "MAXIMUM": most.max(axis=0), "MEAN": mean, "STDDEV": sd}
+    statistics = {"MINIMUM": least.min(axis=0), "MAXIMUM": most.max(axis=0), "MEAN": mean, "STDDEV": sd}
     for number in range(source.RasterCount):
         band = source.GetRasterBand(number + 1)
-        for name, of_bands in told.items():
+        for name, of_bands in statistics.items():
             band.SetMetadataItem(f"STATISTICS_{name}", f"{of_bands[number]:.10g}")
         if len(chosen) < wide * high:
             band.SetMetadataItem("STATISTICS_APPROXIMATE", "YES")

@@ -66,7 +66,7 @@ _NEIGHBOURS: Annotated[
     Because(
         "pairs of a frame",
         "as many of the likeliest as a frame asks for where positions are known: fewer leave lines untied "
-        "to each other, more take time to match and tell the same",
+        "to each other, more take time to match and show the same",
         CHOSEN,
     ),
 ] = 12

@@ -30,7 +30,7 @@ _COARSE_CORRELATION: Annotated[
     float,
     Because(
         "1",
-        "least coefficient at which a coarse patch tells its neighbours where to look: below, peaks are "
+        "least coefficient at which a coarse patch shows its neighbours where to look: below, peaks are "
         "mostly chance; above, jumps and patches that changed hand nothing on. The limit of the result is "
         "another",
         CHOSEN,

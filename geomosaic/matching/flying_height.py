@@ -1,4 +1,4 @@
-"""Flying height from images and positions alone, for surveys that tell none."""
+"""Flying height from images and positions alone, for surveys that report none."""
 
 from __future__ import annotations
 

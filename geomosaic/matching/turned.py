@@ -133,7 +133,7 @@ def turned_frames(
     it was tagged.
 
     Args: costs_m: (left, right, (4, 4) costs) per pair. cap_m: beyond this a pair says no more. possible (n,
-        4): see `possible_quarters`; all if it isn't told.
+        4): see `possible_quarters`; all if it isn't given.
     """
     never = np.zeros((n, 4)) if possible is None else np.where(possible, 0.0, 4.0 * cap_m)
     capped = [(a, b, np.minimum(c, cap_m) + never[a][:, None] + never[b][None, :]) for a, b, c in costs_m]
@@ -153,7 +153,7 @@ def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> 
     with their course.
 
     An image turned after the flight keeps a heading that fits the course as the others' do; of a heading
-    that was kept from another line the turned one fits better. Only told where heading and course go together
+    that was kept from another line the turned one fits better. Only said where heading and course go together
     in the frames that weren't turned; else a platform may fly backward, and the images count as turned.
 
     Args: yaw_rad, course_rad (n,) as tagged and as flown; NaN where unknown.
@@ -164,8 +164,8 @@ def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> 
     usual = complex(np.mean(off[straight])) if straight else 0j
     if abs(usual) < _TOGETHER:
         return {}
-    as_told = (off / usual).real
-    wrong = [i for i, q in turns.items() if known[i] and (off[i] * (-1j) ** q / usual).real > as_told[i]]
+    as_tagged = (off / usual).real
+    wrong = [i for i, q in turns.items() if known[i] and (off[i] * (-1j) ** q / usual).real > as_tagged[i]]
     return {i: float((course_rad[i] + np.angle(usual)) % (2.0 * np.pi)) for i in wrong}
 
 
@@ -234,7 +234,7 @@ def righted(poses: Poses, turns: dict[int, int]) -> Poses:
 
 
 def reheaded(poses: Poses, headings_rad: dict[int, float]) -> Poses:
-    """Poses of which some have another heading, known as well as a course tells it; they turn about the
+    """Poses of which some have another heading, known as well as a course determines it; they turn about the
     vertical, their tilts with them."""
     rotations, sd_rad = poses.rotations.copy(), poses.rotations_sd_rad.copy()
     for i, heading in headings_rad.items():

@@ -29,7 +29,7 @@ _MOST_FLAT_NODES: Annotated[
     Because(
         "nodes",
         "of flat ground, 2 MB: enough for a node every 100 m out to 25 km, and where a survey reaches 150 "
-        "km the chord between them is 7 mm off; more tell nothing that shows",
+        "km the chord between them is 7 mm off; more add nothing that shows",
         "chosen; the chord: spacing² / (8 Earth radii)",
     ),
 ] = 250_000

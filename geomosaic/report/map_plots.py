@@ -165,7 +165,7 @@ def network_map(
 
 
 def _ends(names: Sequence[str]) -> list[str]:
-    """The part of each name that tells it apart: without suffix and common beginning, 12 letters at most."""
+    """The part of each name that sets it apart: without suffix and common beginning, 12 letters at most."""
     stems = [n.rsplit(".", 1)[0] for n in names]
     common = 0
     while len(stems) > 1 and all(len(s) > common + 1 and s[common] == stems[0][common] for s in stems):

@@ -160,7 +160,7 @@ def control_tables(adjusted: Adjusted) -> list[tuple[str, ControlFigures, list[C
 
 
 def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tuple[str, str, str]]]]:
-    """For each camera that no solve tells of its parameters: name, as given, as adjusted."""
+    """For each camera that no solve reports the parameters of: name, as given, as adjusted."""
     solved = () if adjusted.shared is None else adjusted.shared.of
     used: dict[str, Camera] = {c.name: c for c in adjusted.cameras if c.name not in solved}
     parameters = (

@@ -33,8 +33,8 @@ _MOST_OUTLINES = 400
 class SolvedSection:
     """Texts, tables and images (SVG); empty where a method doesn't say.
 
-    unknowns: title and rows of each camera and of the platform. correlations: pairs that can hardly be told
-    apart. fields: title and image of each camera's mean residuals.
+    unknowns: title and rows of each camera and of the platform. correlations: pairs that can hardly be
+    distinguished. fields: title and image of each camera's mean residuals.
     """
 
     ground: str

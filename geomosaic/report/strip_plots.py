@@ -24,7 +24,7 @@ _SPECTRUM_BINS = 300
 
 
 def offsets_plot(pair: PairOffsets, *, label: str, width: float = 720) -> str:
-    """dcol and dline over the lines, each with its 90 % interval; a bar tells what wasn't measured."""
+    """dcol and dline over the lines, each with its 90 % interval; a bar shows what wasn't measured."""
     line, values, reach, worst = _thinned(pair)
     height = _TOP + 2 * _PANEL + _GAP + _BOTTOM
     ticks = nice_ticks(0.0, float(max(len(pair.label), 1)))

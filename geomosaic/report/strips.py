@@ -99,7 +99,7 @@ def _crop_words(place: Place) -> str:
 
 
 def strips_verdict(quality: StripQuality) -> str:
-    """What is known of how well the strips lie on one another; its first sentence tells what isn't."""
+    """What is known of how well the strips lie on one another; its first sentence says what isn't."""
     f = quality.figures
     if quality.misplaced is None:
         little = "Too little" if f.lines else "Nothing"

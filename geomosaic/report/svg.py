@@ -52,7 +52,7 @@ def text(x: float, y: float, words: str, **attributes: object) -> str:
 
 
 def document(width: float, height: float, content: Iterable[str], label: str) -> str:
-    """A whole image that also stands alone as a file; `label` tells what it shows."""
+    """A whole image that also stands alone as a file; `label` says what it shows."""
     body = tag("title", escape(label, quote=False)) + tag("style", _STYLE) + "".join(content)
     return tag(
         "svg",

@@ -8,7 +8,7 @@
     for (const key of form.dataset.criteria.split(" ")) {
       scores[key] = Number(data.get("score-" + key));
     }
-    const told = {
+    const report = {
       scale: "CCIR 500-1, five levels, 5 is best",
       mosaic: form.dataset.mosaic,
       viewer: String(data.get("viewer")),
@@ -17,8 +17,8 @@
       remark: String(data.get("remark")),
     };
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([JSON.stringify(told, null, 2)], { type: "application/json" }));
-    link.download = "scores-" + (told.viewer.replace(/[^A-Za-z0-9]+/g, "-") || "viewer") + ".json";
+    link.href = URL.createObjectURL(new Blob([JSON.stringify(report, null, 2)], { type: "application/json" }));
+    link.download = "scores-" + (report.viewer.replace(/[^A-Za-z0-9]+/g, "-") || "viewer") + ".json";
     link.click();
     URL.revokeObjectURL(link.href);
     document.getElementById("saved").textContent = "Saved as " + link.download + ".";
