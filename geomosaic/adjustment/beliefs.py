@@ -12,7 +12,7 @@ from geomosaic.adjustment.bundle_model import Priors
 from geomosaic.adjustment.chosen_ground import DEM_SD_M, flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.mounting import Mounting
-from geomosaic.adjustment.swing import GUST_M_PER_S, RATE_SD_RAD_PER_S, TERMS
+from geomosaic.adjustment.swing import GUST_M_PER_S, RATE_SD_RAD_PER_S, TERMS, recorded_share
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
@@ -178,12 +178,17 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
+    recorded = recorded_share(block.poses.turns, readouts_s)
+    known = np.isfinite(recorded)
     rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
     if not settings.turning:
         rate_sd, terms = GUST_M_PER_S / flying_height_m(block), 1
     elif _zero_unknown(block, settings):
-        rate_sd, terms = _ZERO_SD_RAD_PER_S, 1
-    return np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
+        rate_sd, terms = _ZERO_SD_RAD_PER_S, TERMS if known.any() else 1
+    sd = np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
+    guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
+    sd[known, 1:] = guessed[:, None]
+    return np.asarray(sd)
 
 
 def _zero_unknown(block: Block, settings: Settings) -> bool:

@@ -311,7 +311,7 @@ def readout_shown(solved: Bundle) -> bool:
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     """A line if something other than the given was needed, and one if how frames turn is the images' word
-    alone or can't be determined."""
+    alone or can't be determined; not where a gyroscope's record leaves but its last rows to them."""
     out: list[Warn] = []
     judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
     if choice is not None and choice.shown:
@@ -327,7 +327,9 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
             f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in judged)}"
         )
         out.append(Warn("model-chosen", "", text))
-    if choice is not None and "turning" in choice.taken:
+    turns = block.poses.turns
+    incomplete = turns is not None and bool(np.isfinite(turns.recorded_until_s).any())
+    if choice is not None and "turning" in choice.taken and not incomplete:
         why = "no gyroscope reports how" if block.poses.turns is None else "not as the gyroscope reports"
         text = f"frames turn while their rows are read, and {why}: their shapes are estimated"
         out.append(Warn("shutter-doubtful", "", text))

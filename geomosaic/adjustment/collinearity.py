@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.swing import terms_at
+from geomosaic.adjustment.swing import recorded_share, terms_at
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS, Lens
@@ -111,7 +111,8 @@ def readout_of(
         at_row = at_row @ exp_turn(turn)
         rates = np.einsum("mij,mj->mi", at_row, rate - 0.5 * np.cross(turn, rate))
     if swing is not None:
-        terms, slopes = terms_at(share, swing.shape[1])
+        recorded = recorded_share(poses.turns, np.ones(len(poses)))[frame]
+        terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
         more = exp_turn(np.einsum("mt,mtj->mj", terms, swing[frame]))
         swinging = np.einsum("mt,mtj->mj", slopes, swing[frame])
         at_row = more @ at_row

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Poses, Turns
+from geomosaic.camera.exterior import LEAST_RECORDED, Poses, Turns
 from geomosaic.camera.rotation import exp_turn, log_turn
-from geomosaic.constants import Because
+from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 TERMS: Annotated[
     int,
@@ -57,14 +58,49 @@ _TABLED: Annotated[
         "linear interpolation: (2 pi / 32)² / 8",
     ),
 ] = 33
+_MOST_RECORDED: Annotated[
+    float,
+    Because(
+        "share of the height from the middle row on",
+        "beyond which nothing is left to guess: the last hundredth, where a function may still stand",
+        CHOSEN,
+    ),
+] = 0.49
 
 
-def terms_at(share: Floats, terms: int) -> tuple[Floats, Floats]:
+def recorded_share(turns: Turns | None, readouts_s: Floats) -> Floats:
+    """Up to which share of each frame's height, from the middle row on in the order of reading, its turns are
+    recorded, (f,) of readouts_s (f,); NaN where next to none of it is."""
+    if turns is None:
+        return np.full(readouts_s.shape, np.nan)
+    share = np.broadcast_to(turns.recorded_until_s / turns.span_s, readouts_s.shape)
+    return np.where(share > LEAST_RECORDED, np.minimum(share, _MOST_RECORDED), np.nan)
+
+
+def terms_at(share: Floats, terms: int, recorded: Floats, backwards: Bools) -> tuple[Floats, Floats]:
     """The functions (..., terms) at rows by their share of the image's height, from the middle row on, and
-    their slopes over a whole height."""
+    their slopes over a whole height.
+
+    Legendre's polynomials; where turns are recorded up to a share of the height (`recorded`, NaN where not;
+    in the order of reading, which is upwards where `backwards`), the first is for the record's zero, and the
+    others are powers from two on of the rows since, along which rates were guessed.
+    """
     whole = legendre.legvander(2.0 * share, terms)
     slopes = 2.0 * whole[..., :terms] @ legendre.legder(np.eye(terms + 1))[:, 1:]
-    return (whole - legendre.legvander(np.zeros(1), terms))[..., 1:], slopes
+    whole = (whole - legendre.legvander(np.zeros(1), terms))[..., 1:]
+    known = np.broadcast_to(np.isfinite(recorded), share.shape)
+    if terms == 1 or not known.any():
+        return whole, slopes
+    way = np.where(backwards, -1.0, 1.0)
+    length = np.where(known, 0.5 - recorded, 1.0)[..., None]
+    powers = np.arange(2, terms + 1)
+    since = np.maximum((way * share - np.where(known, recorded, 0.0))[..., None] / length, 0.0)
+    middle = np.maximum(-np.where(known, recorded, 0.0)[..., None] / length, 0.0)
+    known = known[..., None]
+    whole[..., 1:] = np.where(known, since**powers - middle**powers, whole[..., 1:])
+    steep = np.asarray(way)[..., None] * powers * since ** (powers - 1) / length
+    slopes[..., 1:] = np.where(known, steep, slopes[..., 1:])
+    return whole, slopes
 
 
 def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
@@ -79,11 +115,12 @@ def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
         turns = Turns(span_s, np.zeros((len(poses), times, 3)))
     elif turns.rad.shape[1] < times:
         tabled = [turns[i].tabled(turns.span_s, times).rad for i in range(len(poses))]
-        turns = Turns(turns.span_s, np.stack(tabled))
+        turns = replace(turns, rad=np.stack(tabled))
     n, k = turns.rad.shape[:2]
     after_s = np.linspace(-0.5, 0.5, k) * turns.span_s
     share = after_s / np.where(readouts_s, readouts_s, np.inf)[:, None]
-    by_row = np.einsum("nkt,ntj->nkj", terms_at(share, swing_rad.shape[1])[0], swing_rad)
+    recorded, backwards = recorded_share(turns, readouts_s)[:, None], (readouts_s < 0.0)[:, None]
+    by_row = np.einsum("nkt,ntj->nkj", terms_at(share, swing_rad.shape[1], recorded, backwards)[0], swing_rad)
     in_camera = np.einsum("nji,nkj->nki", poses.rotations, by_row)
     rad = log_turn(exp_turn(in_camera.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
-    return replace(poses, turns=Turns(turns.span_s, rad.reshape(n, k, 3)))
+    return replace(poses, turns=replace(turns, rad=rad.reshape(n, k, 3)))

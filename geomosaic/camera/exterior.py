@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -32,6 +32,15 @@ MOST_ROUNDS: Annotated[
     ),
 ] = 30
 
+LEAST_RECORDED: Annotated[
+    float,
+    Because(
+        "share of the height from the middle row on",
+        "up to which a record has to reach to be one of the frame: below, a tenth of the rows is left of it",
+        CHOSEN,
+    ),
+] = -0.4
+
 
 def row_moved_px(camera: Camera, before_px: NDArray[Any], row_px: NDArray[Any]) -> NDArray[Any]:
     """By how much a round has moved rows that lie in the image or near it; others by nothing."""
@@ -44,14 +53,18 @@ class Turns:
     """How a frame (or many) turns while a rolling shutter reads its rows, against its middle row.
 
     rad (k, 3) or (n, k, 3): rotation vectors in camera axes, `R(row) = R exp(turn)`, at k >= 2 even times
-    over span_s about the time of the middle row; linear between and beyond.
+    over span_s about the time of the middle row; linear between and beyond. recorded_until_s, () or (n,): how
+    long after the middle row a gyroscope's record ends, beyond which turns are guessed; NaN where there is
+    no record.
     """
 
     span_s: float
     rad: Floats
+    recorded_until_s: Floats = field(default_factory=lambda: np.array(np.nan))
 
     def __getitem__(self, i: int) -> Turns:
-        return Turns(self.span_s, self.rad[i])
+        until_s = self.recorded_until_s
+        return Turns(self.span_s, self.rad[i], until_s[i] if until_s.ndim else until_s)
 
     def at(self, after_s: ArrayLike, frame: NDArray[np.intp] | None = None) -> tuple[Floats, Floats]:
         """Turns and their rates per second (..., 3) so long after the middle row. frame: of many, whose."""
@@ -65,13 +78,14 @@ class Turns:
 
     def tabled(self, span_s: float, times: int) -> Turns:
         """The same of one frame over another span and at so many times."""
-        return Turns(span_s, self.at(np.linspace(-0.5, 0.5, times) * span_s)[0])
+        rad = self.at(np.linspace(-0.5, 0.5, times) * span_s)[0]
+        return Turns(span_s, rad, self.recorded_until_s)
 
     def turned(self, frames: list[int], quarters: int) -> Turns:
         """Of many, with those of images that were turned clockwise, as by `Camera.turned`."""
         rad = self.rad.copy()
         rad[frames] = rad[frames] @ about_z(quarters * np.pi / 2.0)
-        return Turns(self.span_s, rad)
+        return replace(self, rad=rad)
 
 
 @dataclass(frozen=True)

@@ -154,4 +154,5 @@ def _turns(survey: Survey) -> Turns | None:
     span_s, times = max(t.span_s for t in known), max(len(t.rad) for t in known)
     none = np.zeros((times, 3))
     tables = [none if f.turns is None else f.turns.tabled(span_s, times).rad for f in survey.frames]
-    return Turns(span_s, np.stack(tables))
+    until_s = [np.nan if f.turns is None else float(f.turns.recorded_until_s) for f in survey.frames]
+    return Turns(span_s, np.stack(tables), np.array(until_s))

@@ -26,7 +26,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 10
+    version = 11
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Turns
+from geomosaic.camera.exterior import LEAST_RECORDED, Turns
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import FASTEST, FASTEST_TURN, SLOWEST
@@ -82,7 +82,8 @@ _EDGE: Annotated[
 
 
 def turns_of(header: FrameHeader) -> Turns | None:
-    """The frame's turns by `Camera:IMUAngularVelocity`, None without it or where it can't be.
+    """The frame's turns by `Camera:IMUAngularVelocity`, None without it, where it can't be, or where the
+    record ends before the rows are read.
 
     Base64 of 24-byte records, little endian: uint64 microseconds, three float32 in rad/s, uint32.
     """
@@ -100,7 +101,10 @@ def turns_of(header: FrameHeader) -> Turns | None:
     at_s = span_s / 2.0 + UNIT_DELAY_S + np.linspace(-0.5, 0.5, times) * span_s
     rad = np.stack([np.interp(at_s, time_s, turned[:, axis]) for axis in range(3)], axis=1)
     rad -= rad[times // 2]
-    return Turns(span_s, rad) if np.abs(rad).max() <= _FARTHEST_RAD else None
+    until_s = np.array(span_s / 2.0 - UNIT_DELAY_S)
+    if until_s <= LEAST_RECORDED * span_s:
+        return None
+    return Turns(span_s, rad, until_s) if np.abs(rad).max() <= _FARTHEST_RAD else None
 
 
 def velocity_of(header: FrameHeader) -> tuple[float, float, float] | None:
