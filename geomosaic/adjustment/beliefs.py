@@ -178,7 +178,7 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
-    recorded = recorded_share(block.poses.turns, readouts_s)
+    recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
     known = np.isfinite(recorded)
     rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
     if not settings.turning:

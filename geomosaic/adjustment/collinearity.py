@@ -111,7 +111,7 @@ def readout_of(
         at_row = at_row @ exp_turn(turn)
         rates = np.einsum("mij,mj->mi", at_row, rate - 0.5 * np.cross(turn, rate))
     if swing is not None:
-        recorded = recorded_share(poses.turns, np.ones(len(poses)))[frame]
+        recorded = recorded_share(poses.turns, frame, readouts_s)
         terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
         more = exp_turn(np.einsum("mt,mtj->mj", terms, swing[frame]))
         swinging = np.einsum("mt,mtj->mj", slopes, swing[frame])

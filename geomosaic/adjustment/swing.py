@@ -14,6 +14,7 @@ from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 TERMS: Annotated[
@@ -44,7 +45,7 @@ GUST_M_PER_S: Annotated[
         "m/s",
         "deviation of a velocity while a frame is read about that by positions: over the flying height it "
         "is a rate of turning, as far as level ground can show. Taken as exact (0), chance differences of "
-        "velocities determined readout and scale: blocks came out 12 and 21 % too large",
+        "velocities set readout and scale: blocks came out 12 and 21 % too large",
         "commit 1b27d03: velocities by positions are off by 0.3 to 1 m/s; docs/results.md, velocities taken "
         "as exact, seeds 37 and 48",
     ),
@@ -68,12 +69,13 @@ _MOST_RECORDED: Annotated[
 ] = 0.49
 
 
-def recorded_share(turns: Turns | None, readouts_s: Floats) -> Floats:
-    """Up to which share of each frame's height, from the middle row on in the order of reading, its turns are
-    recorded, (f,) of readouts_s (f,); NaN where next to none of it is."""
+def recorded_share(turns: Turns | None, frame: Ints, readouts_s: Floats) -> Floats:
+    """Up to which share of the image's height, from the middle row on in the order of reading, turns are
+    recorded, (m,), of frames (m,) with readouts_s (m,); NaN where next to none of it is."""
     if turns is None:
         return np.full(readouts_s.shape, np.nan)
-    share = np.broadcast_to(turns.recorded_until_s / turns.span_s, readouts_s.shape)
+    until_s = np.broadcast_to(turns.recorded_until_s, len(turns.rad))[frame]
+    share = until_s / np.where(readouts_s, np.abs(readouts_s), np.nan)
     return np.where(share > LEAST_RECORDED, np.minimum(share, _MOST_RECORDED), np.nan)
 
 
@@ -119,8 +121,10 @@ def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
     n, k = turns.rad.shape[:2]
     after_s = np.linspace(-0.5, 0.5, k) * turns.span_s
     share = after_s / np.where(readouts_s, readouts_s, np.inf)[:, None]
-    recorded, backwards = recorded_share(turns, readouts_s)[:, None], (readouts_s < 0.0)[:, None]
-    by_row = np.einsum("nkt,ntj->nkj", terms_at(share, swing_rad.shape[1], recorded, backwards)[0], swing_rad)
+    recorded = recorded_share(turns, np.arange(n), readouts_s)[:, None]
+    by_row = np.einsum(
+        "nkt,ntj->nkj", terms_at(share, swing_rad.shape[1], recorded, readouts_s[:, None] < 0.0)[0], swing_rad
+    )
     in_camera = np.einsum("nji,nkj->nki", poses.rotations, by_row)
     rad = log_turn(exp_turn(in_camera.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
     return replace(poses, turns=replace(turns, rad=rad.reshape(n, k, 3)))
