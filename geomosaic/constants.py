@@ -10,8 +10,10 @@ The value stays a plain number. `python -m geomosaic.constants [ROOM ...]` lists
 from __future__ import annotations
 
 import importlib
+import math
 import pkgutil
 import reprlib
+import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -44,6 +46,15 @@ NORMAL_PER_MAD: Annotated[
     ),
 ] = 1.4826
 
+MEDIAN_LENGTH: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median length of errors of two numbers with a deviation of 1 each",
+        "Rayleigh's distribution: sqrt(2 ln 2)",
+    ),
+] = math.sqrt(math.log(4.0))
+
 
 def records(*rooms: str) -> Iterator[tuple[str, Any, Because]]:
     """Name, value and record of each constant in these rooms, or in all of them."""
@@ -59,7 +70,8 @@ def records(*rooms: str) -> Iterator[tuple[str, Any, Because]]:
 
 
 def main() -> None:
-    """Prints a table."""
+    """Prints a table, as much of it as is read (`| head`)."""
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     for name, value, why in records(*sys.argv[1:]):
         sys.stdout.write(f"{name} = {reprlib.repr(value)} [{why.unit}]\n    {why.reason}\n    {why.source}\n")
 

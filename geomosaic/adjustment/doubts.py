@@ -14,7 +14,7 @@ from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
 from geomosaic.survey.strays import UPRIGHT
@@ -70,14 +70,6 @@ _SHIFT_IN_DOUBT: Annotated[
         CHOSEN,
     ),
 ] = 5.0
-_MEDIAN_LENGTH: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median length of plane errors with a deviation of 1 on each axis",
-        "Rayleigh's distribution: sqrt(2 ln 2)",
-    ),
-] = float(np.sqrt(np.log(4.0)))
 
 
 def strayed_frames(block: Block, poses: Poses) -> dict[int, Warn]:
@@ -166,7 +158,7 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
-    scatter_m = float(np.median(np.abs(left))) / _MEDIAN_LENGTH
+    scatter_m = float(np.median(np.abs(left))) / MEDIAN_LENGTH
     position_sd_m = max(min(stated_m, _WITHIN_FLIGHT_M), scatter_m)
     off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
     if abs(off) > _SCALE_IN_DOUBT * sd:

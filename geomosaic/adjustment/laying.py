@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.robust import lie_weight
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -21,14 +21,6 @@ _DRAWS: Annotated[
         CHOSEN,
     ),
 ] = 300
-_MEDIAN_LENGTH: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median length of plane errors with a deviation of 1 on each axis",
-        "Rayleigh's distribution: sqrt(2 ln 2)",
-    ),
-] = float(np.sqrt(np.log(4.0)))
 _ALIKE_RAD: Annotated[
     float,
     Because(
@@ -150,7 +142,7 @@ def _improved(
     weight = np.ones(n)
     for _ in range(20):
         standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
-        noise = max(float(np.median(standard)) / _MEDIAN_LENGTH, _LEAST_SHARE)
+        noise = max(float(np.median(standard)) / MEDIAN_LENGTH, _LEAST_SHARE)
         weight = lie_weight(standard / noise)
         root = np.sqrt(weight) / (noise * fixes.sd_m)
         axis, off = whole / abs(whole), float(np.angle(whole / given))

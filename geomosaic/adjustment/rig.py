@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
@@ -109,14 +109,6 @@ _EDGE_SIGMA_PX: Annotated[
         CHOSEN,
     ),
 ] = 1.0
-_MEDIAN_LENGTH: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median length of plane errors with a deviation of 1 on each axis",
-        "Rayleigh's distribution: sqrt(2 ln 2)",
-    ),
-] = float(np.sqrt(np.log(4.0)))
 
 
 @dataclass(frozen=True)
@@ -298,7 +290,7 @@ def _turned(so_far: BandPose, band: Band, places: _Places, poses: Poses) -> Band
     for _ in range(3):
         start = least_squares(residual, start, loss="cauchy", x_scale=[1e-3, 1e-3, 1e-3, 1e-3]).x
         after = float(np.median(np.linalg.norm(missed(start), axis=1)))
-        scale = max(after / _MEDIAN_LENGTH, 0.05)
+        scale = max(after / MEDIAN_LENGTH, 0.05)
     camera, own_from_band = with_step(start)
     first = so_far.before_px if np.isfinite(so_far.before_px) else before
     return BandPose(band.name, camera, own_from_band, len(places.frame), first, after)

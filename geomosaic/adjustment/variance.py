@@ -27,7 +27,7 @@ from geomosaic.adjustment.robust import INFORMATION, lie_weight, student_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.placement.prior import position_assumed
 
 Floats = NDArray[np.float64]
@@ -127,14 +127,6 @@ _COMMON: Annotated[
         "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
     ),
 ] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
-_MEDIAN_LENGTH: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median length of residuals of two numbers with a deviation of 1 each",
-        "Rayleigh's distribution: sqrt(2 ln 2)",
-    ),
-] = float(np.sqrt(np.log(4.0)))
 _SCALINGS: Annotated[
     int,
     Because(
@@ -191,7 +183,7 @@ def variance_components(
         error_px = length_px[tied] / np.sqrt(shown) / unrest_of(tracks, priors)[tied]
         image_px = _scale_px(error_px, shown, redundancy, factors.image_px)
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
-    factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / _MEDIAN_LENGTH))
+    factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / MEDIAN_LENGTH))
     if image_only:
         return factors
     miss, observed = own_miss(priors, state, factors), _observed(priors)
@@ -294,7 +286,7 @@ def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
     for _ in range(10):
         length = np.linalg.norm((miss_m - found) / sd_m, axis=1)
         weight = (
-            np.sqrt(lie_weight(length / max(float(np.median(length)) / _MEDIAN_LENGTH, 1e-9)))[:, None] / sd_m
+            np.sqrt(lie_weight(length / max(float(np.median(length)) / MEDIAN_LENGTH, 1e-9)))[:, None] / sd_m
         )
         rows = (design * weight[:, :, None]).reshape(2 * k, 4)
         scale = np.linalg.norm(rows, axis=0) + 1e-12
@@ -343,7 +335,7 @@ def trust_in_tags(priors: Priors, state: State, factors: Factors) -> Floats:
     trust, observed = np.ones_like(miss), _observed(priors)
     for columns in map(list, GROUPS.values()):
         length = np.linalg.norm(miss[:, columns], axis=1)
-        typical = _MEDIAN_LENGTH if len(columns) == 2 else _MEDIAN_ONE
+        typical = MEDIAN_LENGTH if len(columns) == 2 else _MEDIAN_ONE
         bulk = max(1.0, median_px(length[tied[observed[tied, columns[0]]]]) / typical)
         trust[:, columns] = lie_weight(length / bulk)[:, None]
     return trust

@@ -38,7 +38,7 @@ _MOST: Annotated[
         CHOSEN,
     ),
 ] = 1e9
-_EARTH_RADIUS_M: Annotated[
+EARTH_RADIUS_M: Annotated[
     float,
     Because(
         "m",
@@ -130,7 +130,7 @@ class StripGeometry:
         Their rays meet at an angle of separation * pixel * (1 / altitude + 1 / R), the second part being the
         turn of the vertical between the two places from which they look.
         """
-        bend = 1.0 / self.altitude_m + 1.0 / _EARTH_RADIUS_M
+        bend = 1.0 / self.altitude_m + 1.0 / EARTH_RADIUS_M
         return 1.0 / (self.row_separation_lines * bend) if self.row_separation_lines else 0.0
 
     @property
