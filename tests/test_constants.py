@@ -10,6 +10,7 @@ import pytest
 
 import geomosaic
 from geomosaic.constants import records
+from geomosaic.survey import plausible, strays
 
 HOUSE = Path(geomosaic.__file__).parent
 ROOMS = (
@@ -103,3 +104,14 @@ def test_a_number_without_a_record_is_found() -> None:
     assert not of_structure(ast.parse("np.radians(0.5)"))
     assert not of_structure(ast.parse("_A * (1 - 0.3)"))
     assert not of_structure(ast.parse("np.array([0.3, 1])"))
+
+
+def test_what_nothing_real_is_beyond_has_a_reason_and_a_source() -> None:
+    limits = {
+        name: value
+        for module in (plausible, strays)
+        for name, value in vars(module).items()
+        if isinstance(value, plausible.Limit)
+    }
+    assert len(limits) > 15
+    assert not [name for name, limit in limits.items() if not (limit.unit and limit.reason and limit.source)]

@@ -93,7 +93,7 @@ CRITERIA: Mapping[str, Criterion] = {
         "share",
         "many tie points disagree: repeating patterns, moving ground, or another kind of camera",
         "look at the pairs with the largest residuals in the report",
-        "by chance one in a thousand is; beyond a half the solve follows the wrong ones",
+        "by chance three in a thousand are; beyond a half the solve follows the wrong ones",
     ),
     "principal point": Criterion(
         2.0,

@@ -53,7 +53,7 @@ APART: Final = Limit(
     "above the middle of the neighbours, in plan as in time: more than the highest sheer faces",
     "Mount Thor 1250 m, Great Trango Tower 1340 m",
 )
-SPREADS: Final = Limit(10.0, "robust deviations", "of those neighbours' own heights, on top", "")
+SPREADS: Final = Limit(10.0, "robust deviations", "of those neighbours' own heights, on top", CHOSEN)
 NARROWEST: Final = Limit(
     100.0,
     "focal length over longer side",

@@ -32,7 +32,10 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 LEAVE_OUT: Final = ("auto", "none")
 COPY: Final = Limit(
-    0.995, "correlation", "of small versions: a copy saved anew or in another size; neighbours have less", ""
+    0.995,
+    "correlation",
+    "of small versions: a copy saved anew or in another size; neighbours have less",
+    CHOSEN,
 )
 _COPY_GREYS: Annotated[
     float,
@@ -47,7 +50,7 @@ LOW: Final = Limit(
     0.3,
     "of the usual height above the ground",
     "a frame sees less than a tenth of what others see: taken while climbing or landing",
-    "",
+    CHOSEN,
 )
 _FEW_LOW: Annotated[
     float,
@@ -64,12 +67,12 @@ TILTED: Final = Limit(
     "walls instead of roofs; makers' oblique passes beside nadir lines look 45 degrees aside",
     "DJI Pilot, oblique collection: 45",
 )
-UPRIGHT: Final = Limit(20.0, "degrees", "the usual tilt of a survey that looks down", "")
+UPRIGHT: Final = Limit(20.0, "degrees", "the usual tilt of a survey that looks down", CHOSEN)
 APART: Final = Limit(
     2.0,
     "extents of both flights together",
     "between two flights: the mosaic of both would be nearly all empty",
-    "",
+    CHOSEN,
 )
 _NEAR_M: Annotated[
     float,
@@ -95,7 +98,7 @@ BLURRED: Final = Limit(
     "a tenth of its neighbours' share of fine detail: blurred over some 4 pixels",
     "Gaussian blur of 2 px: 2.4 to 3",
 )
-SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", "")
+SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", CHOSEN)
 _BESIDE: Annotated[
     int,
     Because(
