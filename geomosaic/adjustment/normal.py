@@ -27,6 +27,17 @@ _BATCH: Annotated[
     ),
 ] = 8192
 
+_LEAST_OF_POINTS: Annotated[
+    float,
+    Because(
+        "share of the diagonal",
+        "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera has "
+        "next to none along its ray, and its matrix no inverse. With more it would count, with less the inverse "
+        "has no digits",
+        "chosen; double precision has 16 digits, a square takes half of them",
+    ),
+] = 1e-12
+
 
 @dataclass(frozen=True)
 class Normals:
@@ -230,7 +241,8 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
     to the diagonal."""
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
-    pose, interior, points = (_damped(a, damping) for a in (n.pose, n.interior, n.points))
+    pose, interior = (_damped(a, damping) for a in (n.pose, n.interior))
+    points = _damped(n.points, max(damping, _LEAST_OF_POINTS))
     inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
     by_camera = n.interior_point.transpose(1, 3, 0, 2).reshape(len(points), 3, c * k)
     met = np.concatenate([by_camera, n.level_point[:, :, None], n.point_side[:, :, None]], axis=2)
