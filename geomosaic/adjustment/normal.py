@@ -31,9 +31,9 @@ _LEAST_OF_POINTS: Annotated[
     float,
     Because(
         "share of the diagonal",
-        "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera has "
-        "next to none along its ray, and its matrix no inverse. With more it would count, with less the inverse "
-        "has no digits",
+        "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera "
+        "has next to none along its ray, and its matrix no inverse; with more it would count, with less the "
+        "inverse has no digits",
         "chosen; double precision has 16 digits, a square takes half of them",
     ),
 ] = 1e-12
