@@ -198,3 +198,19 @@ def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_bel
         missed[name] = np.sqrt(np.mean(off[:, :14, :2] ** 2)), np.sqrt(np.mean(off[:, 14:, :2] ** 2))
     assert missed["tail"][0] < 3e-4 and missed["tail"][1] < 6e-4, missed
     assert missed["tail"][0] < 0.7 * missed["whole"][0], missed
+
+
+def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_large_for_velocities() -> None:
+    """Shakes of 0.1 rad/s at 3.5 Hz over 0.03 s of rows: a rate a frame follows all but 0.05 px of them, and
+    bends the block by what it leaves."""
+    way = {"points": 500, "noise_px": 0.15, "there_and_back": True, "readout_s": 0.03}
+    flown = fly(5, 2, 7, rate_sd_rad_per_s=0.1, shaking_hz=3.5, **way)
+    given, chosen = (METHODS["bundle"](flown.block, Settings(model=m)) for m in ("given", "auto"))
+    assert chosen.model is not None and chosen.model.taken == ("turning",) and chosen.model.shown
+    said = [w.text for w in chosen.warnings if w.code == "model-chosen"]
+    assert len(said) == 1 and "faster than what is unknown of their velocities" in said[0]
+    assert "shutter-doubtful" in {w.code for w in chosen.warnings}
+    bent_m = [_bent_m(a.poses.positions_m, flown.truth.positions_m) for a in (given, chosen)]
+    assert bent_m[1] < 0.9 * bent_m[0], bent_m
+    steady = METHODS["bundle"](fly(5, 2, 7, **way).block, Settings())
+    assert steady.model is None or steady.model.taken == ()

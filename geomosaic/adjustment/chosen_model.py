@@ -170,6 +170,17 @@ _SHOWN: Annotated[
         "docs/results.md, surveys as people deliver them",
     ),
 ] = 5.0
+_TURNS: Annotated[
+    float,
+    Because(
+        "times the deviation of what velocities are off by",
+        "of the rates of turning that stand for it, from which frames do turn while they are read: then a "
+        "constant rate is too little, and bends a block by what it leaves, though left-out points may not "
+        "show that; with less, chance would be followed",
+        "docs/results.md, surveys as people deliver them: 0.1 to 1.3 in seven surveys without vibration; 6.0 "
+        "in seed 986, bent by 1.4 px by swings that left 0.1 px",
+    ),
+] = 3.0
 _NOT_SEEN_PX: Annotated[
     float, Because("px", "residual of a point behind a camera: as far off as any image is wide", CHOSEN)
 ] = 1e5
@@ -180,6 +191,12 @@ _TEXTS = {
     "readout": "rows read one after the other, their time solved for",
     "turning": "each frame swinging in its own way while its rows are read one after the other",
     "untold_turns": "without the turns that the tags report",
+}
+_SHOWN_BY = {
+    "readout": (
+        "no tag reports it, but it stretches each line along its own way, and all images together show it"
+    ),
+    "turning": "they turn faster than what is unknown of their velocities explains",
 }
 
 
@@ -309,17 +326,20 @@ def readout_shown(solved: Bundle) -> bool:
     return bool((solved.readout_shown > _SHOWN).any())
 
 
+def turns_shown(solved: Bundle) -> bool:
+    """Whether rates of turning that stand for what velocities are off by (`swing.GUST_M_PER_S`) are too large
+    for that."""
+    return solved.swing is not None and solved.factors.swing[0] > _TURNS
+
+
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     """A line if something other than the given was needed, and one if how frames turn is the images' word
     alone or can't be determined; not where a gyroscope's record leaves but its last rows to them."""
     out: list[Warn] = []
     judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
     if choice is not None and choice.shown:
-        text = (
-            f"{_TEXTS['readout']}: no tag reports it, but it stretches each line along its own way, and all "
-            "images together show it"
-        )
-        out.append(Warn("model-chosen", "", text))
+        name = choice.taken[-1]
+        out.append(Warn("model-chosen", "", f"{_TEXTS[name]}: {_SHOWN_BY[name]}"))
     if choice is not None and judged:
         before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(judged)))
         text = (

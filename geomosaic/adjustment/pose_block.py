@@ -18,6 +18,7 @@ from geomosaic.adjustment.chosen_model import (
     contradicts,
     model_warnings,
     readout_shown,
+    turns_shown,
     with_readout,
 )
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
@@ -220,12 +221,22 @@ def _free(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Bun
 
 
 def _turning_too(work: _Work) -> _Work:
-    """Beside reported turns, what a gyroscope's filter and its last sample leave of them."""
-    settings = work.settings
-    reported = work.rolling and work.block.poses.turns is not None and not settings.turning
-    if settings.model != "auto" or not reported:
+    """Beside reported turns, what a gyroscope's filter and its last sample leave of them; and where frames
+    turn faster while they are read than what is unknown of their velocities explains."""
+    settings, before = work.settings, work.found.bundle
+    rolling = work.rolling or settings.rolling_shutter
+    if settings.model != "auto" or not rolling or settings.turning:
         return work
-    return work.again(work.block, replace(settings, turning=True))
+    reported = work.block.poses.turns is not None
+    if not (reported or turns_shown(before)):
+        return work
+    turning = work.again(work.block, replace(settings, turning=True))
+    if reported:
+        return turning
+    if contradicts(turning.found.bundle, before):
+        return work
+    tried = work.choice or ModelChoice((), (), ())
+    return replace(turning, choice=replace(tried, taken=(*tried.taken, "turning"), shown=True))
 
 
 def _zero_of_the_gyroscope(work: _Work) -> _Work:
