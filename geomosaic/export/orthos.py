@@ -10,6 +10,7 @@ from typing import Final
 from osgeo import gdal
 
 from geomosaic.doors.gdal_failures import close, gdal_failures
+from geomosaic.doors.raster import OWN, open_raster
 
 _UNSAFE: Final = re.compile(r"[^\w.-]")
 _LONGEST: Final = 60
@@ -42,9 +43,10 @@ def write_orthos_vrt(rasters: Sequence[Path], out: Path) -> None:
 
     Raises: `OSError` if it can't be written.
     """
+    with open_raster(rasters[-1], OWN) as top:
+        names = [name or "" for name in top.descriptions]
     with gdal_failures(out):
         made = gdal.BuildVRT(str(out), [str(path) for path in rasters])
-        top = gdal.Open(str(rasters[-1]))
-        for band in range(1, made.RasterCount + 1):
-            made.GetRasterBand(band).SetDescription(top.GetRasterBand(band).GetDescription())
+        for band, name in enumerate(names, start=1):
+            made.GetRasterBand(band).SetDescription(name)
         close(made)
