@@ -1,4 +1,4 @@
-"""What a mosaic will ask for, told before the work: its size, room on the disk, memory and time."""
+"""What a mosaic will ask for, reported before the work: its size, room on the disk, memory and time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _LONGEST_MATCHED_PX: Annotated[
     Because(
         "px",
         "longer side of a frame beyond which it is halved before it is matched: the stage's own default; "
-        "another number tells times and memory that aren't taken",
+        "another number states times and memory that aren't taken",
         "matching.sift.longest_px",
     ),
 ] = 3000
@@ -50,7 +50,7 @@ _SIFT_BYTES_PER_PX: Annotated[
     Because(
         "bytes/px",
         "that SIFT takes while it looks at a frame: six blurred images of four bytes at twice the size, "
-        "and their octaves; with less, the memory of matching is told too low",
+        "and their octaves; with less, the memory of matching is stated too low",
         "Lowe 2004, section 3: s + 3 images an octave, s = 3, the first one doubled: 6 x 4 x 4 x 4/3, "
         "rounded",
     ),
@@ -59,7 +59,7 @@ _PROGRAM_BYTES: Annotated[
     float,
     Because(
         "bytes",
-        "libraries and buffers of a process: with less, the memory of many processes is told too low",
+        "libraries and buffers of a process: with less, the memory of many processes is stated too low",
         CHOSEN,
     ),
 ] = 250e6
@@ -67,7 +67,7 @@ _WINDOW_BYTES: Annotated[
     float,
     Because(
         "bytes",
-        "of the windows at work in a thread that composes: with less, the memory of many threads is told "
+        "of the windows at work in a thread that composes: with less, the memory of many threads is stated "
         "too low",
         CHOSEN,
     ),
@@ -77,7 +77,7 @@ _PLANNED_BYTES: Annotated[
     Because(
         "bytes",
         "of a window of 512 x 512 px in the plan: it matters beyond some ten thousand windows only, where "
-        "with less the memory is told too low",
+        "with less the memory is stated too low",
         CHOSEN,
     ),
 ] = 600.0
@@ -94,7 +94,7 @@ _SOURCE_BYTES: Annotated[
     Because(
         "bytes/px",
         "of the raster of frame indices, which are packed and change at seams only: with less, the room on "
-        "the disk is told too low",
+        "the disk is stated too low",
         CHOSEN,
     ),
 ] = 0.05
@@ -123,7 +123,7 @@ class Estimate:
         least, most = self.mosaic_gb
         return self.scratch_gb + least, self.scratch_gb + most
 
-    def told(self) -> str:
+    def text(self) -> str:
         """One line for people."""
         at = "" if self.gsd_m is None else f" at {self.gsd_m:.3g} m"
         return (

@@ -65,7 +65,7 @@ class FrameSource:
         return Shown(self._evened(pixels, seen), margin)
 
     def _evened(self, pixels: NDArray[Any], seen: Seen) -> NDArray[Any]:
-        """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel tells them."""
+        """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel shows them."""
         if self.tones is None or self.tones.flat(self.view.frame):
             return pixels
         nodes = seen.node_cols, seen.node_rows

@@ -30,7 +30,7 @@ class Decoded:
 
 
 def may_be_masked(frame: Frame) -> bool:
-    """False where the format has no invalid pixels; else only decoding tells."""
+    """False where the format has no invalid pixels; else only decoding shows."""
     jpeg = frame.path.lower().endswith(_FULLY_VALID)
     return not jpeg or frame.valid_mask is not None or frame.nodata is not None
 

@@ -73,7 +73,7 @@ _STRETCHED: Annotated[
     float,
     Because(
         "times the grid without a frame",
-        "a grid that one frame makes so much larger is told of: less names the frame at the end of every "
+        "a grid that one frame makes so much larger is warned of: less names the frame at the end of every "
         "short line, more keeps silent about positions that are wrong",
         CHOSEN,
     ),

@@ -65,7 +65,7 @@ def compose_strips(
     Where one strip alone has a valid pixel that one is used; `multi_band` spreads a difference of brightness
     that lies at its end over some pixels more. Greys are cut to the strips' bits; saturated
     pixels stay saturated. The same bytes come out whatever the number of threads. `rpc` is GDAL's metadata
-    of that name. `progress` is told rows, `check_cancelled` raises to stop.
+    of that name. `progress` is given rows, `check_cancelled` raises to stop.
 
     Raises: `UnknownNameError` for a blend or resampling, `FileError` if a strip can't be read, `OSError` if
     the raster can't be written.

@@ -48,7 +48,7 @@ _TELLING: Annotated[
     tuple[float, float],
     Because(
         "grey levels of 8 bits",
-        "between them a camera tells how bright the ground is: below is noise, above it may be "
+        "between them a camera shows how bright the ground is: below is noise, above it may be "
         "saturated; of other types all but nothing and the most they hold",
         CHOSEN,
     ),
@@ -77,7 +77,7 @@ _INDEPENDENT: Annotated[
     float,
     Because(
         "places",
-        "of a frame that tell something of their own: light changes over a field, not from place "
+        "of a frame that say something of their own: light changes over a field, not from place "
         "to place; with more, frames that overlap little would follow noise",
         CHOSEN,
     ),
@@ -264,11 +264,11 @@ def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> t
     for b in range(bands if len(at) else 0):
         found[b], left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
     gain, across, along, second, fourth = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
-    told = (seen > 0)[:, None]
+    seen_at_all = (seen > 0)[:, None]
     of_frame = np.asarray(camera_of, dtype=np.intp)
     tones = Tones(
-        np.where(told, gain, 0.0),
-        np.where(told[..., None], np.stack([across, along], axis=-1), 0.0),
+        np.where(seen_at_all, gain, 0.0),
+        np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
         np.stack([second[of_frame], fourth[of_frame]], axis=-1),
     )
     before = logs - _means(of_place, np.ones(len(at)), logs)

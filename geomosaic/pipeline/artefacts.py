@@ -150,7 +150,7 @@ def decode(data: bytes | BinaryIO, as_type: type[T] | Any, also: Iterable[type] 
 
 
 def _fits(value: Any, annotation: Any) -> bool:
-    """Whether a value may stand under an annotation, its fields too; what it can't tell fits."""
+    """Whether a value may stand under an annotation, its fields too; what it can't check fits."""
     origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
     if origin in (typing.Union, types.UnionType):
         return any(_fits(value, one) for one in inside)
@@ -184,7 +184,7 @@ def _fields(cls: Any) -> tuple[tuple[str, Any], ...]:
 
 
 def _opened(data: bytes | BinaryIO) -> zipfile.ZipFile:
-    """Raises `ValueError` for members that aren't stored as they are, or tell of more than the file holds."""
+    """Raises `ValueError` for members that aren't stored as they are, or state more than the file holds."""
     stream = io.BytesIO(data) if isinstance(data, bytes) else data
     size = stream.seek(0, io.SEEK_END)
     file = zipfile.ZipFile(stream)

@@ -70,7 +70,7 @@ class Held:
 class Finished:
     """A stage's outcome on disk.
 
-    calls: what it told; None for a stage from a recording, whose messages are copied.
+    calls: what it recorded; None for a stage from a recording, whose messages are copied.
     used: the folders and files it lives on.
     written: hashes of the files that the stage wrote, by name; with the lineage part of each fingerprint.
     """
@@ -169,7 +169,7 @@ class StageCache:
     ) -> Finished:
         """Stores the outcome of a stage that ran in a context; `calls` moves into the cache."""
         folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
-        with files.told(folder / _ENTRY):
+        with files.refusals_named(folder / _ENTRY):
             folder.mkdir(parents=True, exist_ok=True)
             (folder / _ENTRY).unlink(missing_ok=True)
         written = {self._name(path): self._hashes.of_written(path) for path in context.kept}
@@ -182,14 +182,14 @@ class StageCache:
             mark = artefact_fingerprint(contents[name], written, lineage)
             outputs[name] = Held(kind, mark, path, lineage, values[name])
         with files.open_own(calls) as file:
-            told = fingerprint_of_file(file)
-        with files.told(folder / _CALLS):
+            recorded = fingerprint_of_file(file)
+        with files.refusals_named(folder / _CALLS):
             calls = calls.replace(folder / _CALLS)
         entry = {
             "outputs": contents,
             "files": written,
             "items": [self._name(path) for path in context.lasting_items],
-            "calls": told,
+            "calls": recorded,
             "notes": asdict(context.notes),
         }
         self._folder.note(written)

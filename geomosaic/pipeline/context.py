@@ -98,7 +98,7 @@ def plain(value: Any) -> Any:
 class Context:
     """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test.
 
-    seed: the recipe's, for a stage that tells it; randomness comes from `rng`.
+    seed: the recipe's, for a stage that reports it; randomness comes from `rng`.
     lasting_items: where `map` keeps results that outlive the stage's own outcome.
     """
 
@@ -160,10 +160,10 @@ class Context:
         self.notes.warnings.append({"code": code, "frame": frame, "text": text})
         self.recorder.log("warning", f"{code}: {text}", frame=frame)
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """What the user wants to know while the run is on: one line on the screen and in the recording.
 
-        Not there with `fixed_time`: it may tell of the machine.
+        Not there with `fixed_time`: it may depend on the machine.
         """
         if not self.fixed_time:
             self.recorder.log("info", text)
@@ -246,7 +246,7 @@ class Context:
         is no artefact), so any change to the stage's parameters or inputs redoes them all. With
         `reads`, which names the files the function reads for an item, they are kept under the item and
         those files' contents alone, and so outlive changes that don't touch them; the others go when
-        the run is finished. Where `keys` tell items apart and nothing is read, items are made one after
+        the run is finished. Where `keys` distinguish items and nothing is read, items are made one after
         the other, as workers take them.
         """
         if keys is None or reads is not None:

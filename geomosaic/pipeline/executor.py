@@ -54,7 +54,7 @@ def _portable(error: Exception) -> Exception:
 
 
 def peak_memory_bytes() -> int:
-    """The most memory this process ever held; 0 where the system doesn't tell."""
+    """The most memory this process ever held; 0 where the system doesn't say."""
     try:
         import resource
     except ImportError:

@@ -57,7 +57,7 @@ def make_folder(folder: Path) -> Path:
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
+def refusals_named(path: Path) -> Iterator[None]:
     """What the system refuses in the block becomes an `OutputError` that names the path."""
     try:
         yield

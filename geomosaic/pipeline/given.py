@@ -22,7 +22,7 @@ from geomosaic.recording.reader import artefact_data, stage_messages
 
 @dataclass(frozen=True)
 class Given:
-    """A stage's outcome in a recording: its outputs, what it told, its notes, the files it read."""
+    """A stage's outcome in a recording: its outputs, what it recorded, its notes, the files it read."""
 
     recording: Recording
     record: StageRecord
@@ -35,7 +35,7 @@ class Given:
         return artefact_data(self.recording, self.entries[name])
 
     def messages(self) -> Iterator[tuple[str, str, bytes]]:
-        """Topic, schema and bytes of all the stage told, for `Recorder.copy`."""
+        """Topic, schema and bytes of all the stage recorded, for `Recorder.copy`."""
         return stage_messages(self.recording, self.record.index)
 
     def files(self) -> list[str]:

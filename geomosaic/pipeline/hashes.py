@@ -25,12 +25,12 @@ the coarsest clock of a file system in use (FAT). Git's index has the same rule 
 Mark = list[int]
 
 
-def _mark(told: os.stat_result) -> Mark:
+def _mark(status: os.stat_result) -> Mark:
     """What changes with a file's content: size, time of change, and the times and numbers of its inode.
 
     Tools that keep the time of change (touch -r, rsync -t, cp -p) can't keep the inode's own (ctime).
     """
-    return [told.st_size, told.st_mtime_ns, told.st_ctime_ns, told.st_ino, told.st_dev]
+    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino, status.st_dev]
 
 
 class FileHashes:

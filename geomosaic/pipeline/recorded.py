@@ -1,4 +1,4 @@
-"""What a stage tells the recording, kept so that a stage taken from the cache tells it again."""
+"""What a stage records, kept so that a stage taken from the cache records it again."""
 
 from __future__ import annotations
 

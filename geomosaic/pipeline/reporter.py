@@ -10,7 +10,7 @@ Source = Literal["work", "cache", "recording"]
 
 
 class Reporter(Protocol):
-    """What the runner tells. `progress` may come before the first stage: inputs are being read."""
+    """What the runner reports. `progress` may come before the first stage: inputs are being read."""
 
     def stage_started(self, index: int, total: int, name: str) -> None:
         """Stage `index` (from 0) of `total` begins."""
@@ -22,7 +22,7 @@ class Reporter(Protocol):
         """A stage's warning."""
 
     def note(self, text: str) -> None:
-        """What a stage tells that is no warning."""
+        """What a stage reports that is no warning."""
 
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
@@ -38,14 +38,14 @@ def warning_lines(warnings: Sequence[Mapping[str, str]]) -> list[str]:
     for w in warnings:
         if w["frame"]:
             frames.setdefault(w["code"], []).append(w["frame"])
-    lines, told = [], set()
+    lines, counted = [], set()
     for w in warnings:
         code, frame, text = w["code"], w["frame"], w["text"]
         many = frames.get(code, [])
         if not frame or len(many) <= _ONE_BY_ONE:
             lines.append(f"{frame}: {text}" if frame else text)
-        elif code not in told:
-            told.add(code)
+        elif code not in counted:
+            counted.add(code)
             names = f"{', '.join(many[:_ONE_BY_ONE])} and {len(many) - _ONE_BY_ONE} more"
             lines.append(f"{len(many)} frames ({names}): {code}; of the first: {text}")
     return lines

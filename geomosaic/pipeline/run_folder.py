@@ -137,8 +137,8 @@ class RunFolder:
             return set()
 
     def _save(self) -> None:
-        told = {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)}
-        files.write_json(self.within(MARKER), told)
+        marker = {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)}
+        files.write_json(self.within(MARKER), marker)
 
 
 def _stays_inside(name: str) -> bool:

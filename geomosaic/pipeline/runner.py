@@ -30,7 +30,7 @@ from geomosaic.recording.writer import Recorder
 
 @contextmanager
 def _in_one_wording(run_folder: Path) -> Iterator[None]:
-    """A disk that takes no more is told alike, whether a stage, the cache or the recorder noticed it."""
+    """A disk that takes no more is reported alike, whether a stage, the cache or the recorder noticed it."""
     try:
         yield
     except OSError as error:
@@ -180,7 +180,7 @@ class _Run:
             self._reporter.progress(0, 0, "reading inputs")
             if self._hashes.of_input(path) != mark:
                 raise FileError(
-                    "has changed since the recording, which tells of the old one",
+                    "has changed since the recording, which holds the old one",
                     file=path,
                     mend="run the recipe again, or put the old file back",
                 )

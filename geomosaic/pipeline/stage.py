@@ -88,4 +88,4 @@ class Stage(ABC):
 
     @abstractmethod
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
-        """The outputs by name. Everything it tells or writes goes by way of `context`."""
+        """The outputs by name. Everything it reports or writes goes by way of `context`."""

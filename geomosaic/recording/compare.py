@@ -20,7 +20,7 @@ def compare(a: Recording, b: Recording) -> dict[str, Any]:
     `equal` says whether the runs did the same and came to the same: the recipe, the inputs, the stages
     with their versions, parameters and fingerprints, the moves of the frames, the strips' offsets and
     what they leave, the warnings, and how far each got. Durations, what came from the cache, the outputs
-    of stages that tell of the run itself (the report), and the environment don't count; the environment's
+    of stages that report the run itself (the report), and the environment don't count; the environment's
     differences are listed.
     `altered`: artefacts whose bytes aren't those that their fingerprints name; nothing is equal to them.
     `first_stage` names the first stage that differs.

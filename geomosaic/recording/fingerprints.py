@@ -31,7 +31,7 @@ def artefact_fingerprint(content: str, written: Mapping[str, str], lineage: Iter
 def altered_artefacts(recording: Recording) -> list[tuple[str, str]]:
     """Stage and name of each whole artefact whose bytes aren't those that its fingerprint names.
 
-    Recordings from before stages told their lineage (`StageRecord.lineage`) can't be asked.
+    Recordings from before stages recorded their lineage (`StageRecord.lineage`) can't be asked.
     """
     stages = {stage.index: stage for stage in recording.stages}
     out = []

@@ -28,7 +28,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
     # with fixed times. `params_json` and `inputs` stand at the start, `outputs` and `notes_json` at the end.
     # An output's fingerprint is of its bytes, of files that the stage wrote (`written`, name and hash) and
     # of all files that it goes back to (`lineage`, sorted), both at the end (`recording/fingerprints.py`).
-    # `reads_run`: the stage tells of the run itself, durations included, so its outputs differ every time.
+    # `reads_run`: the stage reports the run itself, durations included, so its outputs differ every time.
     "StageEvent": (
         "string stage_id",
         "uint32 stage_index",
@@ -105,7 +105,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "repeated float sd_px",
         "uint32 stage_index",
     ),
-    # Amplitudes of what moves line by line, dcol across and dline along; of `what` the topic tells.
+    # Amplitudes of what moves line by line, dcol across and dline along; of `what` the topic names.
     "JitterSpectrum": (
         "repeated float frequency_hz",
         "repeated float across_px",

@@ -17,7 +17,7 @@ class StageRecord:
     """One stage of a run; `index` counts them in order of execution.
 
     `finished` is False where the run ended within it; seconds are None where unknown.
-    `reads_run`: it tells of the run itself, so that equal runs differ in its outputs.
+    `reads_run`: it reports the run itself, so that equal runs differ in its outputs.
     `written` and `lineage` are what its outputs' fingerprints hold besides their bytes.
     `notes` is what it added to run.json besides its artefacts.
     """

@@ -89,9 +89,9 @@ def messages(path: Path, schema: str) -> Iterator[tuple[str, int, bytes]]:
 
 
 def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str, str, bytes]]:
-    """Topic, schema and bytes of all that a stage told, for `Recorder.copy`; no events, no artefacts.
+    """Topic, schema and bytes of all that a stage recorded, for `Recorder.copy`; no events, no artefacts.
 
-    Raises FileError where its beginning and end can't be told.
+    Raises FileError where its beginning and end can't be found.
     """
     now = -1
     with opened(recording.path) as file:
@@ -102,7 +102,7 @@ def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str
                 try:
                     event = StageEvent.FromString(item.record.data)
                 except BROKEN as error:
-                    text = "what its stages told is damaged"
+                    text = "what its stages recorded is damaged"
                     raise FileError(text, file=recording.path, mend="run the recipe again") from error
                 now = -1 if event.finished else event.stage_index
             elif now == stage_index:

@@ -144,9 +144,9 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
             there = ("there", "") if curve["only_in"] == "a" else ("", "there")
             _row(table, curve["stage"], what, *there)
         else:
-            told = f"up to {_number(curve['largest_px'])} px from a's, {_number(curve['rms_px'])} px RMS"
+            apart = f"up to {_number(curve['largest_px'])} px from a's, {_number(curve['rms_px'])} px RMS"
             labels = f", {_share(curve['share_relabelled'])} of the lines labelled otherwise"
-            _row(table, curve["stage"], what, "", told + labels)
+            _row(table, curve["stage"], what, "", apart + labels)
     for left in difference["strip_residuals"]:
         what = f"left in pair {left['pair']}"
         if "only_in" in left:

@@ -68,7 +68,7 @@ STAGE_CALLS = (
     *("log", "image", "location", "geojson", "offsets", "tie_points"),
     *("strip_offsets", "strip_residuals", "jitter", "camera"),
 )
-"""What a stage may tell a recorder; the other calls are the runner's."""
+"""What a stage may record; the other calls are the runner's."""
 
 
 class Recorder:
@@ -92,7 +92,7 @@ class Recorder:
     def begin_run(
         self, recipe_yaml: str, environment: Mapping[str, Any], manifest: Mapping[str, Any]
     ) -> None:
-        """What the run was told and where it ran, written first and put on the disk at once.
+        """What the run was given and where it ran, written first and put on the disk at once.
 
         `environment` holds versions and the machine, `manifest` the inputs with their hashes; both of
         values that JSON knows.
@@ -114,7 +114,7 @@ class Recorder:
     ) -> None:
         """A stage begins; what is recorded until its end belongs to it.
 
-        `reads_run`: it tells of the run itself, such as durations, so equal runs differ in its outputs.
+        `reads_run`: it reports the run itself, such as durations, so equal runs differ in its outputs.
         """
         self._stage_index += 1
         event = StageEvent(
@@ -356,10 +356,12 @@ class Recorder:
     def copy(self, topic: str, schema: str, data: bytes) -> None:
         """A message of another recording as it is, but for its time. See `reader.stage_messages`.
 
-        Raises InputError if it is none that a stage tells, or damaged.
+        Raises InputError if it is none that a stage records, or damaged.
         """
         if schema not in _CLASSES:
-            raise InputError(f"no stage tells a '{_topic_part(schema)}'", mend="replay from an earlier stage")
+            raise InputError(
+                f"no stage records a '{_topic_part(schema)}'", mend="replay from an earlier stage"
+            )
         try:
             message = _CLASSES[schema].FromString(data)
         except DecodeError as error:

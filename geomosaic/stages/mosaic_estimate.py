@@ -49,7 +49,7 @@ class MosaicEstimate(Stage):
         cameras = [survey.camera_of(i) for i in range(len(names))]
         ground = inputs["prior_ground"]
         if not any(survey.located):
-            context.tell("no frame has a position: how large the mosaic will be only the images can show")
+            context.inform("no frame has a position: how large the mosaic will be only the images can show")
             return {}
         views = frame_views(
             survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground

@@ -103,7 +103,7 @@ def report_estimate(context: Context, estimate: Estimate) -> None:
     free_gb = shutil.disk_usage(context.run_folder).free / 1e9
     kept = {k: v for k, v in asdict(estimate).items() if k not in ("memory_gb", "minutes")}
     context.metric("estimate", kept | {"disk_gb": estimate.disk_gb})
-    context.tell(estimate.told())
+    context.inform(estimate.text())
     if estimate.disk_gb[0] > free_gb + before:
         raise OutputError(
             f"no space left on the disk: a mosaic of {estimate.width_px:,} x {estimate.height_px:,} px "
