@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.surface import level_m, tie_surface
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
@@ -94,7 +94,7 @@ def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle, part: Ints
     off = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
     off = off - _bends(bundle.points_m, off, part) if flat else off
     well = bundle.points_sd_m[:, 2] <= np.quantile(bundle.points_sd_m[:, 2], 0.25)
-    spread = 1.4826 * float(np.median(np.abs(off[well] - np.median(off[well]))))
+    spread = NORMAL_PER_MAD * float(np.median(np.abs(off[well] - np.median(off[well]))))
     own = float(np.median(bundle.points_sd_m[well, 2]))
     rough = float(np.sqrt(max(spread**2 - own**2, 0.0)))
     return float(np.clip(rough, 0.1 * least_m, least_m if flat else DEM_SD_M))

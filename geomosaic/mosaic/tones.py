@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.ground import GroundSurface
@@ -281,7 +281,7 @@ def _solved(
     """One band's unknowns, and what they leave of the differences to each place's mean."""
     found, left = np.zeros(design.shape[1]), logs - _means(of_place, share, logs)
     for _ in range(_ROUNDS):
-        sd = max(1.4826 * float(np.median(np.abs(left))), _LEAST_SD)
+        sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
         weighed = diags(weight) @ design
         beside = of_place.T @ weighed
