@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation, about_z, exp_turn
+from geomosaic.camera.rotation import Rotation, about_x, about_z, exp_turn
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
 
@@ -63,9 +64,10 @@ def fly(
     swaying_px: float = 0.0,
     gusts_px: float = 0.0,
     lens: Camera | None = None,
+    aslant_deg: Mapping[int, float] | None = None,
 ) -> Flown:
     """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise. While they are read, frames turn at a
-    rate of their own, or shake. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
+    rate of their own, or shake; some look forward by so many degrees. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
     camera = lens or Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
@@ -81,6 +83,8 @@ def fly(
         np.zeros((n, 3)),
         velocities,
     )
+    for i, degrees in (aslant_deg or {}).items():
+        truth.rotations[i] = truth.rotations[i] @ about_x(np.radians(degrees))
     if rate_sd_rad_per_s:
         rates = np.random.default_rng(seed + 1).normal(0.0, rate_sd_rad_per_s, (n, 1, 3))
         after_s = np.linspace(-0.5, 0.5, 41)[:, None] * readout_s

@@ -24,7 +24,7 @@ def test_a_frame_that_looks_aside_far_from_its_position_is_left_out() -> None:
     name = block.names[4]
     for east_m, tilt_deg, strayed in ((200.0, 31.0, [4]), (200.0, 5.0, []), (3.0, 31.0, [])):
         poses = _moved(block.poses, 4, east_m, tilt_deg)
-        found = strayed_frames(block, poses)
+        found = strayed_frames(block, poses, np.ones(len(poses)))
         assert list(found) == strayed, (east_m, tilt_deg)
         lies = [w.frame for w in lying_tags(block, poses, found) if w.code == "position-wrong"]
         assert lies == ([name] if east_m > 100.0 and not strayed else [])
@@ -37,4 +37,4 @@ def test_a_survey_that_looks_aside_keeps_its_frames() -> None:
     block = fly(1).block
     aside = exp_turn(np.radians(np.tile([45.0, 0.0, 0.0], (len(block.names), 1))))
     poses = _moved(replace(block.poses, rotations=aside @ block.poses.rotations), 4, 200.0, 31.0)
-    assert strayed_frames(block, poses) == {}
+    assert strayed_frames(block, poses, np.ones(len(poses))) == {}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.chain import fit_similarity
 from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
+from geomosaic.adjustment.resection import UNHEARD
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
@@ -72,25 +73,43 @@ _SHIFT_IN_DOUBT: Annotated[
 ] = 5.0
 
 
-def strayed_frames(block: Block, poses: Poses) -> dict[int, Warn]:
-    """Frames that came to lie far from their own positions and to look aside among others that look down, by
-    number. Flat ground seen aslant has two poses that look alike: where a frame was given as looking down and
-    looks to the horizon, the wrong one is found.
+def strayed_frames(block: Block, poses: Poses, heard: Floats) -> dict[int, Warn]:
+    """Frames that are left out, by number: far from their own positions, and either looking aside among
+    others that look down, or with most of their tie points put aside.
+
+    Flat ground seen aslant has two poses that look alike: where a frame was given as looking down and
+    looks to the horizon, the wrong one may be found.
+
+    Args: heard (n,): `heard_shares`.
     """
     far, limit = _off_m(block, poses)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
-    aside = tilt > float(np.median(tilt)) + UPRIGHT.value
-    if np.median(tilt) > UPRIGHT.value:
-        return {}
-    return {
+    usual = float(np.median(tilt))
+    aside = (tilt > usual + UPRIGHT.value) & (usual <= UPRIGHT.value) & (far > limit)
+    found = {
+        int(i): Warn(
+            "frame-contradicted",
+            block.names[i],
+            f"{100.0 * (1.0 - heard[i]):.0f} % of its tie points contradict those of other frames, which put "
+            f"it {far[i]:.0f} m from its own position; left out",
+        )
+        for i in np.flatnonzero(unheard_far_off(block, poses, heard))
+    }
+    return found | {
         int(i): Warn(
             "frame-oblique",
             block.names[i],
             f"by the images it looks {tilt[i]:.0f} degrees aside of straight down, {far[i]:.0f} m from its "
             "own position; left out",
         )
-        for i in np.flatnonzero(aside & (far > limit))
+        for i in np.flatnonzero(aside)
     }
+
+
+def unheard_far_off(block: Block, poses: Poses, heard: Floats) -> Bools:
+    """Frames far from their own positions with most of their tie points put aside, (n,)."""
+    far, limit = _off_m(block, poses)
+    return np.asarray((far > limit) & (heard < UNHEARD))
 
 
 def _off_m(block: Block, poses: Poses) -> tuple[Floats, Floats]:

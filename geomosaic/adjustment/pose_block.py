@@ -46,6 +46,7 @@ from geomosaic.adjustment.model import (
 )
 from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
+from geomosaic.adjustment.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.shape import shape_sd_m
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
 from geomosaic.adjustment.start import placed_by_images, start_poses
@@ -149,7 +150,10 @@ def _solved(block: Block, settings: Settings) -> Adjusted:
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     work = _begun(block, settings, tracks, few)
-    steps = _heights_freed, _model_chosen, _turning_too, _zero_of_the_gyroscope, _by_all, _readout_shown
+    steps = (
+        *(_wrong_ones_resected, _heights_freed, _model_chosen, _turning_too),
+        *(_zero_of_the_gyroscope, _by_all, _readout_shown),
+    )
     for step in steps:
         work = step(work)
     return _outcome(work)
@@ -185,6 +189,16 @@ def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses
     priors = priors_of(still, settings, still.lenses, points)
     solved = solve_bundle(kept, still.lens_of, priors, start, lens_held=True, rough=True)
     return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)
+
+
+def _wrong_ones_resected(work: _Work) -> _Work:
+    """Frames with most of their tie points put aside, by what the others have found."""
+    ties, bundle, cameras = work.found.ties, work.found.of_ties, work.block.cameras
+    wrong = heard_shares(ties, bundle, len(cameras)) < UNHEARD
+    poses = resected(ties, bundle, cameras, wrong) if wrong.any() else None
+    if poses is None:
+        return work
+    return replace(work, found=solution(work.block, work.settings, work.few, poses))
 
 
 def _heights_freed(work: _Work) -> _Work:
@@ -279,7 +293,9 @@ def _outcome(work: _Work) -> Adjusted:
     common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
     bundle = with_common_error(bundle, common_m2)
     moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
-    shared, strayed = _shared(bundle, found.priors), strayed_frames(block, bundle.poses)
+    shared = _shared(bundle, found.priors)
+    heard = heard_shares(found.ties, bundle, len(block.names))
+    strayed = strayed_frames(block, bundle.poses, heard)
     outcome = settled(
         block,
         bundle.poses,
