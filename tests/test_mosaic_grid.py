@@ -26,7 +26,7 @@ from geomosaic.cli.mosaic import STAGES
 from geomosaic.doors.vector import read_polygons
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic import compose as compose_module
+from geomosaic.mosaic import frame_part
 from geomosaic.mosaic.area import Outline, area_seen
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.frames import Decoded
@@ -229,8 +229,8 @@ def test_an_area_decodes_no_frame_that_gives_nothing(
         decoded.add(frame.name)
         return real(frame, kernel_radius_px)
 
-    real = compose_module.decode
-    monkeypatch.setattr(compose_module, "decode", decode)
+    real = frame_part.decode
+    monkeypatch.setattr(frame_part, "decode", decode)
     survey = given["survey"]
     lon, lat, _ = survey.work_frame.geodetic_from_enu(given["adjusted"].poses.positions_m[3])
     e, n = MapProjection(CRS).map_from_geodetic(lon, lat).tolist()

@@ -18,8 +18,8 @@ from test_mosaic_grid import around, given_for, polygons, seams
 
 from geomosaic.errors import CancelledError
 from geomosaic.export.orthos import ortho_names
-from geomosaic.mosaic.orthos import orthos
 from geomosaic.mosaic.tones import Tones
+from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage
 from geomosaic.stages.export_orthos import ExportOrthos
@@ -140,20 +140,16 @@ def test_names_are_safe_and_differ() -> None:
 def test_orthos_can_be_stopped(tmp_path: Path) -> None:
     given = given_for(tmp_path, lines=1, per_line=2)
     own, _ = seams(tmp_path, given)
-    asked = []
+    asked: list[int] = []
 
-    def stop() -> None:
+    def stop() -> bool:
         asked.append(1)
-        if len(asked) > 3:
-            raise CancelledError
+        return len(asked) > 2
 
-    (tmp_path / "o").mkdir()
+    context = Context(tmp_path / "run", stage_id="export.orthos", cancelled=stop)
     with pytest.raises(CancelledError):
-        list(
-            orthos(
-                given["survey"], given["adjusted"], given["ground"], own, tmp_path / "o", check_cancelled=stop
-            )
-        )
+        ExportOrthos().run({**given, "ownership": own}, ExportOrthos.Params(), context)
+    assert not (tmp_path / "run" / "orthos").exists()
 
 
 def test_the_command_writes_orthos_of_a_finished_run(

@@ -525,6 +525,27 @@ def test_items_that_name_what_they_read_outlive_other_changes(toys: Toys) -> Non
     assert toys.done() == ["item b"]
 
 
+def test_spooled_results_lie_on_the_disk_until_they_are_done_with(toys: Toys) -> None:
+    """Where the work with them fails they stay, and nobody makes them again; by hand they are in memory."""
+    paths = [str(toys.folder / name) for name in "ab"]
+    for number, path in enumerate(paths):
+        Path(path).write_text(str(number + 1))
+    context = Context(toys.run_folder, stage_id="toy.x", key="one")
+    items = context.work_folder / "items"
+    with pytest.raises(ZeroDivisionError), context.spooled("double", double, paths, keys=[0, 1]) as made:
+        assert [one.load() for one in made] == [one.load() for one in made] == [2, 4]
+        assert all(one.data is None for one in made)
+        raise ZeroDivisionError
+    assert toys.done() == ["item a", "item b"]
+    assert len([p for p in items.rglob("*") if p.is_file()]) == 2
+    with context.spooled("double", double, paths, keys=[0, 1]) as made:
+        assert [one.load() for one in made] == [2, 4]
+    assert toys.done() == []
+    assert not [p for p in items.rglob("*") if p.is_file()]
+    with Context(toys.run_folder).spooled("double", double, paths, keys=[0, 1]) as made:
+        assert [one.load() for one in made] == [2, 4]
+
+
 def test_a_function_that_does_not_say_what_it_returns_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="must say in its annotation what it returns"):
         Context(tmp_path).map("x", lambda x: x, [1])

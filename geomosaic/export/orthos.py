@@ -1,16 +1,23 @@
-"""Names of the frames' orthos, and the VRT that lays them over each other."""
+"""The frames' orthos as files: their names, each as a COG, and the VRT that lays them over each other."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from osgeo import gdal
 
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.export.cog import write_cog
+from geomosaic.mosaic.area import Area
+from geomosaic.mosaic.frame_part import Warping
+from geomosaic.mosaic.orthos import write_ortho
+from geomosaic.mosaic.sight import FrameOnMap
 
 _UNSAFE: Final = re.compile(r"[^\w.-]")
 _LONGEST: Final = 60
@@ -35,6 +42,36 @@ def ortho_names(frames: Sequence[str]) -> list[str]:
         taken.add(name.casefold())
         names.append(f"{name}.tif")
     return names
+
+
+@dataclass(frozen=True)
+class OrthoStyle:
+    """What all frames' orthos have in common; scratch: a folder for files that come and go."""
+
+    warping: Warping
+    area: Area | None
+    names: tuple[str, ...]
+    compression: str
+    quality: int
+    threads: int
+    scratch: Path
+
+
+@dataclass(frozen=True)
+class OrthoFile:
+    """A frame's ortho, a COG's bytes; none where it shows nothing."""
+
+    cog: bytes
+
+
+def ortho_file(style: OrthoStyle, frame: tuple[FrameOnMap, ...]) -> OrthoFile:
+    """One frame's ortho. Raises: as `write_ortho` and `write_cog`."""
+    with TemporaryDirectory(dir=style.scratch) as folder:
+        raster, out = Path(folder) / "raster.tif", Path(folder) / "ortho.tif"
+        if not write_ortho(style.warping, style.area, style.names, frame, raster):
+            return OrthoFile(b"")
+        write_cog(raster, out, compression=style.compression, quality=style.quality, threads=style.threads)
+        return OrthoFile(out.read_bytes())
 
 
 def write_orthos_vrt(rasters: Sequence[Path], out: Path) -> None:

@@ -1,28 +1,34 @@
-"""Composition by windows: memory does not grow with the mosaic, and every pixel is resampled once."""
+"""Composition: every frame is brought onto the grid once, then windows are blended, in bounded memory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
+
+import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.blends import BLENDS
-from geomosaic.mosaic.driver import composed
+from geomosaic.mosaic.driver import InMemory, composed
+from geomosaic.mosaic.frame_part import Asked, FramePart, Warping, frame_part
 from geomosaic.mosaic.frame_source import FrameSource
-from geomosaic.mosaic.frames import Decoded, DecodedFrames, decode, decoded_bytes, may_be_masked
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Planning, windows
+from geomosaic.mosaic.plan import Planning, asked_of, windows
 from geomosaic.mosaic.raster import writing_mosaic
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seamlines import SeamLabels
+from geomosaic.mosaic.sight import FrameOnMap, Sighting, seen_cells
+from geomosaic.mosaic.spread import AtOnce, Spread
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.mosaic.window import DTYPES, Composed, Manner, Step, Window, compose_window
@@ -34,13 +40,14 @@ WINDOW_PX: Annotated[
     int,
     Because(
         "px",
-        "side of the windows that are composed: smaller ones are more margin than window, with 64 px about "
+        "side of the windows that are blended: smaller ones are more margin than window, with 64 px about "
         "them already 1.56 times their area; larger ones take memory in each thread",
         "docs/results.md, seams and blends, a real flight of 28 frames: with 1024 px 9 % less time by "
         "bands, and 2 GB of memory",
     ),
 ] = 512
 AUTO = "auto"
+_MARGIN_BYTES: Final = np.dtype(np.float32).itemsize
 AUTO_FEATHER_PX: Annotated[
     int,
     Because(
@@ -69,19 +76,23 @@ def compose(
     memory_bytes: int = 1 << 30,
     sources_path: Path | None = None,
     threads: int = 2,
+    spread: Spread | None = None,
     progress: Callable[[int, int], None] | None = None,
     check_cancelled: Callable[[], None] | None = None,
 ) -> Mosaic:
     """Warps all frames in use onto the grid and blends them into one raster.
 
-    The same bytes come out whatever the number of threads and the memory. `check_cancelled` raises to stop.
+    The same bytes come out whatever the number of threads and workers and the memory. `check_cancelled`
+    raises to stop.
 
     Args: poses, cameras, used: of each of the survey's frames. ownership: who gives which part, and the area
     that the mosaic is cut to; the frame that looks down most steeply, and no area, if not given. blend: one
     of BLENDS; auto: multi_band for images of 8 bits, feather for measured values, which stay as they are
     where one frame shows the ground. tones: how brightly frames show the ground, evened out; as they are if
-    not given. memory_bytes: for decoded frames; windows in work take some 100 MB more for each thread.
-    sources_path: where the raster of frame indices goes, if at all (see `raster.writing_mosaic`).
+    not given. memory_bytes: for what frames give; windows in work take some 100 MB more for each thread, and
+    so does a frame while it is brought onto the grid. spread: who does that; the threads, as windows ask for
+    it, if not given. sources_path: where the raster of frame indices goes, if at all (see
+    `raster.writing_mosaic`).
     Raises: `InputError` if frames don't go together or can't be resampled, `UnknownNameError` for a strategy.
     """
     if blend not in (AUTO, *BLENDS):
@@ -94,10 +105,19 @@ def compose(
     scene = Scene(survey.work_frame, ground, grid, views)
     ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]
     how = BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"]
-    manner = Manner(how, kind.bands, kind.dtype, scene.lattice)
-    sources = {v.frame: FrameSource(scene, ownership, v, resampling, tones) for v in views}
-    area = ownership.area
-    planning = Planning(sources, how.halo_px(feather_m / grid.gsd_m), feather_m / grid.gsd_m, area)
+    area, reach_px = ownership.area, feather_m / grid.gsd_m
+    walk = Walk(
+        survey,
+        {v.frame: FrameSource(grid, ownership, v) for v in views},
+        Manner(how, kind.bands, kind.dtype),
+        Warping(replace(scene, views=()), resampling, tones, kind.dtype, reach_px / 2.0),
+        reach_px,
+        area,
+        memory_bytes,
+        threads,
+        spread or AtOnce(check_cancelled),
+        check_cancelled,
+    )
     labels = SeamLabels(grid, WINDOW_PX, cut=area is not None)
     gave_pixels: set[int] = set()
     names = [frame.name for frame in survey.frames]
@@ -110,19 +130,7 @@ def compose(
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
         try:
-            frames, done_windows = walk(
-                planning,
-                manner,
-                scene.grid,
-                survey.frames,
-                order,
-                resampling,
-                memory_bytes=memory_bytes,
-                pool=pool,
-                threads=threads,
-                check_cancelled=check_cancelled,
-            )
-            for done, window in enumerate(done_windows):
+            for done, window in enumerate(walk.windows(order, pool)):
                 raster.write(window)
                 labels.add(window)
                 gave_pixels.update(window.gave)
@@ -139,66 +147,69 @@ def compose(
         nodata=None,
         seamlines=labels.seamlines(),
         frames_used=tuple(sorted(gave_pixels)),
-        decodes=frames.decodes,
         holes=labels.holes(),
         resampling=resampling,
     )
 
 
-def walk(
-    planning: Planning,
-    manner: Manner,
-    grid: OutputGrid,
-    frames: Sequence[Frame],
-    order: Sequence[Window],
-    resampling: str,
-    *,
-    memory_bytes: int,
-    pool: ThreadPoolExecutor,
-    threads: int,
-    check_cancelled: Callable[[], None] | None,
-) -> tuple[DecodedFrames, Iterator[Composed]]:
-    """Windows of the grid composed in their order, and the supply of decoded frames that they take.
+@dataclass(frozen=True)
+class Walk:
+    """How windows of one scene's frames are composed.
 
-    Args: frames: all of the survey's; planning says which of them take part.
+    sources: the frames that may give pixels, by their number. area: what the windows are cut to, if anything.
+    memory_bytes: for what frames give.
     """
-    plan = _plan(planning, frames, order, pool, check_cancelled)
-    supply = DecodedFrames(
-        [[p.source.number for p in step.parts] for step in plan],
-        {number: decoded_bytes(frames[number]) for number in planning.sources},
-        memory_bytes,
-        pool,
-        lambda i: decode(frames[i], KERNEL_RADIUS_PX[resampling]),
-    )
-    work = partial(_composed, manner, planning, grid)
-    return supply, composed(plan, work, supply, pool, threads, check_cancelled)
 
+    survey: Survey
+    sources: Mapping[int, FrameSource]
+    manner: Manner
+    warping: Warping
+    reach_px: float
+    area: Area | None
+    memory_bytes: int
+    threads: int
+    spread: Spread
+    check_cancelled: Callable[[], None] | None
 
-def _plan(
-    planning: Planning,
-    frames: Sequence[Frame],
-    order: Sequence[Window],
-    pool: ThreadPoolExecutor,
-    check_cancelled: Callable[[], None] | None,
-) -> list[Step]:
-    valid = {number: None for number in planning.sources if not may_be_masked(frames[number])}
-    plan = []
-    for found in pool.map(lambda w: planning.step(w, valid), order):
-        if check_cancelled is not None:
-            check_cancelled()
-        plan.append(found)
-    return plan
+    def windows(self, order: Sequence[Window], pool: ThreadPoolExecutor) -> Iterator[Composed]:
+        """Windows of the grid in their order."""
+        plan = self._plan(order, pool)
+        asked = {number: Asked(self._on_map(number), boxes) for number, boxes in asked_of(plan).items()}
+        make = partial(frame_part, self.warping)
+        keys = [one.on_map.frame.path for one in asked.values()]
+        with self.spread.spooled("frames on the map", make, list(asked.values()), keys) as kept:
+            parts = dict(zip(asked, kept, strict=True))
+            bytes_px = self.manner.bands * np.dtype(self.manner.dtype).itemsize + _MARGIN_BYTES
+            supply = InMemory(
+                [[part.source.number for part in step.parts] for step in plan],
+                {n: bytes_px * sum(b.width * b.height for b in one.boxes) for n, one in asked.items()},
+                self.memory_bytes,
+                pool,
+                lambda number: parts[number].load(),
+            )
+            yield from composed(plan, self._composed, supply, pool, self.threads, self.check_cancelled)
 
+    def _plan(self, order: Sequence[Window], pool: ThreadPoolExecutor) -> list[Step]:
+        scene, halo_px = self.warping.scene, self.manner.blend.halo_px(self.reach_px)
+        frames = [self._on_map(number) for number in self.sources]
+        look = partial(seen_cells, Sighting(scene, halo_px, KERNEL_RADIUS_PX[self.warping.resampling]))
+        seen = self.spread.map("what frames see", look, frames, [one.frame.path for one in frames])
+        planning = Planning(
+            self.sources, dict(zip(self.sources, seen, strict=True)), halo_px, self.reach_px, self.area
+        )
+        plan = []
+        for found in pool.map(planning.step, order):
+            if self.check_cancelled is not None:
+                self.check_cancelled()
+            plan.append(found)
+        return plan
 
-def _composed(
-    manner: Manner, planning: Planning, grid: OutputGrid, step: Step, decoded: Mapping[int, Decoded]
-) -> Composed:
-    """A window, planned again where frames turn out to have masks, and cut to the area."""
-    masks = {frame: d.mask_distance_px for frame, d in decoded.items()}
-    if any(mask is not None for mask in masks.values()):
-        step = planning.step(step.window, masks, [p.source.number for p in step.parts])
-    done = compose_window(manner, step, decoded)
-    return done if planning.area is None else done.cut(planning.area.mask(grid, step.window))
+    def _on_map(self, number: int) -> FrameOnMap:
+        return FrameOnMap(self.survey.frames[number], self.sources[number].view)
+
+    def _composed(self, step: Step, parts: Mapping[int, FramePart]) -> Composed:
+        done = compose_window(self.manner, step, parts)
+        return done if self.area is None else done.cut(self.area.mask(self.warping.scene.grid, step.window))
 
 
 def common_kind(frames: Sequence[Frame]) -> Frame:

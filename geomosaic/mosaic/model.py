@@ -79,9 +79,8 @@ class Mosaic:
     """The composed mosaic, as an uncompressed raster with an internal mask.
 
     raster: the raster's name inside the run folder. frames_used: indices of frames that gave pixels.
-    decodes: how often a frame was decoded; the number of frames where memory sufficed. band_names: of a rig's
-    bands, in the raster's order. holes: none smaller than a cell of the seamlines is seen. resampling: how
-    frames were.
+    band_names: of a rig's bands, in the raster's order. holes: none smaller than a cell of the seamlines is
+    seen. resampling: how frames were.
     """
 
     grid: OutputGrid
@@ -91,7 +90,6 @@ class Mosaic:
     nodata: float | None
     seamlines: tuple[Seamline, ...]
     frames_used: tuple[int, ...]
-    decodes: int
     band_names: tuple[str, ...] = ()
     holes: Holes = Holes()
     resampling: str = "cubic"

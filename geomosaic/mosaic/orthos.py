@@ -2,171 +2,141 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.rig import RigPoses
-from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import unreferenced_is_fine
-from geomosaic.mosaic.bands import band_names, other_bands, stack_bands
-from geomosaic.mosaic.blends import BLENDS, STEP_PX
-from geomosaic.mosaic.compose import WINDOW_PX, common_kind, walk
-from geomosaic.mosaic.frame_source import FrameSource
-from geomosaic.mosaic.frames import decoded_bytes
+from geomosaic.mosaic.area import Area
+from geomosaic.mosaic.bands import BandOfRig, band_names, other_bands, stack_bands
+from geomosaic.mosaic.compose import common_kind
+from geomosaic.mosaic.frame_part import Asked, Patch, Warping, boxes_by_tile, patches
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.plan import Planning, windows
-from geomosaic.mosaic.raster import writing_mosaic
-from geomosaic.mosaic.scene import Scene
+from geomosaic.mosaic.raster import Raster, writing_mosaic
+from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window
+from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
 from geomosaic.mosaic.tones import Tones
-from geomosaic.mosaic.views import FrameView, frame_views
-from geomosaic.mosaic.window import Manner, Window
+from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.window import Composed, Window
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import Frame, Survey
-
-_SPARE: Annotated[
-    float,
-    Because(
-        "share of a frame's bounds",
-        "bounds are those of places along a frame's edges, and a bent edge reaches a little "
-        "farther: with less, its ortho may be cut there",
-        CHOSEN,
-    ),
-] = 0.02
+from geomosaic.survey.model import Survey
 
 
 @dataclass(frozen=True)
-class Ortho:
-    """A frame (an index into `Survey.frames`) as a raster, and how many cells of the mosaic it gives."""
+class OrthoPlan:
+    """What all frames' orthos have in common, and the frames that may show something: by their index in
+    `Survey.frames`, each with all its bands. names: of a rig's bands, in their order."""
 
-    frame: int
-    raster: Path
-    cells: int
+    warping: Warping
+    area: Area | None
+    names: tuple[str, ...]
+    frames: dict[int, tuple[FrameOnMap, ...]]
 
 
-def orthos(
+def plan_orthos(
     survey: Survey,
     adjusted: Adjusted,
     ground: GroundSurface,
     ownership: Ownership,
-    folder: Path,
     *,
-    rig: RigPoses | None = None,
-    resampling: str = "cubic",
-    tones: Tones | None = None,
-    threads: int = 2,
-    check_cancelled: Callable[[], None] | None = None,
-) -> Iterator[Ortho | None]:
-    """For each frame that may give pixels its raster in folder, with a mask; None where it shows nothing.
+    rig: RigPoses,
+    resampling: str,
+    tones: Tones | None,
+) -> OrthoPlan:
+    """The orthos of all frames that may give pixels. Of a rig a frame is a capture with all its bands.
 
-    A raster is the caller's to take away before the next one is asked for. Pixels are those of the mosaic
-    where the frame alone gives them, cut to its area. Of a rig a frame is a capture with all its bands, and
-    valid is what all of them show. In memory are one frame and the windows at work.
-
-    Raises: as `compose`.
+    Raises: `InputError` if frames don't go together or can't be resampled.
     """
-    used = ownership.used.tolist()
-    bands = [_BandOrthos.of(survey, adjusted.poses, adjusted.cameras, used, ground, ownership)]
-    if rig is not None and rig.bands:
-        for band in other_bands(survey, adjusted.poses, used, rig):
-            bands.append(_BandOrthos.of(band.survey, band.poses, band.cameras, band.used, ground, ownership))
-    cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)
-    for number, view in bands[0].views.items():
-        path, within = folder / f"{number}.tif", _window(ownership.grid, view)
-        shows = within is not None and all(number in band.views for band in bands)
-        if shows and within is not None:
-            rasters = [path] if len(bands) == 1 else [folder / f"{number}.{k}.tif" for k in range(len(bands))]
-            shows = all(
-                band.write(number, within, raster, resampling, tones, threads, check_cancelled)
-                for band, raster in zip(bands, rasters, strict=True)
-            )
-            if shows and len(bands) > 1:
-                part = _part(ownership.grid, within)
-                shows = stack_bands(rasters, band_names(survey), part, bands[0].kind.dtype, path)
-            for raster in rasters if len(bands) > 1 else ():
-                raster.unlink(missing_ok=True)
-        yield Ortho(number, path, int(cells[number + 1])) if shows else None
+    used, grid = ownership.used.tolist(), ownership.grid
+    bands = [BandOfRig(survey, adjusted.poses, adjusted.cameras, ownership.used.tolist())]
+    bands += other_bands(survey, adjusted.poses, used, rig) if rig.bands else []
+    views = [frame_views(b.survey.work_frame, grid.crs, b.poses, b.cameras, b.used, ground) for b in bands]
+    kinds = [common_kind([b.survey.frames[v.frame] for v in of]) for b, of in zip(bands, views, strict=True)]
+    lying: dict[int, list[FrameOnMap]] = {}
+    for band, of in zip(bands, views, strict=True):
+        for view in of:
+            lying.setdefault(view.frame, []).append(FrameOnMap(band.survey.frames[view.frame], view))
+    scene = Scene(survey.work_frame, ground, grid, ())
+    return OrthoPlan(
+        Warping(scene, resampling, tones, kinds[0].dtype, np.inf),
+        ownership.area,
+        band_names(survey) if rig.bands else (),
+        {n: tuple(of) for n, of in sorted(lying.items()) if len(of) == len(bands)},
+    )
 
 
-@dataclass(frozen=True)
-class _BandOrthos:
-    """One band of all frames: their views by number, and the scene that they are of."""
+def write_ortho(
+    warping: Warping, area: Area | None, names: Sequence[str], frame: Sequence[FrameOnMap], path: Path
+) -> bool:
+    """One frame's raster with its mask, and whether it shows anything; none is written where it lies beyond
+    the grid. Pixels are those of the mosaic where the frame alone gives them, cut to its area; of a rig valid
+    is what all bands show.
 
-    survey: Survey
-    ownership: Ownership
-    scene: Scene
-    views: dict[int, FrameView]
-    kind: Frame
-
-    @classmethod
-    def of(
-        cls,
-        survey: Survey,
-        poses: Poses,
-        cameras: Sequence[Camera],
-        used: Sequence[bool],
-        ground: GroundSurface,
-        ownership: Ownership,
-    ) -> _BandOrthos:
-        grid = ownership.grid
-        views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
-        kind = common_kind([survey.frames[v.frame] for v in views])
-        scene = Scene(survey.work_frame, ground, grid, views)
-        return cls(survey, ownership, scene, {v.frame: v for v in views}, kind)
-
-    def write(
-        self,
-        number: int,
-        within: Window,
-        path: Path,
-        resampling: str,
-        tones: Tones | None,
-        threads: int,
-        check_cancelled: Callable[[], None] | None,
-    ) -> bool:
-        """One frame's raster of a window, and whether it shows anything."""
-        source = FrameSource(self.scene, self.ownership, self.views[number], resampling, tones)
-        grid, frames, kind = self.ownership.grid, self.survey.frames, self.kind
-        planning = Planning({number: source}, 0, 0.0, self.ownership.area)
-        manner = Manner(BLENDS["hard"], kind.bands, kind.dtype, self.scene.lattice)
-        part, shows = _part(grid, within), False
-        order = [_moved(w, within.col, within.row) for w in windows(part, WINDOW_PX)]
-        with unreferenced_is_fine(), ThreadPoolExecutor(threads) as pool:
-            _, done = walk(
-                planning, manner, grid, frames, order, resampling,
-                memory_bytes=decoded_bytes(frames[number]), pool=pool, threads=threads,
-                check_cancelled=check_cancelled,
-            )  # fmt: skip
-            with writing_mosaic(path, part, kind.bands, kind.dtype, None, ()) as raster:
-                for window in done:
-                    shows |= bool(window.valid.any())
-                    raster.write(replace(window, window=_moved(window.window, -within.col, -within.row)))
-        return shows
+    Raises: `FileError` if a frame can't be read, `OSError` if the raster can't be written.
+    """
+    grid = warping.scene.grid
+    within = _window(grid, frame)
+    if within is None:
+        return False
+    if len(frame) == 1:
+        return _write(warping, area, frame[0], within, path)
+    rasters = [path.with_suffix(f".{k}.tif") for k in range(len(frame))]
+    shows = [_write(warping, area, *one) for one in zip(frame, [within] * len(frame), rasters, strict=True)]
+    try:
+        return all(shows) and stack_bands(rasters, names, _part(grid, within), warping.dtype, path)
+    finally:
+        for raster in rasters:
+            raster.unlink(missing_ok=True)
 
 
-def _moved(window: Window, cols: int, rows: int) -> Window:
-    return replace(window, col=window.col + cols, row=window.row + rows)
+def _write(warping: Warping, area: Area | None, on_map: FrameOnMap, within: Window, path: Path) -> bool:
+    grid, shows = warping.scene.grid, False
+    boxes = boxes_by_tile(cells_in_view(warping.scene, on_map.view).windows)
+    if area is not None and boxes:
+        boxes = tuple(area.touched(grid, boxes))
+    if not boxes:
+        return False
+    bands, dtype = on_map.frame.bands, warping.dtype
+    with (
+        unreferenced_is_fine(),
+        writing_mosaic(path, _part(grid, within), bands, dtype, None, ()) as raster,
+    ):
+        for patch in patches(warping, Asked(on_map, boxes)):
+            shows |= _written(raster, grid, area, within, patch)
+    return shows
 
 
-def _window(grid: OutputGrid, view: FrameView) -> Window | None:
-    """What of the grid a frame may show, from whole steps on, as the mosaic's windows are."""
-    west, south, east, north = view.bounds_m
-    spare_px = math.ceil(_SPARE * max(east - west, north - south) / grid.gsd_m)
-    first_col, last_col = ((x - grid.west_m) / grid.gsd_m for x in (west, east))
-    first_row, last_row = ((grid.north_m - y) / grid.gsd_m for y in (north, south))
-    col, row = (max((math.floor(a) - spare_px) // STEP_PX * STEP_PX, 0) for a in (first_col, first_row))
-    width = min(math.ceil(last_col) + spare_px, grid.width_px) - col
-    height = min(math.ceil(last_row) + spare_px, grid.height_px) - row
-    return Window(col, row, width, height) if width > 0 and height > 0 else None
+def _written(raster: Raster, grid: OutputGrid, area: Area | None, within: Window, patch: Patch) -> bool:
+    """Writes what of a patch lies in a window and is valid, and whether anything is."""
+    height, width = patch.pixels.shape[:2]
+    top, left = max(patch.row, within.row), max(patch.col, within.col)
+    bottom = min(patch.row + height, within.row + within.height)
+    right = min(patch.col + width, within.col + within.width)
+    if bottom <= top or right <= left:
+        return False
+    at = slice(top - patch.row, bottom - patch.row), slice(left - patch.col, right - patch.col)
+    window = Window(left, top, right - left, bottom - top)
+    valid = patch.valid[at]
+    if area is not None:
+        valid = valid & area.mask(grid, window)
+    if not valid.any():
+        return False
+    pixels = np.where(valid[..., None], patch.pixels[at], patch.pixels.dtype.type(0))
+    moved = replace(window, col=left - within.col, row=top - within.row)
+    raster.write(Composed(moved, pixels, valid, valid.astype(np.int16) - np.int16(1), (0,), ()))
+    return True
+
+
+def _window(grid: OutputGrid, frame: Sequence[FrameOnMap]) -> Window | None:
+    """What of the grid a frame may show, from whole cells on."""
+    cells = bounds_window(grid, frame[0].view.widened(), CELL_PX)
+    width, height = min(cells.width, grid.width_px - cells.col), min(cells.height, grid.height_px - cells.row)
+    return replace(cells, width=width, height=height) if width > 0 and height > 0 else None
 
 
 def _part(grid: OutputGrid, window: Window) -> OutputGrid:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.scene import CELL_PX, Scene, distances_m, ground_of, margin_px
+from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window, distances_m, ground_of, margin_px
 from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Window
 from geomosaic.projection.warp import frame_from_map
@@ -137,18 +137,13 @@ def cell_px_of(scene: Scene) -> int:
     return side
 
 
-def frame_cells(scene: Scene, view: FrameView, cell_px: int) -> FrameCells:
-    """The cells of a frame's bounds."""
-    grid, cell_m = scene.grid, cell_px * scene.grid.gsd_m
-    west, south, east, north = view.bounds_m
-    first = max(int((grid.north_m - north) / cell_m) - 1, 0), max(int((west - grid.west_m) / cell_m) - 1, 0)
-    last_row = min(int((grid.north_m - south) / cell_m) + 2, -(-grid.height_px // cell_px))
-    last_col = min(int((east - grid.west_m) / cell_m) + 2, -(-grid.width_px // cell_px))
-    size = max(last_col - first[1], 1) * cell_px, max(last_row - first[0], 1) * cell_px
-    window = Window(first[1] * cell_px, first[0] * cell_px, *size)
+def frame_cells(scene: Scene, view: FrameView, cell_px: int, beyond_px: int = 0) -> FrameCells:
+    """The cells of a frame's bounds, as far as beyond_px outside the grid."""
+    window = bounds_window(scene.grid, view, cell_px, beyond_px)
     ground = ground_of(scene, window, cell_px)
     cols, rows = frame_from_map(ground, view.pose, view.camera)
-    margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(grid, window, view, cell_px)
+    margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(scene.grid, window, view, cell_px)
+    first = window.row // cell_px, window.col // cell_px
     return FrameCells(view, *first, cols, rows, margin, away_m, ground.relief_m)
 
 

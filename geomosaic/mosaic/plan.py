@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.mosaic.area import Area
+from geomosaic.mosaic.frame_part import boxes_by_tile
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import owned_cells
-from geomosaic.mosaic.scene import CELL_PX, distances_m, ground_of, margin_px
+from geomosaic.mosaic.scene import CELL_PX, distances_m
+from geomosaic.mosaic.sight import SeenCells
 from geomosaic.mosaic.window import Part, Step, Window
-from geomosaic.projection.warp import frame_from_map
 
-Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 
@@ -54,35 +55,30 @@ def _hilbert(order: int, x: int, y: int) -> int:
 
 @dataclass(frozen=True)
 class Planning:
-    """What planning goes by: the frames of one scene, and how far about a window a blend of some reach looks.
+    """What planning goes by: the frames of one scene, what each sees, and how far about a window a blend of
+    some reach looks.
 
     halo_px: in whole cells. area: what the mosaic is cut to, if anything: what lies farther from it than a
     blend looks is not asked for.
     """
 
     sources: Mapping[int, FrameSource]
+    seen: Mapping[int, SeenCells]
     halo_px: int
     reach_px: float
     area: Area | None = None
 
-    def step(
-        self, window: Window, masks: Mapping[int, Floats32 | None], among: Sequence[int] | None = None
-    ) -> Step:
+    def step(self, window: Window) -> Step:
         """What a window takes: as much around it as a blend looks at if more than one frame gives pixels
-        within that, and of each frame its own pixels and those that a blend asks for.
-
-        masks: distances to invalid pixels of the frames whose validity is known (None: all valid). among: the
-        frames that come into question.
-        """
-        frames = list(self.sources.values()) if among is None else [self.sources[i] for i in among]
+        within that, and of each frame its own pixels and those that a blend asks for."""
         around, cells = window.grown(self.halo_px), self.halo_px // CELL_PX
-        close = near(frames, around)
+        close, sees, sure = self._near(around)
         if not close:
             return Step(window, window.grown(0), self.reach_px, ())
-        sees, gives = _cells(close, around, masks)
+        gives = _given(close, sees, sure, around)
         side = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
         if self.area is not None:
-            inside = self.area.cells(close[0].scene.grid, around, CELL_PX)
+            inside = self.area.cells(close[0].grid, around, CELL_PX)
             gives &= cv2.dilate(inside.view(np.uint8), side) > 0
         reached = np.stack([cv2.dilate(g.view(np.uint8), side) > 0 for g in gives])
         mixed = reached.sum(axis=0) > 1
@@ -104,58 +100,64 @@ class Planning:
             ),
         )
 
+    def _near(self, window: Window) -> tuple[list[FrameSource], Bools, Bools]:
+        """The frames that may show something of a window, and in which of its cells: somewhere in them, and
+        all over them, (k, h, w)."""
+        found = [(number, *self.seen[number].within(window)) for number in self._lying.near(window)]
+        found = [one for one in found if one[1].any()]
+        sources = [self.sources[number] for number, *_ in found]
+        return sources, np.array([s for _, s, _ in found]), np.array([e for *_, e in found])
 
-def _cells(
-    sources: Sequence[FrameSource], window: Window, masks: Mapping[int, Floats32 | None]
-) -> tuple[Bools, Bools]:
-    """In which cells of a window each frame may show something, and in which it may give it, (k, h, w) each.
+    @cached_property
+    def _lying(self) -> BoxIndex:
+        return BoxIndex.of(self.seen)
+
+
+@dataclass(frozen=True)
+class BoxIndex:
+    """Where frames lie: numbers (n,), and first and last row and col of their cells (n, 4)."""
+
+    numbers: NDArray[np.intp]
+    boxes: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, seen: Mapping[int, SeenCells]) -> BoxIndex:
+        """In the order of the mapping."""
+        boxes = [(s.row, s.col, *np.add((s.row, s.col), s.somewhere.shape)) for s in seen.values()]
+        return cls(np.array(list(seen), dtype=np.intp), np.array(boxes, dtype=np.intp).reshape(-1, 4))
+
+    def near(self, window: Window) -> list[int]:
+        """The frames whose cells reach into a window."""
+        row, col = window.row // CELL_PX, window.col // CELL_PX
+        last_row, last_col = row - (-window.height // CELL_PX), col - (-window.width // CELL_PX)
+        first, left, last, right = self.boxes.T
+        close = (first < last_row) & (last > row) & (left < last_col) & (right > col)
+        return [int(n) for n in self.numbers[close]]
+
+
+def _given(sources: Sequence[FrameSource], somewhere: Bools, everywhere: Bools, window: Window) -> Bools:
+    """In which cells of a window each frame may give pixels, (k, h, w).
 
     A frame gives what it owns and sees. Of what an owner doesn't see, the nearest frame that does. Works with
     what is certain of each cell, so that it never leaves out a pixel.
     """
-    scene = sources[0].scene
-    cells = ground_of(scene, window, CELL_PX)
-    shape = (len(sources), cells.height_px, cells.width_px)
-    distance = np.empty(shape, dtype=np.float32)
-    somewhere, everywhere = np.empty(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    for k, source in enumerate(sources):
-        view = source.view
-        cols, rows = frame_from_map(cells, view.pose, view.camera)
-        margin = margin_px(cols, rows, view.camera, masks.get(view.frame))
-        slack = _change_within_a_cell(cols, rows, CELL_PX * scene.grid.gsd_m / view.gsd_m)
-        somewhere[k] = margin > -slack
-        if view.frame in masks:
-            everywhere[k] = margin > slack
-        distance[k] = distances_m(scene.grid, window, view, CELL_PX)
+    grid = sources[0].grid
+    distance = np.stack([distances_m(grid, window, s.view, CELL_PX) for s in sources])
     own = np.stack(owned_cells(sources[0].ownership, window, [s.view for s in sources]))
     sure = own.any(axis=0) & (everywhere | ~own).all(axis=0)
-    reach_m = np.sqrt(2.0) * CELL_PX * scene.grid.gsd_m
+    reach_m = np.sqrt(2.0) * CELL_PX * grid.gsd_m
     surely = np.where(everywhere, distance, np.inf).min(axis=0)
     nearest = somewhere & (distance <= surely + reach_m) & ~sure
-    return somewhere, (somewhere & own) | nearest
+    return np.asarray((somewhere & own) | nearest)
 
 
-def near(sources: Sequence[FrameSource], window: Window) -> list[FrameSource]:
-    """The frames whose bounds, a little widened, touch a window."""
-    if not sources:
-        return []
-    grid = sources[0].scene.grid
-    west, north = grid.west_m + window.col * grid.gsd_m, grid.north_m - window.row * grid.gsd_m
-    east, south = west + window.width * grid.gsd_m, north - window.height * grid.gsd_m
-    found = []
-    for source in sources:
-        w, s, e, n = source.view.bounds_m
-        wider = 0.02 * max(e - w, n - s) + CELL_PX * grid.gsd_m
-        if w - wider < east and e + wider > west and s - wider < north and n + wider > south:
-            found.append(source)
-    return found
-
-
-def _change_within_a_cell(cols: Floats32, rows: Floats32, expected_px: float) -> float:
-    """Bound on how far the image moves between a cell's middle and its corners."""
-    steps = [np.hypot(np.diff(cols, axis=a), np.diff(rows, axis=a)) for a in (0, 1)]
-    finite = np.concatenate([s[np.isfinite(s)] for s in steps])
-    return max(float(finite.max(initial=0.0)), expected_px) + 1.0
+def asked_of(steps: Iterable[Step]) -> dict[int, tuple[Window, ...]]:
+    """The boxes that each source is asked for by all steps, by its number, within tiles."""
+    wanted: dict[int, list[Window]] = {}
+    for step in steps:
+        for part in step.parts:
+            wanted.setdefault(part.source.number, []).append(step.around.part(part.rows, part.cols))
+    return {number: boxes_by_tile(boxes) for number, boxes in sorted(wanted.items())}
 
 
 def _inside(shape: tuple[int, ...], inner: tuple[slice, slice]) -> Bools:

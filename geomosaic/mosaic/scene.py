@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -54,6 +55,19 @@ def ground_of(scene: Scene, window: Window, step_px: int) -> GroundWindow:
         -(-window.width // step_px),
         -(-window.height // step_px),
     )
+
+
+def bounds_window(grid: OutputGrid, view: FrameView, cell_px: int, beyond_px: int = 0) -> Window:
+    """The whole cells of a frame's bounds, one at least, as far as beyond_px outside the grid."""
+    west, south, east, north = view.bounds_m
+    down_m, right_m = (grid.north_m - north, grid.north_m - south), (west - grid.west_m, east - grid.west_m)
+    beyond, spans = -(-beyond_px // cell_px), []
+    for (first_m, last_m), size_px in ((down_m, grid.height_px), (right_m, grid.width_px)):
+        first = max(math.floor(first_m / (cell_px * grid.gsd_m)) - 1, -beyond)
+        last = min(math.floor(last_m / (cell_px * grid.gsd_m)) + 2, -(-size_px // cell_px) + beyond)
+        spans.append((first * cell_px, max(last - first, 1) * cell_px))
+    (row, height), (col, width) = spans
+    return Window(col, row, width, height)
 
 
 def distances_m(grid: OutputGrid, window: Window, view: FrameView, step_px: int = 1) -> Floats32:

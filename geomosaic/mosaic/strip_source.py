@@ -47,7 +47,7 @@ class StripSource:
         middle = window.col + np.arange(cols.start, cols.stop) + 0.5
         return np.minimum(middle - self.left_px, self.right_px - middle).astype(np.float32)[None]
 
-    def shown(self, place: None, window: Window, rows: slice, cols: slice, material: Block) -> Shown:
+    def shown(self, window: Window, rows: slice, cols: slice, material: Block) -> Shown:
         """Resampled; beyond the scene's first and last rows there is nothing."""
         shape = rows.stop - rows.start, cols.stop - cols.start
         first, last = window.row + rows.start, window.row + rows.stop

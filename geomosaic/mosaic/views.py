@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -23,10 +23,19 @@ _SAMPLES_PER_SIDE: Annotated[
     Because(
         "places",
         "along each side of a frame, whose bounds on the map are theirs: between them a bent edge"
-        " reaches farther by less than mosaic.orthos' share to spare",
+        " reaches farther by less than the share to spare",
         CHOSEN,
     ),
 ] = 17
+_SPARE: Annotated[
+    float,
+    Because(
+        "share of a frame's bounds",
+        "bounds are those of places along a frame's edges, and a bent edge reaches a little "
+        "farther: with less, what it shows may be cut there",
+        CHOSEN,
+    ),
+] = 0.02
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,12 @@ class FrameView:
     nadir_m: Floats
     bounds_m: Floats
     gsd_m: float
+
+    def widened(self) -> FrameView:
+        """With bounds that hold all of its bent edges."""
+        west, south, east, north = self.bounds_m
+        spare = _SPARE * max(east - west, north - south)
+        return replace(self, bounds_m=self.bounds_m + spare * np.array([-1.0, -1.0, 1.0, 1.0]))
 
 
 def frame_views(

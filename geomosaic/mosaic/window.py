@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -38,6 +38,12 @@ class Window:
         row, col = self.row - other.row, self.col - other.col
         return slice(row, row + self.height), slice(col, col + self.width)
 
+    def part(self, rows: slice, cols: slice) -> Window:
+        """Some of its rows and cols."""
+        return Window(
+            self.col + cols.start, self.row + rows.start, cols.stop - cols.start, rows.stop - rows.start
+        )
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -54,8 +60,8 @@ class Shown:
 class Source(Protocol):
     """What shows ground and may give the mosaic's pixels: a frame, a CCD strip.
 
-    number: from 0, of all of the mosaic's. `place` is what all sources of a window share (the ground under
-    it), `material` what a source has to be given to show its part: decoded pixels, lines.
+    number: from 0, of all of the mosaic's. `material` is what a source has to be given to show its part: a
+    frame's pixels on the grid, lines.
     """
 
     @property
@@ -65,8 +71,8 @@ class Source(Protocol):
         """How far pixels of part of a window belong to it, broadcasting to (h, w): the largest share gives a
         pixel, of those that are valid there."""
 
-    def shown(self, place: Any, window: Window, rows: slice, cols: slice, material: Any) -> Shown:
-        """Part of a window, resampled once."""
+    def shown(self, window: Window, rows: slice, cols: slice, material: Any) -> Shown:
+        """Part of a window."""
 
 
 @dataclass(frozen=True)
@@ -91,24 +97,28 @@ class Step:
 
 @dataclass(frozen=True)
 class Manner:
-    """What all windows of a mosaic have in common: its blend, bands and type, what sources share, and the
-    highest value where that is less than the type holds."""
+    """What all windows of a mosaic have in common: its blend, bands and type, and the highest value where
+    that is less than the type holds."""
 
     blend: Blend
     bands: int
     dtype: str
-    place: Callable[[Window], Any] = lambda window: None
     highest: int | None = None
 
     def as_type(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        """Pixels of the mosaic's type: rounded (halves to even), cut to what it holds."""
-        if pixels.dtype == self.dtype:
-            return pixels
-        flat = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
-        out = np.asarray(cv2.addWeighted(flat, 1.0, flat, 0.0, 0.0, dtype=_DEPTHS[self.dtype]))
-        if self.highest is not None:
-            np.minimum(out, self.highest, out=out)
-        return out.reshape(pixels.shape)
+        """Pixels of the mosaic's type."""
+        return as_type(pixels, self.dtype, self.highest)
+
+
+def as_type(pixels: NDArray[Any], dtype: str, highest: int | None = None) -> NDArray[Any]:
+    """Pixels (h, w, bands) of a type: rounded (halves to even), cut to what it holds."""
+    if pixels.dtype == dtype:
+        return pixels
+    flat = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
+    out = np.asarray(cv2.addWeighted(flat, 1.0, flat, 0.0, 0.0, dtype=_DEPTHS[dtype]))
+    if highest is not None:
+        np.minimum(out, highest, out=out)
+    return out.reshape(pixels.shape)
 
 
 @dataclass(frozen=True)
@@ -146,8 +156,7 @@ def compose_window(manner: Manner, step: Step, materials: Mapping[int, Any]) -> 
     if not step.parts:
         shape = window.height, window.width
         return Composed(window, pixels, np.zeros(shape, bool), np.full(shape, -1, np.int16), (), ())
-    place = manner.place(around)
-    shown = [p.source.shown(place, around, p.rows, p.cols, materials[p.source.number]) for p in step.parts]
+    shown = [p.source.shown(around, p.rows, p.cols, materials[p.source.number]) for p in step.parts]
     whole = step.around == window and shown[0].pixels.shape == pixels.shape
     if len(shown) == 1 and shown[0].margin_px is None and whole:
         every = np.ones(pixels.shape[:2], dtype=bool)

@@ -13,7 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_o
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Taken = TypeVar("Taken")
 Progress = Callable[[int, int, str], None]
 
 
@@ -93,6 +94,35 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise TypeError(f"{type(value).__name__} has no place in run.json")
+
+
+@dataclass
+class Kept(Generic[Result]):
+    """A result of `map`: in its file, in memory where a stage is run by hand and there is none, or both."""
+
+    returns: Any
+    path: Path | None
+    data: bytes | None
+
+    def load(self) -> Result:
+        """Raises `FileError` for a file that isn't what it was, `OSError` for one that can't be read."""
+        if self.data is not None:
+            return typing.cast(Result, decode(self.data, self.returns))
+        assert self.path is not None
+        with files.open_own(self.path) as kept:
+            return typing.cast(Result, decode(kept, self.returns))
+
+    def forget(self) -> None:
+        """Its file goes."""
+        if self.path is not None:
+            files.remove(self.path)
+
+
+def _left_on_disk(kept: Kept[Result]) -> Kept[Result]:
+    """Without its bytes in memory, if they are on the disk. Raises: as `load`."""
+    if kept.data is None:
+        kept.load()
+    return Kept(kept.returns, kept.path, None if kept.path is not None else kept.data)
 
 
 class Context:
@@ -249,16 +279,39 @@ class Context:
         the run is finished. Where `keys` distinguish items and nothing is read, items are made one after
         the other, as workers take them.
         """
+        return self._mapped(name, function, items, keys, reads, Kept.load)
+
+    @contextmanager
+    def spooled(
+        self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
+    ) -> Iterator[list[Kept[Result]]]:
+        """As `map`, for results that are too large to be held at once: each is loaded where it is wanted.
+
+        They are there until the block ends; if it fails, the next run finds them.
+        """
+        kept = self._mapped(name, function, items, keys, None, _left_on_disk)
+        yield kept
+        for one in kept:
+            one.forget()
+
+    def _mapped(
+        self,
+        name: str,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        keys: Sequence[Any] | None,
+        reads: Callable[[Item], Iterable[str | Path]] | None,
+        take: Callable[[Kept[Result]], Taken],
+    ) -> list[Taken]:
         if keys is None or reads is not None:
             items = list(items)
         returns = _returns(function)
         paths = self._item_paths(name, function, items, keys, reads)
-        done: dict[int, Result] = {}
+        done: dict[int, Taken] = {}
         for i, path in enumerate(paths):
             if path is not None and os.path.lexists(path):
                 try:
-                    with files.open_own(path) as kept:
-                        done[i] = decode(kept, returns)
+                    done[i] = take(Kept(returns, path, None))
                 except (OSError, FileError):
                     files.remove(path)
         total = len(paths)
@@ -278,7 +331,7 @@ class Context:
                     for file in () if reads is None else reads(item):
                         self._hashes.check_unchanged(Path(file))
                     files.write_bytes(path, data)
-                done[i] = decode(data, returns)
+                done[i] = take(Kept(returns, path, data))
         return [done[i] for i in range(total)]
 
     def _item_paths(

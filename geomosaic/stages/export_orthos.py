@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from functools import partial
 from typing import Any, ClassVar
+
+import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.rig import RigPoses
 from geomosaic.errors import InputError
-from geomosaic.export.cog import COMPRESSIONS, write_cog
-from geomosaic.export.orthos import ortho_names, write_orthos_vrt
+from geomosaic.export.cog import COMPRESSIONS
+from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
 from geomosaic.mosaic.compose import AUTO
 from geomosaic.mosaic.model import Mosaic
-from geomosaic.mosaic.orthos import orthos
+from geomosaic.mosaic.orthos import plan_orthos
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.tones import Tones
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
@@ -36,7 +37,7 @@ class ExportOrthos(Stage):
     id = "export.orthos"
     display_name = "Write the frames' orthos"
     group = "Export"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -62,7 +63,7 @@ class ExportOrthos(Stage):
         threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Frame by frame, by the engine that composes the mosaic."""
+        """Frame by frame, each by whoever is free."""
         survey: Survey = inputs["survey"]
         ownership: Ownership = inputs["ownership"]
         mosaic: Mosaic | None = inputs.get("mosaic")
@@ -70,34 +71,37 @@ class ExportOrthos(Stage):
         if resampling == AUTO:
             resampling = "cubic" if mosaic is None else mosaic.resampling
         names = ortho_names([f.name for f in survey.frames])
-        total, written = int(ownership.used.sum()), []
         rig = inputs.get("rig", RigPoses())
         if survey.other_bands and not rig.bands:
             text = (
                 f"orthos show only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
             )
             context.warn("bands-left-out", "", text)
-        with context.writing(ORTHOS) as folder, TemporaryDirectory(dir=context.work_folder) as scratch:
+        plan = plan_orthos(
+            survey, inputs["adjusted"], inputs["ground"], ownership,
+            rig=rig, resampling=resampling, tones=inputs.get("tones"),
+        )  # fmt: skip
+        style = OrthoStyle(
+            plan.warping, plan.area, plan.names, params.compression, params.quality, params.threads,
+            context.work_folder,
+        )  # fmt: skip
+        cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)[1:]
+        written = []
+        make, frames = partial(ortho_file, style), list(plan.frames.values())
+        with (
+            context.spooled("orthos", make, frames, list(plan.frames)) as made,
+            context.writing(ORTHOS) as folder,
+        ):
             folder.mkdir()
-            made = orthos(
-                survey, inputs["adjusted"], inputs["ground"], ownership, Path(scratch),
-                rig=rig, resampling=resampling, tones=inputs.get("tones"), threads=params.threads,
-                check_cancelled=context.check_cancelled,
-            )  # fmt: skip
-            for done, ortho in enumerate(made):
-                context.progress(done, total, "orthos")
-                if ortho is None:
-                    continue
-                write_cog(
-                    ortho.raster, folder / names[ortho.frame],
-                    compression=params.compression, quality=params.quality, threads=params.threads,
-                    progress=lambda *_: context.check_cancelled(),
-                )  # fmt: skip
-                ortho.raster.unlink()
-                written.append((ortho.cells, -ortho.frame))
+            for number, one in zip(plan.frames, made, strict=True):
+                context.check_cancelled()
+                if cog := one.load().cog:
+                    (folder / names[number]).write_bytes(cog)
+                    written.append((int(cells[number]), -number))
             if not written:
-                raise InputError("no frame shows anything of the mosaic's area", mend="run the recipe again")
-            lowest_first = [folder / names[-frame] for _, frame in sorted(written)]
+                problem = "no frame shows anything of the mosaic's area"
+                raise InputError(problem, mend="run the recipe again")
+            lowest_first = [folder / names[-number] for _, number in sorted(written)]
             write_orthos_vrt(lowest_first, folder / VRT)
         context.metric("orthos.frames", len(written))
         return {"orthos_folder": context.run_file(ORTHOS)}

@@ -35,7 +35,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 11
+    version = 12
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -65,7 +65,12 @@ class MosaicCompose(Stage):
         resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
         sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
         memory_mb: int = param(
-            1024, help="memory for decoded frames", unit="MB", ge=64, le=1_000_000, affects_output=False
+            1024,
+            help="memory for what frames give to the mosaic",
+            unit="MB",
+            ge=64,
+            le=1_000_000,
+            affects_output=False,
         )
         threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
 
@@ -106,6 +111,7 @@ class MosaicCompose(Stage):
                 memory_bytes=params.memory_mb << 20,
                 sources_path=by,
                 threads=params.threads,
+                spread=context,
                 progress=lambda done, total: context.progress(done, total, "windows"),
                 check_cancelled=context.check_cancelled,
             )
@@ -133,5 +139,4 @@ class MosaicCompose(Stage):
         size = {"width": grid.width_px, "height": grid.height_px}
         context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
         context.metric("mosaic.frames_used", len(mosaic.frames_used))
-        context.metric("mosaic.decodes", mosaic.decodes)
         context.metric("mosaic.holes", asdict(mosaic.holes))

@@ -1,0 +1,167 @@
+"""What a frame gives to a mosaic: the boxes that were planned, decoded once and resampled once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.mosaic.frames import Decoded, decode
+from geomosaic.mosaic.scene import Scene, margin_px
+from geomosaic.mosaic.sight import FrameOnMap
+from geomosaic.mosaic.tones import Tones, evened
+from geomosaic.mosaic.views import FrameView
+from geomosaic.mosaic.window import Shown, Window, as_type
+from geomosaic.projection.lattice import Seen
+from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
+
+Floats32 = NDArray[np.float32]
+TILE_PX: Annotated[
+    int,
+    Because(
+        "px of the mosaic",
+        "side of the squares that a frame is resampled in: the ground's lattice begins anew in each, so a "
+        "pixel is the same whatever is asked for with it; smaller ones take longer, larger ones more pixels "
+        "than are asked for",
+        CHOSEN,
+    ),
+] = 512
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Part of a frame on the mosaic's grid, from pixel row and col on: see `Shown`."""
+
+    row: int
+    col: int
+    pixels: NDArray[Any]
+    margin_px: Floats32 | None
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which pixels the frame shows, (h, w)."""
+        if self.margin_px is None:
+            return np.ones(self.pixels.shape[:2], dtype=bool)
+        return np.asarray(self.margin_px > 0.0)
+
+
+@dataclass(frozen=True)
+class FramePart:
+    """All that a frame gives, a patch a tile."""
+
+    patches: tuple[Patch, ...]
+
+    def shown(self, wanted: Window) -> Shown:
+        """A box of the grid that was planned. Pixels of no patch are not valid."""
+        lying = [(p, *_overlap(p, wanted)) for p in self.patches]
+        lying = [(p, there, here) for p, there, here in lying if all(s.stop > s.start for s in there)]
+        if len(lying) == 1 and lying[0][0].pixels[lying[0][1]].shape[:2] == (wanted.height, wanted.width):
+            patch, there, _ = lying[0]
+            return Shown(patch.pixels[there], None if patch.margin_px is None else patch.margin_px[there])
+        like = self.patches[0].pixels
+        shape = wanted.height, wanted.width
+        pixels = np.zeros((*shape, like.shape[2]), dtype=like.dtype)
+        margin = np.full(shape, -np.inf, dtype=np.float32)
+        for patch, there, here in lying:
+            pixels[here] = patch.pixels[there]
+            margin[here] = np.inf if patch.margin_px is None else patch.margin_px[there]
+        return Shown(pixels, None if (margin == np.inf).all() else margin)
+
+
+def _overlap(patch: Patch, window: Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """What a window takes of a patch, and where it lies in the window."""
+    there, here = [], []
+    for own, size, first, wanted in zip(
+        (patch.row, patch.col),
+        patch.pixels.shape,
+        (window.row, window.col),
+        (window.height, window.width),
+        strict=False,
+    ):
+        begin, end = max(own, first), min(own + size, first + wanted)
+        there.append(slice(begin - own, end - own))
+        here.append(slice(begin - first, end - first))
+    return (there[0], there[1]), (here[0], here[1])
+
+
+@dataclass(frozen=True)
+class Warping:
+    """How frames are brought onto the grid: the scene, whose views don't matter; the type of the mosaic's
+    pixels; and how far inside, in pixels of the mosaic, the distance from a frame's edge ceases to matter."""
+
+    scene: Scene
+    resampling: str
+    tones: Tones | None
+    dtype: str
+    far_px: float
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A frame, and the boxes that are asked for, each within a tile."""
+
+    on_map: FrameOnMap
+    boxes: tuple[Window, ...]
+
+
+def frame_part(how: Warping, asked: Asked) -> FramePart:
+    """The boxes that a frame is asked for, together. Raises: as `patches`."""
+    return FramePart(tuple(patches(how, asked)))
+
+
+def patches(how: Warping, asked: Asked) -> Iterator[Patch]:
+    """The boxes that a frame is asked for, one by one. Raises: `FileError` if it can't be read."""
+    decoded = decode(asked.on_map.frame, KERNEL_RADIUS_PX[how.resampling])
+    for box in asked.boxes:
+        yield _patch(how, asked.on_map.view, decoded, box)
+
+
+def _patch(how: Warping, view: FrameView, decoded: Decoded, box: Window) -> Patch:
+    tile = tile_of(box.row, box.col)
+    rows, cols = box.within(tile)
+    seen = how.scene.lattice(tile).seen(view.pose, view.camera, rows, cols)
+    margin = margin_px(seen.cols, seen.rows, view.camera, decoded.mask_distance_px)
+    margin *= np.float32(view.gsd_m / how.scene.grid.gsd_m)
+    pixels = resample(decoded.pixels, seen.cols, seen.rows, how.resampling)
+    pixels = as_type(_evened(pixels, seen, view, how.tones), how.dtype)
+    return Patch(box.row, box.col, pixels, margin if margin.min() <= max(how.far_px, 0.0) else None)
+
+
+def _evened(pixels: NDArray[Any], seen: Seen, view: FrameView, tones: Tones | None) -> NDArray[Any]:
+    """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel shows them."""
+    if tones is None or tones.flat(view.frame):
+        return pixels
+    nodes = seen.node_cols, seen.node_rows
+    gone = bool(np.isnan(nodes[0]).any())  # a node past the lens's end says nothing of pixels before it
+    where = (seen.cols, seen.rows) if gone else nodes
+    brighter = tones.brighter(view.frame, view.camera, *where)
+    return evened(pixels, brighter if gone else seen.between(brighter))
+
+
+def tile_of(row: int, col: int) -> Window:
+    """The tile of a pixel; there are some beyond the grid as well."""
+    return Window(col // TILE_PX * TILE_PX, row // TILE_PX * TILE_PX, TILE_PX, TILE_PX)
+
+
+def boxes_by_tile(wanted: Iterable[Window]) -> tuple[Window, ...]:
+    """The least boxes, one a tile, that hold everything wanted."""
+    found: dict[tuple[int, int], tuple[int, int, int, int]] = {}
+    for box in wanted:
+        last_row, last_col = box.row + box.height, box.col + box.width
+        for row in range(box.row // TILE_PX * TILE_PX, last_row, TILE_PX):
+            for col in range(box.col // TILE_PX * TILE_PX, last_col, TILE_PX):
+                top, left, bottom, right = found.get((row, col), (last_row, last_col, box.row, box.col))
+                found[row, col] = (
+                    min(top, max(row, box.row)),
+                    min(left, max(col, box.col)),
+                    max(bottom, min(row + TILE_PX, last_row)),
+                    max(right, min(col + TILE_PX, last_col)),
+                )
+    return tuple(
+        Window(left, top, right - left, bottom - top)
+        for _, (top, left, bottom, right) in sorted(found.items())
+    )

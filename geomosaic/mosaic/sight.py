@@ -1,0 +1,101 @@
+"""Which of the mosaic's cells each frame sees: all that planning has to know of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.mosaic.frames import decode, may_be_masked
+from geomosaic.mosaic.ownership import frame_cells
+from geomosaic.mosaic.scene import CELL_PX, Scene, margin_px
+from geomosaic.mosaic.views import FrameView
+from geomosaic.mosaic.window import Window
+from geomosaic.survey.model import Frame
+
+Floats32 = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SeenCells:
+    """In which of the mosaic's cells, CELL_PX a side, from row and col on, a frame may show something, and
+    which it fills for certain, (h, w) each."""
+
+    row: int
+    col: int
+    somewhere: Bools
+    everywhere: Bools
+
+    @property
+    def windows(self) -> list[Window]:
+        """The cells in which it may show something."""
+        rows, cols = np.nonzero(self.somewhere)
+        first = ((self.row + rows) * CELL_PX).tolist(), ((self.col + cols) * CELL_PX).tolist()
+        return [Window(col, row, CELL_PX, CELL_PX) for row, col in zip(*first, strict=True)]
+
+    def within(self, window: Window) -> tuple[Bools, Bools]:
+        """Both, of the cells of a window."""
+        shape = -(-window.height // CELL_PX), -(-window.width // CELL_PX)
+        found = np.zeros((2, *shape), dtype=bool)
+        own: list[slice] = []
+        at: list[slice] = []
+        firsts = window.row // CELL_PX - self.row, window.col // CELL_PX - self.col
+        for first, wanted, size in zip(firsts, shape, self.somewhere.shape, strict=True):
+            begin, end = max(first, 0), max(min(first + wanted, size), first, 0)
+            own.append(slice(begin, end))
+            at.append(slice(begin - first, end - first))
+        for into, of in zip(found, (self.somewhere, self.everywhere), strict=True):
+            into[tuple(at)] = of[tuple(own)]
+        return found[0], found[1]
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """How frames are looked at: the scene, whose views don't matter, how far beyond its grid, and how far
+    resampling reaches into invalid pixels."""
+
+    scene: Scene
+    beyond_px: int
+    kernel_radius_px: int
+
+
+@dataclass(frozen=True)
+class FrameOnMap:
+    """A frame of the survey and where it lies."""
+
+    frame: Frame
+    view: FrameView
+
+
+def seen_cells(how: Sighting, one: FrameOnMap) -> SeenCells:
+    """What a frame sees; its file is opened only where its format may have invalid pixels.
+
+    Raises: `FileError` if that can't be read.
+    """
+    mask_px = decode(one.frame, how.kernel_radius_px).mask_distance_px if may_be_masked(one.frame) else None
+    return cells_in_view(how.scene, one.view, how.beyond_px, mask_px)
+
+
+def cells_in_view(
+    scene: Scene, view: FrameView, beyond_px: int = 0, mask_distance_px: Floats32 | None = None
+) -> SeenCells:
+    """What a frame sees by its pose, and its mask if that is given, as far as beyond_px outside the grid."""
+    cells = frame_cells(scene, view.widened(), CELL_PX, beyond_px)
+    margin = cells.margin_px
+    if mask_distance_px is not None:
+        margin = margin_px(cells.cols_px, cells.rows_px, view.camera, mask_distance_px)
+    slack = _change_within(cells.cols_px, cells.rows_px, CELL_PX * scene.grid.gsd_m / view.gsd_m)
+    return SeenCells(cells.row, cells.col, margin > -slack, margin > slack)
+
+
+def _change_within(cols: Floats32, rows: Floats32, expected_px: float) -> Floats32:
+    """Bound on how far the image moves between a cell's middle and its corners, (h, w)."""
+    most = np.full(cols.shape, expected_px, dtype=np.float32)
+    for axis in (0, 1):
+        step = np.nan_to_num(np.hypot(np.diff(cols, axis=axis), np.diff(rows, axis=axis)))
+        along = np.moveaxis(most, axis, 0)
+        for at in (slice(None, -1), slice(1, None)):
+            np.maximum(along[at], np.moveaxis(step, axis, 0), out=along[at])
+    return most + np.float32(1.0)
