@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import shapely
 
-from geomosaic.mosaic.estimate import before_composing, estimate
+from geomosaic.mosaic.estimate import PARTS, before_composing, estimate
 from geomosaic.mosaic.frames import decoded_bytes
 from geomosaic.mosaic.grid import output_grid, stretching
 from geomosaic.mosaic.views import frame_views
@@ -67,7 +67,9 @@ class MosaicEstimate(Stage):
         if extent.area is not None:
             seen_m2 = min(seen_m2, float(extent.area.geometry.area))
         first = survey.frames[views[0].frame]
-        memory = min(compose.memory_mb * 2.0**20, float(sum(map(decoded_bytes, survey.frames))))
+        pixel_bytes = first.bands * np.dtype(first.dtype).itemsize
+        memory = min(compose.memory_mb * 2.0**20, PARTS.most * seen_m2 / gsd_m**2 * pixel_bytes)
+        memory += context.workers * max(map(decoded_bytes, survey.frames))
         sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
         core_s, memory = before_composing(
             sizes_px, len(placement.pairs), context.workers, memory, compose.threads
@@ -77,7 +79,7 @@ class MosaicEstimate(Stage):
             grid.height_px,
             gsd_m,
             filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
-            pixel_bytes=first.bands * np.dtype(first.dtype).itemsize,
+            pixel_bytes=pixel_bytes,
             sources=compose.sources,
             memory_bytes=memory,
             core_s=core_s,
