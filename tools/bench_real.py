@@ -2,8 +2,9 @@
 
     .venv/bin/python tools/bench_real.py [--shared ../shared] [--out out/bench-real]
 
-Needs the data folders `brighton_beach`, `ngi` and `odm_oblique` below SHARED/data; without them it says
-so and ends with exit code 0. Prints a Markdown table for docs/results.md; exit code 1 if a bound is missed.
+Needs the data folders `brighton_beach`, `ngi` and `odm_oblique` below SHARED/data, and takes `garfield` and
+`seneca` if they are there; without the first it says so and ends with exit code 0. Prints a Markdown table
+for docs/results.md; exit code 1 if a bound is missed.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from bench_real_halves import halves
 from bench_real_ngi import ngi
+from bench_real_others import others
 from bench_real_table import Row, print_table
 from osgeo import gdal
 from osgeo_utils.samples import validate_cloud_optimized_geotiff as cog
@@ -91,7 +93,7 @@ def main() -> int:
         print(f"skipped: {data} has no brighton_beach; name the data with --shared")
         return 0
     rows = two_pose_files(data) + ngi(data, args.out) + brighton(data, args.out)
-    rows += halves(data, args.out, args.out / "brighton")
+    rows += halves(data, args.out, args.out / "brighton") + others(data, args.out)
     print_table(rows)
     return 0 if all(row[3] for row in rows) else 1
 
