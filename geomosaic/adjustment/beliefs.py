@@ -12,7 +12,15 @@ from geomosaic.adjustment.bundle_model import Priors
 from geomosaic.adjustment.chosen_ground import DEM_SD_M, flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.mounting import Mounting
-from geomosaic.adjustment.swing import GUST_M_PER_S, RATE_SD_RAD_PER_S, TERMS, recorded_share
+from geomosaic.adjustment.swing import (
+    GUST_M_PER_S,
+    LEVEL_AXES,
+    MOST_GUSTS,
+    MOST_SWING,
+    RATE_SD_RAD_PER_S,
+    TERMS,
+    recorded_share,
+)
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
@@ -164,6 +172,7 @@ def priors_of(
         assumed=assumed,
         swing_sd_rad=_swing_sd_rad(block, settings),
         swing_common=settings.turning and _zero_unknown(block, settings),
+        most_swing=MOST_SWING if settings.turning else MOST_GUSTS,
     )
 
 
@@ -173,8 +182,8 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
 
 
 def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
-    """Where no turns are asked for, a constant rate stands for what velocities are off by; beside a gyroscope
-    whose zero isn't known yet, for that."""
+    """Where no turns are asked for, a constant rate about level axes stands for what velocities are off by;
+    beside a gyroscope whose zero isn't known yet, one about all axes for that."""
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
@@ -188,7 +197,7 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     sd = np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
     guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
     sd[known, 1:] = guessed[:, None]
-    return np.asarray(sd)
+    return sd[:, :, None] * (np.ones(3) if settings.turning else LEVEL_AXES)
 
 
 def _zero_unknown(block: Block, settings: Settings) -> bool:

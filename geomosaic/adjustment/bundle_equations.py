@@ -128,8 +128,8 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
 
 def swing_sd_rad(priors: Priors, factors: Factors) -> Floats:
     """Deviations of the frames' swings in rad with their present components, (f, t, 3)."""
-    given = np.zeros((len(priors.poses), 0)) if priors.swing_sd_rad is None else priors.swing_sd_rad
-    return np.repeat((given * factors.swing)[:, :, None], 3, axis=2)
+    given = np.zeros((len(priors.poses), 0, 3)) if priors.swing_sd_rad is None else priors.swing_sd_rad
+    return np.asarray(given * np.reshape(factors.swing, (-1, 1)))
 
 
 def present_miss(priors: Priors, state: State) -> Floats:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.mounting import MOUNTING, Mounting
 from geomosaic.adjustment.normal import Reduced
+from geomosaic.adjustment.swing import MOST_SWING
 from geomosaic.adjustment.terrain import Terrain
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
@@ -74,9 +75,10 @@ class Priors:
     one is known.
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't given. assumed (f,): frames whose position nobody
-    observed, so that it shows nothing of the others' deviations. swing_sd_rad (f, t): of how
-    frames swing while their rows are read, beside the poses' turns, see `swing`;
-    None where it isn't asked for; swing_common: whether a part of it may be common to all. trust
+    observed, so that it shows nothing of the others' deviations. swing_sd_rad (f, t, 3): of
+    how frames swing about east, north and up while their rows are read, beside the poses' turns, see `swing`;
+    None where it isn't asked for; swing_common: whether a part of it may be common to all;
+    most_swing: the largest of its components. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
     determine them; left_out (f,): frames whose images have no say, since they made the system unsolvable;
@@ -96,6 +98,7 @@ class Priors:
     assumed: Bools | None = None
     swing_sd_rad: Floats | None = None
     swing_common: bool = False
+    most_swing: float = MOST_SWING
     trust: Floats | None = None
     held: Bools | None = None
     left_out: Bools | None = None

@@ -13,6 +13,7 @@ from geomosaic.adjustment.beliefs import NOMINAL_READOUT_S
 from geomosaic.adjustment.bundle_model import READOUT, Bundle
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
+from geomosaic.adjustment.swing import MOST_GUSTS
 from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays, thin_tracks
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
@@ -170,17 +171,6 @@ _SHOWN: Annotated[
         "docs/results.md, surveys as people deliver them",
     ),
 ] = 5.0
-_TURNS: Annotated[
-    float,
-    Because(
-        "times the deviation of what velocities are off by",
-        "of the rates of turning that stand for it, from which frames do turn while they are read: then a "
-        "constant rate is too little, and bends a block by what it leaves, though left-out points may not "
-        "show that; with less, chance would be followed",
-        "docs/results.md, surveys as people deliver them: 0.1 to 1.3 in seven surveys without vibration; 6.0 "
-        "in seed 986, bent by 1.4 px by swings that left 0.1 px",
-    ),
-] = 3.0
 _NOT_SEEN_PX: Annotated[
     float, Because("px", "residual of a point behind a camera: as far off as any image is wide", CHOSEN)
 ] = 1e5
@@ -327,9 +317,10 @@ def readout_shown(solved: Bundle) -> bool:
 
 
 def turns_shown(solved: Bundle) -> bool:
-    """Whether rates of turning that stand for what velocities are off by (`swing.GUST_M_PER_S`) are too large
-    for that."""
-    return solved.swing is not None and solved.factors.swing[0] > _TURNS
+    """Whether rates of turning that stand for what velocities are off by are as large as these may be at
+    most: then frames do turn while they are read, and a constant rate is too little, though left-out points
+    may not show that (seed 986, bent by 1.4 px by swings that left 0.1 px)."""
+    return solved.swing is not None and solved.factors.swing[0] >= MOST_GUSTS
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:

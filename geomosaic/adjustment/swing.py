@@ -50,6 +50,35 @@ GUST_M_PER_S: Annotated[
         "as exact, seeds 37 and 48",
     ),
 ] = 0.5
+MOST_SWING: Annotated[
+    float,
+    Because(
+        "times the deviation to begin with",
+        "of how frames swing at most: nothing reports by how much; ten times as fast is a crash",
+        CHOSEN,
+    ),
+] = 10.0
+MOST_GUSTS: Annotated[
+    float,
+    Because(
+        "times GUST_M_PER_S",
+        "that velocities may be off by: nothing flies a survey in gusts of 1.5 m/s. A rate of turning beyond "
+        "is no velocity's, and as far as it stands for one it takes up what else is amiss: halves of a "
+        "flight lay 2.4 px apart with five times, 1.5 with three and with one and a half",
+        "docs/results.md, split halves",
+    ),
+] = 3.0
+LEVEL_AXES: Annotated[
+    Floats,
+    Because(
+        "of a rate's deviation, about east, north and up",
+        "a velocity that is off looks like a rate about a level axis; next to nothing about the other, since "
+        "equations want more than none. A rate about the line of sight that all frames have, a lens's "
+        "decentring and a tilt cancel: with as much about all axes a flight's halves lay 5.7 px apart, its "
+        "principal points 50 to 74 px off",
+        "docs/results.md, split halves",
+    ),
+] = np.array([1.0, 1.0, 1e-3])
 _TABLED: Annotated[
     int,
     Because(

@@ -101,15 +101,15 @@ _PRIOR_FACTORS: Annotated[
         CHOSEN,
     ),
 ] = (0.1, 10.0)
-_SWING_FACTORS: Annotated[
-    tuple[float, float],
+_LEAST_SWING: Annotated[
+    float,
     Because(
         "times the deviation to begin with",
-        "least and largest: nothing reports what frames swing by, and a copter's good mount leaves a "
-        "twentieth of a small wing in gusts; with less, swings could not grow again",
+        "a copter's good mount leaves a twentieth of a small wing in gusts; with less, swings could not grow "
+        "again",
         CHOSEN,
     ),
-] = (0.02, 10.0)
+] = 0.02
 _LEAST_REDUNDANCY: Annotated[
     float,
     Because(
@@ -213,24 +213,36 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: floa
     return scale_px
 
 
+_STIFF: Annotated[
+    float,
+    Because(
+        "of the largest axis's deviation",
+        "below which an axis is held: a tilt of some degrees brings more of the others into it than it has",
+        "between 1 and swing.LEVEL_AXES",
+    ),
+] = 0.03
+
+
 def _swing_factors(
     priors: Priors, state: State, sd_rad: Floats, variances: Floats, factors: Factors
 ) -> tuple[float, ...]:
-    """Of each function of the row, from all frames' three axes, less what all frames do alike: that is the
-    readout's or the lens's, not theirs. A gyroscope's zero is alike too; until it is known nothing shrinks.
+    """Of each function of the row, from all frames' axes that may turn, less what all frames do alike: that
+    is the readout's or the lens's, not theirs. A gyroscope's zero is alike too; until it is known nothing
+    shrinks.
     """
     if state.swing is None:
         return factors.swing
     own = np.einsum("fji,ftj->fti", state.rotations, state.swing)
-    own -= np.median(own, axis=0)
-    least = 1.0 if priors.swing_common else _SWING_FACTORS[0]
+    own = np.einsum("fij,ftj->fti", state.rotations, own - np.median(own, axis=0))
+    may = sd_rad > _STIFF * sd_rad.max(axis=2, keepdims=True)
+    least = 1.0 if priors.swing_common else _LEAST_SWING
     redundancy = 1.0 - variances.reshape(own.shape) / sd_rad**2
     found = []
     for k, factor in enumerate(factors.swing):
-        r = float(redundancy[:, k].sum()) - 3.0
+        r = float(redundancy[:, k][may[:, k]].sum()) - 3.0
         if r > _LEAST_REDUNDANCY:
-            factor *= float(np.sqrt(((own[:, k] / sd_rad[:, k]) ** 2).sum() / r))
-        found.append(float(np.clip(factor, least, _SWING_FACTORS[1])))
+            factor *= float(np.sqrt(((own[:, k] / sd_rad[:, k]) ** 2)[may[:, k]].sum() / r))
+        found.append(float(np.clip(factor, least, priors.most_swing)))
     return tuple(found)
 
 
