@@ -106,7 +106,7 @@ def compose(
     ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]
     how = BLENDS[blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"]
     area, reach_px = ownership.area, feather_m / grid.gsd_m
-    walk = Walk(
+    walk = _Walk(
         survey,
         {v.frame: FrameSource(grid, ownership, v) for v in views},
         Manner(how, kind.bands, kind.dtype),
@@ -153,7 +153,7 @@ def compose(
 
 
 @dataclass(frozen=True)
-class Walk:
+class _Walk:
     """How windows of one scene's frames are composed.
 
     sources: the frames that may give pixels, by their number. area: what the windows are cut to, if anything.
