@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from small_surveys import mosaic, small_survey, summary, warned
 
+from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.heights import height_is_unknown, neighbours, with_heights_above_ground
 from geomosaic.recording.reader import read_recording
 from geomosaic.stages.matching_flying_height import MatchingFlyingHeight
+from geomosaic.stages.projection_ground import ProjectionGround
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -70,3 +72,10 @@ def test_heights_that_are_given_are_not_measured(tmp_path: Path) -> None:
     stage = MatchingFlyingHeight()
     found = stage.run({"survey": replace(told, frames=frames)}, stage.Params(), Context(tmp_path / "stage"))
     assert np.isnan(found["flying_height"].above_ground_m)
+
+
+def test_a_recipe_that_measures_no_height_is_told_which_stage_does(tmp_path: Path) -> None:
+    stage = ProjectionGround()
+    with pytest.raises(InputError, match="nothing measured it") as raised:
+        stage.run({"survey": _survey([600.0] * 4)}, stage.Params(), Context(tmp_path))
+    assert "matching.flying_height before projection.ground" in str(raised.value)

@@ -92,8 +92,8 @@ def matched(case: Case, out: Path, seed: int) -> tuple[Path, Path]:
             options["pos"] = str(_altered(folder, case.altitude))
         recipe.write_text(
             json.dumps({"name": "matched", "stages": [
-                {"stage": "survey.read", "params": options}, "projection.ground", "placement.pos",
-                {"stage": "matching.sift", "params": {"keypoints": KEYPOINTS}},
+                {"stage": "survey.read", "params": options}, "matching.flying_height", "projection.ground",
+                "placement.pos", {"stage": "matching.sift", "params": {"keypoints": KEYPOINTS}},
             ]})
         )  # fmt: skip
         _call("run", recipe, "-o", run)
@@ -124,7 +124,12 @@ def measure(case: Case, out: Path, seed: int) -> dict[str, Any]:
     """All figures of one seed."""
     folder, run = matched(case, out, seed)
     told = read_summary(run)
-    parts = {"survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints}
+    parts = {
+        "levelled_survey": Survey,
+        "prior_ground": GroundSurface,
+        "placement": Placement,
+        "ties": TiePoints,
+    }
     survey, ground, placement, ties = (load_artefact(run, told, k, t) for k, t in parts.items())
     block = block_of(survey, ground, placement, ties)
     begun = time.process_time()

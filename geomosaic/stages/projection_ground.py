@@ -81,10 +81,12 @@ class ProjectionGround(Stage):
     def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -> tuple[Survey, float]:
         """The survey at the height that its images say, and the ground's, where nothing else says it."""
         if flown is None or not np.isfinite(flown.above_ground_m):
+            unasked = "nothing measured it" if flown is None else "their images don't say"
+            stage = ", or put matching.flying_height before projection.ground" if flown is None else ""
             raise InputError(
-                "how high the frames flew above the ground is unknown, and their images don't say",
+                f"how high the frames flew above the ground is unknown, and {unasked}",
                 file=survey.frames[0].path,
-                mend="give --dem, or the ground's height with --ground-height METRES",
+                mend=f"give --dem, or the ground's height with --ground-height METRES{stage}",
             )
         above = flown.above_ground_m
         context.warn(
