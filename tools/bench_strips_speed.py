@@ -25,7 +25,7 @@ from osgeo import gdal
 from rasterio.windows import Window
 
 from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import COMPRESSIONS
 from geomosaic.simulate.strip_files import open_whole_strip
 from geomosaic.simulate.strip_overlaps import simulate_overlaps
 from geomosaic.simulate.strip_plan import StripPlan
@@ -77,7 +77,9 @@ def floor(g: StripGeometry, out: Path) -> None:
         f'<VRTDataset rasterXSize="{g.scene_width_px}" rasterYSize="{max(g.lines) + apart}">'
         f'<VRTRasterBand dataType="UInt16" band="1">{"".join(sources)}</VRTRasterBand></VRTDataset>'
     )
-    write_cog(vrt, out / "floor_cog.tif")
+    options = ["COMPRESS=DEFLATE", *COMPRESSIONS["deflate"], "BIGTIFF=IF_SAFER", "NUM_THREADS=2"]
+    gdal.SetCacheMax(256 << 20)
+    gdal.Translate(str(out / "floor_cog.tif"), str(vrt), format="COG", creationOptions=options)
 
 
 def timed_floor(out: Path) -> None:
