@@ -45,7 +45,7 @@ bench-paper: setup ## the paper's comparison of adjustment methods (about 10 min
 bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
 	$(PY) tools/bench_composition.py --out out/bench-composition
 
-bench-accuracy: bench-monte-carlo bench-speed ## accuracy on simulated surveys against their truth (about an hour)
+bench-accuracy: bench-monte-carlo bench-bundle ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
 
 bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
@@ -57,8 +57,8 @@ bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, 
 bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (about 2 hours); SEEDS=n SEED=n WORKERS=n
 	$(PY) tools/bench_dirty.py --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
 
-bench-speed: setup ## 1,000 frames with 300,000 image observations (about a minute)
-	$(PY) tools/bench_speed.py --whole
+bench-bundle: setup ## 1,000 frames with 300,000 image observations (about a minute)
+	$(PY) tools/bench_bundle.py --whole
 
 bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
 	$(PY) tools/bench_oracle.py
@@ -86,4 +86,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-speed bench-oracle bench-strips bench-real fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-oracle bench-strips bench-real fuzz chaos format clean

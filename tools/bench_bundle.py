@@ -1,6 +1,6 @@
 """How fast and how large the bundle is: a simulated block of 20 lines of 50 frames, geometry alone.
 
-    .venv/bin/python tools/bench_speed.py [--lines 20] [--per-line 50] [--observations 300000] [--relief]
+    .venv/bin/python tools/bench_bundle.py [--lines 20] [--per-line 50] [--observations 300000] [--relief]
 
 Prints seconds by part, iterations, and the peak memory of the process; exit code 1 if the whole method takes
 more than 60 s or the process more than 2 GB.
