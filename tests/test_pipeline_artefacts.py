@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.pipeline.artefacts import decode, encode, fingerprint, type_name
+from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name
 from geomosaic.pipeline.context import RunFile
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
@@ -75,18 +75,18 @@ def test_a_survey_comes_back_equal() -> None:
     back = decode(encode(survey), Survey)
     assert back == survey
     assert isinstance(back.frames[0].position, Position)
-    assert fingerprint(back) == fingerprint(survey)
+    assert content_of(back) == content_of(survey)
 
 
 def test_equal_content_has_one_fingerprint_forever() -> None:
-    assert fingerprint((1, 2.5, "ö", None, np.array([[1, 2], [3, 4]], np.int16))) == PINNED
+    assert content_of((1, 2.5, "ö", None, np.array([[1, 2], [3, 4]], np.int16))) == (PINNED, {"ö"})
     column = np.asfortranarray(np.array([[1, 2], [3, 4]], np.int16))
-    assert fingerprint((1, 2.5, "ö", None, column)) == PINNED
-    assert fingerprint((1, 2.5, "ö", None, np.array([[1, 2], [3, 5]], np.int16))) != PINNED
-    assert fingerprint((1, 2.5)) != fingerprint([1, 2.5])
+    assert content_of((1, 2.5, "ö", None, column))[0] == PINNED
+    assert content_of((1, 2.5, "ö", None, np.array([[1, 2], [3, 5]], np.int16)))[0] != PINNED
+    assert content_of((1, 2.5)) != content_of([1, 2.5])
 
 
-PINNED = "5fc400168a302b64dbe59dc0bf6b78696e88f6d6"
+PINNED = "99aaa85d73dba78b19b09b90623d89e3e44fb0e3"
 
 
 @pytest.mark.parametrize("value", [object(), {1, 2}, np.array([object()]), np.array(["2020"], "M8[D]"), math])

@@ -146,15 +146,15 @@ def new_sidecar(toys: Toys) -> None:
         (("toy.write.megabytes=1",), ["write", "tell"]),
         (("toy.sum.fill=7",), ["sum", "write", "tell"]),
         (("toy.power.power=3",), ALL[1:]),
-        (("toy.power.name=fancy",), ALL[1:]),
-        (("toy.read.offset_m=1",), ["read", "power", "item 2", "item 3", "item 4", "item 5", *ALL[6:]]),
-        (edit_numbers, ["read", "power", "item 1", "item 2", "item 3", "item 5", *ALL[6:]]),
+        (("toy.power.name=fancy",), ["power", *ALL[6:]]),
+        (("toy.read.offset_m=1",), ["read", "power", "item 5", *ALL[6:]]),
+        (edit_numbers, ["read", "power", "item 5", *ALL[6:]]),
         (touch_numbers, ["tell"]),
-        (new_sidecar, ALL),
+        (new_sidecar, ["read", "power", *ALL[6:]]),
         (delete_total, ["write", "tell"]),
         (edit_total, ["write", "tell"]),
         (delete_raw, ["sum", "tell"]),
-        (spoil_artefact, [*ALL[1:6], "tell"]),
+        (spoil_artefact, ["power", "tell"]),
         (spoil_items, ["tell"]),
     ],
 )
@@ -177,7 +177,7 @@ def test_the_work_folder_keeps_what_the_last_run_used_and_nothing_else(toys: Toy
     toys.run()
     work = toys.run_folder / "work"
     first = {p.relative_to(work) for p in work.rglob("*") if p.is_file()}
-    assert not (work / "toy.power" / "items").exists()
+    assert len([p for p in first if "items" in p.parts]) == 4
     work.joinpath("toy.gone", "0123").mkdir(parents=True)
     work.joinpath("toy.gone", "0123", "entry.json").write_text("{}")
     toys.folder.joinpath("precious").mkdir()
@@ -185,7 +185,7 @@ def test_the_work_folder_keeps_what_the_last_run_used_and_nothing_else(toys: Toy
     work.joinpath("link").symlink_to(toys.folder / "precious")
     for power in (3, 4, 5):
         toys.run(f"toy.power.power={power}")
-    assert [len(list((work / id).iterdir())) for id in ("toy.read", "toy.power")] == [1, 1]
+    assert [len(list((work / id).iterdir())) for id in ("toy.read", "toy.power")] == [1, 2]
     assert (work / "toy.gone" / "0123" / "entry.json").exists() and (work / "link").is_symlink()
     (work / "link").unlink()
     assert (toys.folder / "precious" / "pearl").exists()
@@ -407,7 +407,7 @@ def test_a_worker_that_dies_is_an_error_and_the_rest_is_kept(toys: Toys) -> None
     assert "item 1" in toys.done()
     recipe_file(toys.folder, "1 2 3 4 5 6 99")
     with pytest.raises(GeomosaicError, match="a worker process died"):
-        toys.run(workers=2)
+        toys.run("toy.power.delay_s=0.05", workers=2)
     assert "item 1" not in toys.done()
 
 

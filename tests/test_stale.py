@@ -15,7 +15,7 @@ import pytest
 import rasterio
 from osgeo import gdal
 from small_surveys import geomosaic, mosaic, small_survey, summary
-from test_pipeline_runner import ALL, Toys, toys  # noqa: F401
+from test_pipeline_runner import Toys, toys  # noqa: F401
 from test_pipeline_toy import Numbers
 
 from geomosaic.doors.raster import DEM, open_raster
@@ -130,7 +130,7 @@ def test_an_edit_that_keeps_size_and_time_is_found(toys: Toys, monkeypatch: pyte
     os.utime(numbers, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert (numbers.stat().st_size, numbers.stat().st_mtime_ns) == (before.st_size, before.st_mtime_ns)
     toys.run()
-    assert toys.done() == ["read", "power", "item 1", "item 2", "item 3", "item 5", "sum", "write", "tell"]
+    assert toys.done() == ["read", "power", "item 5", "sum", "write", "tell"]
 
 
 def test_a_vrt_stands_for_its_sources(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_what_can_not_be_read_is_redone(name: str, content: bytes, toys: Toys) -
     toys.done()
     again = toys.run()
     same = name == "hashes.json" or (folder / name).read_bytes() == content
-    assert toys.done() == (["tell"] if same else ["power", *ALL[2:6], "tell"])
+    assert toys.done() == (["tell"] if same else ["power", "tell"])
     assert again["artefacts"] == first["artefacts"]
 
 

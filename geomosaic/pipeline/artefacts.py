@@ -18,7 +18,7 @@ import tokenize
 import types
 import typing
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -26,7 +26,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from geomosaic.errors import FileError
-from geomosaic.recording.fingerprints import fingerprint_of_bytes
+from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 T = TypeVar("T")
 
@@ -46,27 +46,54 @@ def fingerprint_of_file(file: BinaryIO) -> str:
     return hashlib.file_digest(file, lambda: blake2b(digest_size=20)).hexdigest()  # type: ignore[arg-type]
 
 
-def fingerprint(artefact: Any) -> str:
-    """Names an artefact by its content."""
-    return fingerprint_of_bytes(encode(artefact))
+class Reference:
+    """What stands for something that lies elsewhere, and counts by its mark: it has no bytes of its own."""
+
+    mark: str
+
+
+def content_of(value: Any) -> tuple[str, set[str]]:
+    """What names a value by its content, a `Reference` in it by its mark; and every text and path in it.
+
+    Raises: `TypeError` as `encode`.
+    """
+    content = _Content(may_refer=True)
+    tree = _tree(value, content, type(value).__name__)
+    members = [fingerprint_of_bytes(member) for member in content.members]
+    return fingerprint_of_json([tree, members]), content.texts
 
 
 def encode(artefact: Any) -> bytes:
     """The artefact as bytes. Raises `TypeError` where it holds what has no plain form."""
-    members: list[bytes] = []
-    tree = _tree(artefact, members, type(artefact).__name__)
+    content = _Content()
+    tree = _tree(artefact, content, type(artefact).__name__)
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:
         text = json.dumps(tree, separators=(",", ":"), allow_nan=False)
         file.writestr(zipfile.ZipInfo(_TREE, _TIMELESS), text)
-        for i, member in enumerate(members):
+        for i, member in enumerate(content.members):
             file.writestr(zipfile.ZipInfo(str(i), _TIMELESS), member)
     return out.getvalue()
 
 
-def _tree(value: Any, members: list[bytes], where: str) -> Any:
+@dataclasses.dataclass
+class _Content:
+    """What a value holds besides its tree: the bytes of its arrays, one after the other; its texts."""
+
+    members: list[bytes] = dataclasses.field(default_factory=list)
+    texts: set[str] = dataclasses.field(default_factory=set)
+    may_refer: bool = False
+
+    def take(self, member: bytes) -> int:
+        self.members.append(member)
+        return len(self.members) - 1
+
+
+def _tree(value: Any, content: _Content, where: str) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, str | Path):
+        content.texts.add(str(value))
     match value:
         case None | bool() | int() | str():
             return value if type(value) in (types.NoneType, bool, int, str) else _plain(value, where)
@@ -77,27 +104,27 @@ def _tree(value: Any, members: list[bytes], where: str) -> Any:
         case Path():
             return {"path": str(value)}
         case bytes():
-            members.append(value)
-            return {"bytes": len(members) - 1}
+            return {"bytes": content.take(value)}
         case np.ndarray():
             if value.dtype.kind not in _KINDS:
                 raise TypeError(f"{where}: an array of {value.dtype} can't be kept as an artefact")
             npy = io.BytesIO()
             np.lib.format.write_array(npy, np.ascontiguousarray(value).reshape(value.shape), version=(1, 0))
-            members.append(npy.getvalue())
-            return {"array": len(members) - 1}
+            return {"array": content.take(npy.getvalue())}
+        case Reference() if content.may_refer:
+            return {"reference": value.mark}
         case tuple() | list():
-            items = [_tree(v, members, f"{where}[{i}]") for i, v in enumerate(value)]
+            items = [_tree(v, content, f"{where}[{i}]") for i, v in enumerate(value)]
             return {"tuple" if isinstance(value, tuple) else "list": items}
         case dict():
             return {
                 "dict": [
-                    [_tree(k, members, where), _tree(v, members, f"{where}[{k!r}]")] for k, v in value.items()
+                    [_tree(k, content, where), _tree(v, content, f"{where}[{k!r}]")] for k, v in value.items()
                 ]
             }
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | Reference):
         fields = {
-            f.name: _tree(getattr(value, f.name), members, f"{where}.{f.name}")
+            f.name: _tree(getattr(value, f.name), content, f"{where}.{f.name}")
             for f in dataclasses.fields(value)
             if f.init
         }
@@ -199,18 +226,21 @@ def texts_in(data: bytes | BinaryIO) -> list[str]:
     """Every text and path that an artefact's bytes hold. Raises `FileError` if they are none."""
     try:
         with _opened(data) as file:
-            waiting, found = [json.loads(file.read(_TREE))], []
+            return list(_texts(json.loads(file.read(_TREE))))
     except _NOT_WHOLE as error:
         raise FileError(f"this is no whole artefact ({error})") from error
+
+
+def _texts(tree: Any) -> Iterator[str]:
+    waiting = [tree]
     while waiting:
         match waiting.pop():
             case str() as text:
-                found.append(text)
+                yield text
             case list() as items:
                 waiting.extend(items)
             case dict() as items:
                 waiting.extend(items.values())
-    return found
 
 
 class _Members:

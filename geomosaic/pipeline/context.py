@@ -13,19 +13,16 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from geomosaic.errors import CancelledError, FileError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import (
-    decode,
-    encode,
-    fingerprint,
-)
+from geomosaic.pipeline.artefacts import content_of
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.kept import Encoding, Kept, Lent, left_on_disk
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
@@ -96,33 +93,13 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no place in run.json")
 
 
-@dataclass
-class Kept(Generic[Result]):
-    """A result of `map`: in its file, in memory where a stage is run by hand and there is none, or both."""
+@dataclass(frozen=True)
+class _Place:
+    """Where an item's result is kept, if anywhere; what names it; the files that count for it."""
 
-    returns: Any
-    path: Path | None
-    data: bytes | None
-
-    def load(self) -> Result:
-        """Raises `FileError` for a file that isn't what it was, `OSError` for one that can't be read."""
-        if self.data is not None:
-            return typing.cast(Result, decode(self.data, self.returns))
-        assert self.path is not None
-        with files.open_own(self.path) as kept:
-            return typing.cast(Result, decode(kept, self.returns))
-
-    def forget(self) -> None:
-        """Its file goes."""
-        if self.path is not None:
-            files.remove(self.path)
-
-
-def _left_on_disk(kept: Kept[Result]) -> Kept[Result]:
-    """Without its bytes in memory, if they are on the disk. Raises: as `load`."""
-    if kept.data is None:
-        kept.load()
-    return Kept(kept.returns, kept.path, None if kept.path is not None else kept.data)
+    path: Path | None = None
+    mark: str = ""
+    files: Mapping[Path, str] = field(default_factory=dict)
 
 
 class Context:
@@ -270,26 +247,42 @@ class Context:
     ) -> list[Result]:
         """`[function(item) for item in items]`, spread over the workers, each result kept on disk.
 
-        `function` is a module-level function (or a partial of one) whose result depends on its argument
-        alone; it says what it returns in its annotation. A killed run finds the finished results again.
-        Results are kept under the stage's own fingerprint, `name`, and the item (or its key, if the item
-        is no artefact), so any change to the stage's parameters or inputs redoes them all. With
-        `reads`, which names the files the function reads for an item, they are kept under the item and
-        those files' contents alone, and so outlive changes that don't touch them; the others go when
-        the run is finished. Where `keys` distinguish items and nothing is read, items are made one after
-        the other, as workers take them.
+        `function` is a module-level function (or a partial of one) whose result depends on its arguments and
+        the files that these name alone; it says what it returns in its annotation. A killed run finds the
+        finished results again.
+
+        Results are named by the function, what a partial binds, the item, and the contents of all files that
+        these name anywhere (any text or path in them that is a file, with what lies beside it and counts). So
+        they outlive whatever doesn't change these: other parameters, new frames. What no run wants any more
+        goes when a run is finished. Give a function what it needs and nothing else: a number that hangs on
+        all frames together (a place in the work frame, a median) makes every item new when a frame comes.
+
+        With `keys`, which distinguish the items, results are named by the stage's own fingerprint, `name` and
+        key; any change to the stage's parameters or inputs redoes them all, and they go when the run is
+        finished. Items are then made one after the other, as workers take them.
         """
-        return self._mapped(name, function, items, keys, reads, Kept.load)
+        return self._mapped(name, function, items, keys, Kept.load)
+
+    def stored(
+        self, name: str, function: Callable[[Item], Result], items: Iterable[Item]
+    ) -> list[Kept[Result]]:
+        """As `map`, but results stay on the disk and are referred to.
+
+        A `Kept` may stand in the items of a later `map` instead of what it refers to: it travels as a name of
+        a file, counts for the item's by its own name without being read, and the function calls `recall`,
+        which reads it once in each worker as long as it is wanted again soon.
+        """
+        return self._mapped(name, function, items, None, left_on_disk)
 
     @contextmanager
     def spooled(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
     ) -> Iterator[list[Kept[Result]]]:
-        """As `map`, for results that are too large to be held at once: each is loaded where it is wanted.
+        """As `map` with `keys`, for results that are too large to be held at once: see `stored`.
 
         They are there until the block ends; if it fails, the next run finds them.
         """
-        kept = self._mapped(name, function, items, keys, None, _left_on_disk)
+        kept = self._mapped(name, function, items, keys, left_on_disk)
         yield kept
         for one in kept:
             one.forget()
@@ -300,75 +293,100 @@ class Context:
         function: Callable[[Item], Result],
         items: Iterable[Item],
         keys: Sequence[Any] | None,
-        reads: Callable[[Item], Iterable[str | Path]] | None,
         take: Callable[[Kept[Result]], Taken],
     ) -> list[Taken]:
-        if keys is None or reads is not None:
+        if keys is None:
             items = list(items)
         returns = _returns(function)
-        paths = self._item_paths(name, function, items, keys, reads)
+        places = self._by_content(name, function, items) if keys is None else self._by_key(name, keys)
         done: dict[int, Taken] = {}
-        for i, path in enumerate(paths):
-            if path is not None and os.path.lexists(path):
+        for i, place in enumerate(places):
+            if place.path is not None and os.path.lexists(place.path):
                 try:
-                    done[i] = take(Kept(returns, path, None))
+                    done[i] = take(Kept(returns, place.mark, place.path))
                 except (OSError, FileError):
-                    files.remove(path)
-        total = len(paths)
-        waiting = ((i, item) for i, item in enumerate(items) if i not in done)
-        running: dict[Future[Any], tuple[int, Item]] = {}
-        most = 2 * self._workers.workers if self._workers.workers > 1 else 1
-        while True:
-            self.progress(len(done), total, name)
-            for i, item in itertools.islice(waiting, most - len(running)):
-                running[self._workers.submit(functools.partial(_encoded, function), item)] = i, item
-            if not running:
-                break
-            for future in wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done:
-                i, item = running.pop(future)
-                data = self._workers.result(future)
-                if (path := paths[i]) is not None:
-                    for file in () if reads is None else reads(item):
-                        self._hashes.check_unchanged(Path(file))
-                    files.write_bytes(path, data)
-                done[i] = take(Kept(returns, path, data))
-        return [done[i] for i in range(total)]
+                    files.remove(place.path)
+        with self._for_workers(name, function, len(done) < len(places)) as work:
+            waiting = ((i, item) for i, item in enumerate(items) if i not in done)
+            running: dict[Future[Any], int] = {}
+            most = 2 * self._workers.workers if self._workers.workers > 1 else 1
+            while True:
+                self.progress(len(done), len(places), name)
+                for i, item in itertools.islice(waiting, most - len(running)):
+                    running[self._workers.submit(work, item)] = i
+                if not running:
+                    break
+                for future in wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done:
+                    i = running.pop(future)
+                    place, data = places[i], self._workers.result(future)
+                    if place.path is not None:
+                        self._hashes.check_unchanged(place.files)
+                        files.write_bytes(place.path, data)
+                    done[i] = take(Kept(returns, place.mark, place.path, data))
+        return [done[i] for i in range(len(places))]
 
-    def _item_paths(
-        self,
-        name: str,
-        function: Callable[..., Any],
-        items: Iterable[Any],
-        keys: Sequence[Any] | None,
-        reads: Callable[[Any], Iterable[str | Path]] | None,
-    ) -> list[Path | None]:
-        """Where each result is kept, if anywhere. Items are passed over only where it depends on them."""
-        named: Sequence[Any] = list(items) if keys is None else keys
+    @contextmanager
+    def _for_workers(
+        self, name: str, function: Callable[[Item], Any], wanted: bool
+    ) -> Iterator[Callable[[Item], bytes]]:
+        """The function as workers get it: with what it shares for all items sent to each of them once."""
+        if not (wanted and self._workers.elsewhere):
+            yield Encoding(function)
+            return
+        path = self.work_folder / f".{name}.{os.getpid()}.geomosaic.part"
+        try:
+            yield Lent.of(function, path)
+        finally:
+            files.remove(path)
+
+    def _by_key(self, name: str, keys: Sequence[Any]) -> list[_Place]:
+        """Where results are kept that go by the stage and a key."""
+        base = [self.stage_id, name, self._key]
+        return [self._place([*base, content_of(key)[0]]) for key in keys]
+
+    def _by_content(self, name: str, function: Callable[..., Any], items: Iterable[Any]) -> list[_Place]:
+        """Where results are kept that go by what the function is given."""
         if not self._key:
-            return [None] * len(named)
-        base = [self.stage_id, self._version, name, *([self._code] if self._code else [])]
-        if reads is None:
-            base.append(self._key)
-        elif isinstance(function, functools.partial):
-            base.append(fingerprint((function.args, function.keywords)))
-        paths: list[Path | None] = []
-        for item, key in zip(named if reads is None else items, named, strict=True):
-            read = [] if reads is None else [self._hashes.of_input(Path(path)) for path in reads(item)]
-            mark = fingerprint_of_json([*base, fingerprint(key), *read])
-            paths.append(self.work_folder / "items" / mark[:2] / mark[2:])
-        if reads is not None:
-            self.lasting_items += [path for path in paths if path is not None]
-        return paths
+            return [_Place() for _ in items]
+        what, *bound = _taken_apart(function)
+        shared, texts = content_of(bound)
+        read = self._hashes.named(texts)
+        base = [
+            self.stage_id,
+            self._version,
+            self._code,
+            name,
+            f"{what.__module__}:{what.__qualname__}",
+            shared,
+            *sorted(read.values()),
+        ]
+        places = []
+        for item in items:
+            mark, texts = content_of(item)
+            mine = self._hashes.named(texts)
+            places.append(self._place([*base, mark, *sorted(mine.values())], read | mine))
+        self.lasting_items += [place.path for place in places if place.path is not None]
+        return places
+
+    def _place(self, named: Sequence[Any], read: Mapping[Path, str] | None = None) -> _Place:
+        if not self._key:
+            return _Place()
+        mark = fingerprint_of_json(named)
+        return _Place(self.work_folder / "items" / mark[:2] / mark[2:], mark, read or {})
 
 
-def _encoded(function: Callable[[Any], Any], item: Any) -> bytes:
-    return encode(function(item))
+def _taken_apart(function: Callable[..., Any]) -> list[Any]:
+    """The function itself, then all that partials of it bind, in their order."""
+    bound = []
+    while isinstance(function, functools.partial):
+        bound += [function.args, function.keywords]
+        function = function.func
+    return [function, *bound]
 
 
 def _returns(function: Callable[..., Any]) -> Any:
     """The type a function says it returns. Raises `TypeError` if it doesn't say."""
-    while isinstance(function, functools.partial):
-        function = function.func
+    function = _taken_apart(function)[0]
     hints = typing.get_type_hints(function)
     if "return" not in hints:
         raise TypeError(f"{function.__qualname__} must say in its annotation what it returns")

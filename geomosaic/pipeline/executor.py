@@ -144,6 +144,11 @@ class Workers:
         self._processes = _Processes()
         self._pool: Executor | None = None
 
+    @property
+    def elsewhere(self) -> bool:
+        """Whether tasks run in other processes."""
+        return self._dask is not None or self.workers > 1
+
     def _executor(self) -> Executor:
         if self._pool is None:
             if self._dask is not None:

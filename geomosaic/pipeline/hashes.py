@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from hashlib import blake2b
 from pathlib import Path
@@ -46,6 +46,7 @@ class FileHashes:
         self._known: dict[str, list[Any]] = {}
         self._now: dict[str, tuple[Mark, str]] = {}
         self._read: dict[Path, str] = {}
+        self._beside: dict[Path, list[Path]] = {}
         self._new = False
         if memory is not None:
             with suppress(OSError, ValueError, RecursionError):
@@ -84,16 +85,29 @@ class FileHashes:
     def of_input(self, path: Path) -> str:
         """Hash of a file that the run reads; `check_unchanged` then watches over it."""
         digest = self.of_file(path)
+        if path not in self._read:
+            self._beside.setdefault(path.with_suffix(""), []).append(path)
         self._read[path] = digest
         return digest
 
-    def check_unchanged(self, *paths: Path) -> None:
-        """Raises `FileError` for the first of some inputs, or of all, that is no longer what was hashed.
+    def named(self, texts: Iterable[str]) -> dict[Path, str]:
+        """The files that texts name, and the inputs beside them of the same stem, with their hashes."""
+        found: dict[Path, str] = {}
+        for text in texts:
+            path = Path(text)
+            if path in self._read:
+                found |= {p: self.of_input(p) for p in self._beside[path.with_suffix("")]}
+            elif os.sep in text and _is_file(path):
+                found[path] = self.of_file(path)
+        return found
+
+    def check_unchanged(self, hashes: Mapping[Path, str] | None = None) -> None:
+        """Raises `FileError` for the first of some files, or of all inputs, that isn't what was hashed.
 
         One that is gone is left to whoever wants to read it.
         """
-        for path in paths or self._read:
-            if path.exists() and self.of_file(path) != self._read[path]:
+        for path, digest in (self._read if hashes is None else hashes).items():
+            if path.exists() and self.of_file(path) != digest:
                 raise _changed(path)
 
     def inputs(self) -> frozenset[Path]:
@@ -141,6 +155,13 @@ class FileHashes:
         if self._memory is not None and self._new:
             files.write_bytes(self._memory, json.dumps(self._known, separators=(",", ":")).encode())
             self._new = False
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # no name that a file can have
+        return False
 
 
 def _changed(path: Path) -> FileError:

@@ -1,0 +1,168 @@
+"""Results that stay on the disk and are referred to: by other items, by a stage, by workers anywhere.
+
+What is large goes between processes by its place in the run folder and not by its bytes: whoever needs it
+reads it there, and keeps what it needed lately.
+"""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import threading
+import typing
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Generic, TypeVar
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import FileError
+from geomosaic.pipeline import files
+from geomosaic.pipeline.artefacts import Reference, decode, encode
+from geomosaic.recording.fingerprints import fingerprint_of_bytes
+
+Result = TypeVar("Result")
+Item = TypeVar("Item")
+
+_MEMORY_BYTES: Annotated[
+    int,
+    Because(
+        "bytes on the disk",
+        "what a process keeps of results that it was referred to: the keypoints of 100 frames, so that pairs "
+        "of neighbours find both; less reads files again, more is memory in each worker",
+        CHOSEN,
+    ),
+] = 128 << 20
+_LENT_BYTES: Annotated[
+    int,
+    Because(
+        "bytes of a function's arguments",
+        "what goes along with each item; arguments above are written once and read once by each worker: a "
+        "file costs a worker about 0.2 ms, as much as to unpickle 100 kB",
+        CHOSEN,
+    ),
+] = 100_000
+
+
+class _Memory:
+    """What this process read lately, by mark; the oldest goes first. For threads."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most = most_bytes
+        self._size = 0
+        self._values: OrderedDict[str, tuple[Any, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, mark: str, read: Callable[[], tuple[Any, int]]) -> Any:
+        """The value, read (with its size in bytes) where it is not there."""
+        with self._lock:
+            if mark in self._values:
+                self._values.move_to_end(mark)
+                return self._values[mark][0]
+        value, size = read()
+        with self._lock:
+            if mark not in self._values:
+                self._values[mark] = value, size
+                self._size += size
+            while self._size > self._most and len(self._values) > 1:
+                self._size -= self._values.popitem(last=False)[1][1]
+        return value
+
+
+_memory = _Memory(_MEMORY_BYTES)
+
+
+@dataclass(frozen=True)
+class Kept(Reference, Generic[Result]):
+    """A result of `Context.stored` or `spooled`: in its file, or in memory where a stage is run by hand.
+
+    It may stand in other items, however deep: it is the file's name that travels, not what the file holds,
+    and its `mark` that counts for theirs. Whoever has to read it needs the run folder under the same path.
+    """
+
+    returns: Any
+    mark: str
+    path: Path | None
+    data: bytes | None = field(default=None, repr=False)
+
+    def load(self) -> Result:
+        """The result. Raises `FileError` for a file that is gone or isn't what it was."""
+        if self.data is not None:
+            return typing.cast(Result, decode(self.data, self.returns))
+        assert self.path is not None
+        return typing.cast(Result, _read(self.path, lambda file: decode(file, self.returns)))
+
+    def recall(self) -> Result:
+        """As `load`, read once while this process wants it again soon. It is shared: don't change it."""
+        if self.path is None:
+            return self.load()
+        path = self.path
+        return typing.cast(Result, _memory.get(self.mark, lambda: (self.load(), path.stat().st_size)))
+
+    def forget(self) -> None:
+        """Its file goes."""
+        if self.path is not None:
+            files.remove(self.path)
+
+
+def left_on_disk(kept: Kept[Result]) -> Kept[Result]:
+    """Without its bytes in memory, if they are on the disk. Raises: as `load`."""
+    if kept.data is None:
+        kept.load()
+    return Kept(kept.returns, kept.mark, kept.path, None if kept.path is not None else kept.data)
+
+
+@dataclass(frozen=True)
+class Lent(Generic[Item]):
+    """A function with large arguments, written once for all workers; its result as an artefact's bytes.
+
+    Pickled, so that its numbers keep their types; it is taken only if its bytes have the mark that came
+    with the task.
+    """
+
+    path: Path
+    mark: str
+
+    @classmethod
+    def of(cls, function: Callable[[Item], Any], path: Path) -> Callable[[Item], bytes]:
+        """The function as it goes to the workers: itself, or what lies at `path` where it is large."""
+        data = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL)
+        if len(data) <= _LENT_BYTES:
+            return Encoding(function)
+        files.write_bytes(path, data)
+        return cls(path, fingerprint_of_bytes(data))
+
+    def __call__(self, item: Item) -> bytes:
+        function: Callable[[Item], Any] = _memory.get(self.mark, self._read)
+        return encode(function(item))
+
+    def _read(self) -> tuple[Any, int]:
+        data = _read(self.path, lambda file: file.read())
+        if fingerprint_of_bytes(data) != self.mark:
+            raise FileError("isn't what the run wrote", file=self.path, mend="run again")
+        return pickle.loads(data), len(data)  # noqa: S301  written by this run, as its mark says
+
+
+@dataclass(frozen=True)
+class Encoding(Generic[Item]):
+    """A function whose result is wanted as an artefact's bytes."""
+
+    function: Callable[[Item], Any]
+
+    def __call__(self, item: Item) -> bytes:
+        return encode(self.function(item))
+
+
+def _read(path: Path, read: Callable[[typing.BinaryIO], Result]) -> Result:
+    try:
+        with files.open_own(path) as file:
+            return read(file)
+    except FileNotFoundError as error:
+        raise FileError(
+            f"isn't there for the process at work on {socket.gethostname()}",
+            file=path,
+            mend="with --dask the run folder must have the same path on all machines; else run again",
+        ) from error
+    except OSError as error:
+        raise FileError(f"can't be read ({error.strerror or error})", file=path, mend="run again") from error

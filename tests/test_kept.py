@@ -1,0 +1,191 @@
+"""Results that are referred to, what names a result, and functions that are lent to workers."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import os
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geomosaic.errors import FileError
+from geomosaic.pipeline import kept
+from geomosaic.pipeline.artefacts import content_of, encode
+from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.executor import Workers
+from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.kept import Kept, Lent
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """What a frame gives."""
+
+    at: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two frames' keypoints, referred to, and what else its match hangs on."""
+
+    left: Kept[Keypoints]
+    right: Kept[Keypoints]
+    radius: float = 1.0
+
+
+def told(line: str) -> None:
+    """Notes that real work was done, from whatever process."""
+    with Path(os.environ["TOY_LOG"]).open("a") as log:
+        log.write(line + "\n")
+
+
+def keypoints(path: str) -> Keypoints:
+    told(f"keypoints {Path(path).name}")
+    return Keypoints(np.full(1000, float(Path(path).read_text())))
+
+
+def matched(pair: Pair) -> float:
+    told("pair")
+    assert pair.left.recall() is pair.left.recall() or pair.left.path is None
+    return pair.radius * float(pair.left.recall().at[0] * pair.right.recall().at[-1])
+
+
+def weighed(item: float, *, ground: NDArray[np.float64]) -> float:
+    told(f"weighed in {os.getpid()}")
+    return item * float(ground.sum())
+
+
+class Flight:
+    """Frames of one number each, matched in neighbours."""
+
+    def __init__(self, folder: Path, log: Path) -> None:
+        self.folder, self.log = folder, log
+        self.frames = folder / "frames"
+        self.frames.mkdir()
+
+    def put(self, *numbers: int) -> None:
+        for number in numbers:
+            (self.frames / f"{number:02}.jpg").write_text(str(number))
+
+    def run(self, key: str, workers: Workers | None = None) -> list[float]:
+        hashes = FileHashes()
+        hashes.manifest(self.frames)
+        context = Context(self.folder / "run", stage_id="toy.match", key=key, workers=workers, hashes=hashes)
+        paths = sorted(str(p) for p in self.frames.glob("*.jpg"))
+        features = context.stored("keypoints", keypoints, paths)
+        pairs = [Pair(a, b) for a, b in itertools.pairwise(features)]
+        found = context.map("pairs", matched, pairs)
+        self.lasting = context.lasting_items
+        return found
+
+    def done(self) -> list[str]:
+        lines = self.log.read_text().split("\n")[:-1] if self.log.exists() else []
+        self.log.unlink(missing_ok=True)
+        return sorted(lines)
+
+
+@pytest.fixture
+def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Flight:
+    monkeypatch.setenv("TOY_LOG", str(tmp_path / "log"))
+    return Flight(tmp_path, tmp_path / "log")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_new_frames_bring_only_their_own_keypoints_and_pairs(workers: int, flight: Flight) -> None:
+    flight.put(2, 3, 7)
+    with Workers(workers) as team:
+        assert flight.run("one", team) == [6.0, 21.0]
+        assert flight.done() == ["keypoints 02.jpg", "keypoints 03.jpg", "keypoints 07.jpg", "pair", "pair"]
+        flight.put(5)
+        assert flight.run("another key", team) == [6.0, 15.0, 35.0]
+        assert flight.done() == ["keypoints 05.jpg", "pair", "pair"]
+    assert len(flight.lasting) == 7 and all(path.is_file() for path in flight.lasting)
+
+
+def test_what_lies_beside_a_file_and_counts_names_its_results_too(flight: Flight) -> None:
+    """A mask or an overview of its name changes what is read of a frame."""
+    flight.put(2, 3)
+    flight.run("one")
+    flight.done()
+    (flight.frames / "02.jpg.msk").write_text("another stem")
+    flight.run("two")
+    assert flight.done() == []
+    (flight.frames / "02.msk").write_text("a mask")
+    flight.run("three")
+    assert flight.done() == ["keypoints 02.jpg", "pair"]
+
+
+def test_a_kept_result_that_is_spoiled_is_made_again(flight: Flight) -> None:
+    flight.put(2, 3)
+    flight.run("one")
+    flight.done()
+    largest = max(flight.lasting, key=lambda path: path.stat().st_size)
+    largest.write_bytes(largest.read_bytes()[:-100])
+    assert flight.run("one") == [6.0]
+    assert len(flight.done()) == 1
+
+
+def test_a_reference_that_leads_nowhere_says_where_and_what_to_do(tmp_path: Path) -> None:
+    gone = Kept(Keypoints, "0" * 40, tmp_path / "gone")
+    with pytest.raises(
+        FileError, match=r"isn't there for the process at work on .*; with --dask the run fol"
+    ):
+        gone.recall()
+
+
+def test_a_reference_is_no_artefact_and_counts_by_its_mark(tmp_path: Path) -> None:
+    a, b = (Kept(Keypoints, mark, tmp_path / "same") for mark in ("a", "b"))
+    assert content_of((1, a))[0] == content_of((1, Kept(Keypoints, "a", tmp_path / "moved")))[0]
+    assert content_of((1, a))[0] != content_of((1, b))[0]
+    with pytest.raises(TypeError, match=r"^tuple\[1\]: Kept can't be kept as an artefact"):
+        encode((1, a))
+
+
+def test_a_process_keeps_of_what_it_read_the_latest(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = kept._Memory(10)
+    read: list[str] = []
+
+    def of(mark: str, size: int) -> str:
+        def reading() -> tuple[str, int]:
+            read.append(mark)
+            return mark, size
+
+        value: str = memory.get(mark, reading)
+        return value
+
+    for mark in "abaca":
+        assert of(mark, 5) == mark
+    assert read == ["a", "b", "c"]
+    of("b", 5)
+    of("large", 50)
+    of("large", 50)
+    of("a", 5)
+    assert read == ["a", "b", "c", "b", "large", "a"]
+
+
+def test_large_arguments_are_written_once_for_all_items(flight: Flight) -> None:
+    """8 MB of ground times thousands of frames went through the pipes."""
+    ground = np.full(1_000_000, 0.5)
+    work = functools.partial(weighed, ground=ground)
+    with Workers(2) as team:
+        sent: list[int] = []
+        submit = team.submit
+        team.submit = lambda f, item: sent.append(len(pickle.dumps(f))) or submit(f, item)  # type: ignore[method-assign, assignment, func-returns-value]
+        context = Context(flight.folder / "run", key="one", workers=team)
+        assert context.map("weighed", work, [1.0, 2.0, 3.0]) == [5e5, 1e6, 1.5e6]
+    assert len(sent) == 3 and max(sent) < 1000
+    assert not [p for p in context.work_folder.iterdir() if p.is_file()]
+
+
+def test_a_lent_function_is_what_was_lent_or_nothing(tmp_path: Path) -> None:
+    work = functools.partial(weighed, ground=np.zeros(100_000))
+    lent = Lent.of(work, tmp_path / "lent")
+    assert isinstance(lent, Lent)
+    (tmp_path / "lent").write_bytes(pickle.dumps(print))
+    with pytest.raises(FileError, match="isn't what the run wrote"):
+        lent(1.0)
