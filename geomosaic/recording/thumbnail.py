@@ -2,8 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+
+from geomosaic.survey.damage import Wholeness, coarsened, looked_at
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What came of decoding a frame: whether it is whole; and the thumbnail of a JPEG that is, or nothing."""
+
+    wholeness: Wholeness
+    thumbnail: bytes
+
+
+def seen(path: str) -> Seen:
+    """Decodes a frame once, for both. Raises: as `looked_at`."""
+    wholeness, half = looked_at(path)
+    if half is None:
+        return Seen(wholeness, b"")
+    return Seen(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 
 def thumbnail(image: NDArray[np.generic], max_side_px: int = 512, quality: int = 85) -> bytes:

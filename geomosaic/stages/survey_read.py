@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
-from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.recording.thumbnail import Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
-from geomosaic.survey.damage import wholeness
+from geomosaic.survey.damage import Wholeness
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
@@ -26,7 +26,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 11
+    version = 12
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
@@ -64,7 +64,12 @@ class SurveyRead(Stage):
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
         given = params.model_dump(exclude={"frames"})
-        inspect = partial(context.map, "looking for damage", wholeness, reads=_itself)
+        looks: dict[str, Kept[Seen]] = {}
+
+        def inspect(paths: list[str]) -> list[Wholeness]:
+            looks.update(zip(paths, context.stored("looking for damage", seen, paths), strict=True))
+            return [looks[path].load().wholeness for path in paths]
+
         survey = read_survey(params.frames, **given, inspect=inspect, progress=context.progress)
         for warning in survey.warnings:
             context.warn(warning.code, warning.frame, warning.text)
@@ -72,10 +77,6 @@ class SurveyRead(Stage):
             context.recorder.camera(camera.name, camera)
         for frame in survey.frames[:: max(1, -(-len(survey.frames) // _THUMBNAILS))]:
             context.check_cancelled()
-            pixels, _ = read_pixels(frame, 8)
-            context.recorder.image("/frames", frame.name, thumbnail(pixels))
+            small = looks[frame.path].load().thumbnail or thumbnail(read_pixels(frame, 8)[0])
+            context.recorder.image("/frames", frame.name, small)
         return {"survey": survey}
-
-
-def _itself(path: str) -> list[str]:
-    return [path]

@@ -1,4 +1,8 @@
-"""Whether a frame's pixels are all there. OpenCV decodes what is left of a damaged JPEG without a word."""
+"""Whether a frame's pixels are all there, heard while it is decoded.
+
+JPEG is decoded by libjpeg-turbo itself (simplejpeg), which says what it met. OpenCV, which gives the same
+pixels, decodes what is left of a damaged one without a word, and takes half as long again.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,7 @@ from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import JpegStructure, parse_structure
 
+Pixels = NDArray[np.uint8]
 _COARSE: Annotated[
     int,
     Because(
@@ -102,7 +107,13 @@ class Wholeness:
 
 
 def wholeness(path: str) -> Wholeness:
-    """Decodes a frame (a JPEG at an eighth of its size) and listens to the decoder.
+    """Decodes a frame and listens to the decoder. Raises: as `looked_at`."""
+    return looked_at(path)[0]
+
+
+def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
+    """What is heard while a frame is decoded; and the pixels (rows, cols, bands) of a whole JPEG at half its
+    size, which come with it.
 
     Raises: `FileError` if it can't be opened at all.
     """
@@ -113,59 +124,59 @@ def wholeness(path: str) -> Wholeness:
         except OSError as error:
             raise FileError(f"can't be read ({error.strerror})", file=file, mend=FRAME.mend) from error
         return _of_jpeg(data, parse_structure(data, file, whole=False))
-    return _of_tiff(file)
+    return _of_tiff(file), None
 
 
-def _of_jpeg(data: bytes, structure: JpegStructure) -> Wholeness:
+def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels | None]:
     if data.count(b"\xff\xda", structure.data_start) > _MOST_SCANS:
-        return Wholeness(f"it has more than {_MOST_SCANS} scans", 0)
-    data = _without_version(data)
-    said = _said(data)
+        return Wholeness(f"it has more than {_MOST_SCANS} scans", 0), None
+    said, pixels = _heard(data, structure.bands)
     if "extraneous" in said:  # cameras may pad the data in front of the end marker
         end = data.find(_EOI, structure.data_start)
-        said = _said(data[:end].rstrip(b"\0\xff") + data[end:])
-    if not said or said.startswith("Warning"):
-        return Wholeness("", structure.height_px, _look(data))
-    return Wholeness(f"libjpeg says '{said}'", _whole_rows(data, structure))
+        said, pixels = _heard(data[:end].rstrip(b"\0\xff") + data[end:], structure.bands)
+    if pixels is None:
+        return Wholeness(f"libjpeg says '{said}'", _whole_rows(data, structure)), None
+    return Wholeness("", structure.height_px, _look(pixels)), pixels
 
 
-def _look(data: bytes) -> Look | None:
+def _look(pixels: Pixels) -> Look | None:
     """Of a JPEG, decoded at half its size."""
-    flags = cv2.IMREAD_REDUCED_GRAYSCALE_2 | cv2.IMREAD_IGNORE_ORIENTATION
-    grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    if grey is None or min(grey.shape) < _LEAST_LOOKED_AT_PX:
+    if min(pixels.shape[:2]) < _LEAST_LOOKED_AT_PX:
         return None
-    small = np.asarray(cv2.resize(grey, (32, 24), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    rows, cols = (n // _COARSE for n in grey.shape)
-    coarse = cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_AREA)
-    fine, rough = (float(cv2.Laplacian(g, cv2.CV_32F).var()) for g in (grey, coarse))
-    return Look(small, float(np.log(fine / rough))) if min(fine, rough) > 0.0 else None
+    grey: Any = pixels[..., 0] if pixels.shape[2] == 1 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    coarse = coarsened(grey, _COARSE)
+    enough = coarse if min(coarse.shape) >= _LEAST_LOOKED_AT_PX else grey
+    small = np.asarray(cv2.resize(enough, (32, 24), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    fine, rough = (float(cv2.meanStdDev(cv2.Laplacian(g, cv2.CV_16S))[1][0, 0]) for g in (grey, coarse))
+    return Look(small, 2.0 * float(np.log(fine / rough))) if min(fine, rough) > 0.0 else None
 
 
-def _without_version(data: bytes) -> bytes:
-    """A JPEG without JFIF's version number: an odd one is a warning that hides what comes after it."""
-    return data.replace(b"JFIF\0", b"JFIX\0", 1)
+def coarsened(pixels: Pixels, side: int) -> Pixels:
+    """Means of side x side pixels; what is left over at the right and below is left away."""
+    rows, cols = (n // side for n in pixels.shape[:2])
+    whole = pixels[: rows * side, : cols * side]
+    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _said(data: bytes) -> str:
-    """What libjpeg says first of a JPEG's data; nothing where they are whole."""
+def _heard(data: bytes, bands: int, reduction: int = 2) -> tuple[str, Pixels | None]:
+    """What libjpeg says first of a JPEG's data, nothing where they are whole; and these' pixels."""
     try:
-        simplejpeg.decode_jpeg(data, "GRAY", min_height=1, min_width=1, min_factor=8, strict=True)
+        return "", decoded(data, bands, reduction, strict=True)
     except (ValueError, MemoryError) as error:
-        return " ".join(str(error).split()) or "no more than that it can't be decoded"
-    return ""
+        return " ".join(str(error).split()) or "no more than that it can't be decoded", None
 
 
-def decoded_anyway(data: bytes, bands: int, reduction: int = 1) -> NDArray[np.uint8]:
-    """A damaged JPEG's pixels (rows, cols, bands), whatever stands in them; `ValueError` if there are none.
+def decoded(data: bytes, bands: int, reduction: int = 1, *, strict: bool = False) -> Pixels:
+    """A JPEG's pixels (rows, cols, bands), of a damaged one whatever stands in them.
 
-    Not by OpenCV: it gives nothing where the end is missing, and else it writes to the terminal.
+    Args: bands: 1, or 3 for red, green, blue; reduction: 1, 2, 4 or 8.
+    Raises: `ValueError` if there are none, or, if strict, with the first thing that isn't right.
     """
-    data = _without_version(data)
-    height, width = simplejpeg.decode_jpeg_header(data, strict=False)[:2]
+    data = data.replace(b"JFIF\0", b"JFIX\0", 1)  # an odd version would be all that is said, strict or not
+    height, width = simplejpeg.decode_jpeg_header(data, strict=strict)[:2]
     rows, cols = -(-height // reduction), -(-width // reduction)
     colours = "GRAY" if bands == 1 else "RGB"
-    return np.asarray(simplejpeg.decode_jpeg(data, colours, min_height=rows, min_width=cols, strict=False))
+    return np.asarray(simplejpeg.decode_jpeg(data, colours, min_height=rows, min_width=cols, strict=strict))
 
 
 def _whole_rows(data: bytes, jpeg: JpegStructure) -> int:
@@ -182,7 +193,7 @@ def _whole_rows(data: bytes, jpeg: JpegStructure) -> int:
         return 0
     cut = data[: start + (run.start() if run is not None else len(coded) - 2)]
     try:
-        one, other = (decoded_anyway(cut + tail + _EOI, 1) for tail in (b"", _TAIL))
+        one, other = (decoded(cut + tail + _EOI, 1) for tail in (b"", _TAIL))
     except ValueError:
         return 0
     differ = (one != other).any(axis=(1, 2))
@@ -200,7 +211,7 @@ def _rows_of_intervals(data: bytes, coded: bytes, jpeg: JpegStructure) -> int:
         jpeg.restart_blocks * width, 65535
     ).to_bytes(2, "big")
     for i, (part, marker) in enumerate(_intervals(coded)):
-        if _said(bytes(header) + part + _EOI) or marker not in (None, i % 8):
+        if _heard(bytes(header) + part + _EOI, 1, 8)[0] or marker not in (None, i % 8):
             return max(0, i * jpeg.restart_blocks // across * height - _CONTEXT_ROWS)
     return 0
 

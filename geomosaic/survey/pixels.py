@@ -14,27 +14,21 @@ from rasterio.windows import Window
 from geomosaic.constants import Because
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
-from geomosaic.survey.damage import decoded_anyway
+from geomosaic.survey.damage import decoded
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 
 Mask = NDArray[np.uint8]
 
-_REDUCED: Annotated[
-    dict[int, int],
+_REDUCTIONS: Annotated[
+    tuple[int, ...],
     Because(
-        "flag by reduction",
-        "what a JPEG is decoded with: in OpenCV's names 'reduced grayscale' is the reduction alone, with "
-        "IMREAD_COLOR_RGB it gives colour",
-        "OpenCV, ImreadModes",
+        "px by px that become one",
+        "by which a JPEG is reduced while it is decoded; others would be resampled, and blur",
+        "libjpeg: a block of 8 x 8 becomes one of 4, 2 or 1 px a side",
     ),
-] = {
-    1: 0,
-    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
-    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
-    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
-}
+] = (1, 2, 4, 8)
 _MEND: Final = "copy it again from the camera, or take it out of the folder"
 
 
@@ -52,8 +46,8 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     Args: reduction 1, 2, 4 or 8.
     Raises: `FileError` when the file can't be decoded whole; `ValueError` for another reduction.
     """
-    if reduction not in _REDUCED:
-        raise ValueError(f"reduction is one of {sorted(_REDUCED)}, not {reduction}")
+    if reduction not in _REDUCTIONS:
+        raise ValueError(f"reduction is one of {_REDUCTIONS}, not {reduction}")
     path = Path(frame.path)
     for named in filter(None, (frame.path, frame.valid_mask)):
         if not Path(named).is_absolute():  # in the current folder lies what nobody named
@@ -80,15 +74,11 @@ def _decode_jpeg(path: Path, frame: Frame, reduction: int) -> NDArray[Any]:
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
-    parse_structure(data, path, whole=frame.whole_rows is None)  # OpenCV fills what is missing with grey
-    if frame.whole_rows is not None:
-        return decoded_anyway(data, frame.bands, reduction)
-    colour = cv2.IMREAD_GRAYSCALE if frame.bands == 1 else cv2.IMREAD_COLOR_RGB
-    flags = _REDUCED[reduction] | colour | cv2.IMREAD_IGNORE_ORIENTATION
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    if pixels is None:
-        raise FileError("the JPEG can't be decoded", file=path, mend=_MEND)
-    return np.atleast_3d(pixels)
+    parse_structure(data, path, whole=frame.whole_rows is None)  # what is missing is filled with grey
+    try:
+        return decoded(data, frame.bands, reduction)
+    except ValueError as error:
+        raise FileError("the JPEG can't be decoded", file=path, mend=_MEND) from error
 
 
 def _read_tiff(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
