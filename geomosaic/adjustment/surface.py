@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from math import comb
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csc_matrix, diags, identity, kron
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
+from geomosaic.adjustment.smoothed_grid import SmoothedGrid
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 
@@ -53,15 +52,6 @@ _TRIAL_ROUNDS: Annotated[
     int,
     Because("rounds", "of new weights of a trial surface, whose misses are judged by their median", CHOSEN),
 ] = 4
-_SLOPE: Annotated[
-    float,
-    Because(
-        "m per m",
-        "usual slope of land, to which slopes are held: steep, so that hills are not levelled, but the "
-        "surface comes back to level far beyond the last points",
-        CHOSEN,
-    ),
-] = 1.0
 _CURVINGS: Annotated[
     tuple[float, ...],
     Because(
@@ -151,15 +141,6 @@ _GAP: Annotated[
         CHOSEN,
     ),
 ] = 0.2
-_PER_HEIGHT: Annotated[
-    float,
-    Because(
-        "independent places a flying height",
-        "along each axis at which slopes and third derivatives count: with more, what land usually does "
-        "outweighs the points; with less, single points bend the surface",
-        CHOSEN,
-    ),
-] = 20.0
 _CAP: Annotated[
     float,
     Because(
@@ -293,7 +274,7 @@ def tie_surface(
     """
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
-    task = _Task.of(points_m, sd_up_m, low_m, high_m, height_m)
+    task = _Task(points_m, sd_up_m, low_m, high_m, height_m)
     trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
     if rough:
         return task.fitted(trial_m, _USUAL_CURVING, _UNHELD, _TRIAL_ROUNDS)
@@ -305,42 +286,51 @@ def tie_surface(
 
 @dataclass(frozen=True)
 class _Task:
-    """What `tie_surface` is asked for. evens: what the ground may stand on, by its number of terms."""
+    """What `tie_surface` is asked for, and what was made for it so far: what the ground may stand on, by its
+    number of terms, and trial surfaces by their spacing, curving and standing."""
 
     points_m: Floats
     sd_up_m: Floats
     low_m: Floats
     high_m: Floats
     height_m: float
-    evens: Mapping[int, Callable[[Floats, Floats], Floats]]
+    _evens: dict[int, Callable[[Floats, Floats], Floats]] = field(default_factory=dict)
+    _trials: dict[tuple[float, float, tuple[int, float]], GroundSurface] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, points_m: Floats, sd_up_m: Floats, low_m: Floats, high_m: Floats, height_m: float) -> _Task:
-        evens = {terms: _even(points_m, sd_up_m, terms) for terms in {terms for terms, _ in _STANDINGS}}
-        return cls(points_m, sd_up_m, low_m, high_m, height_m, evens)
+    def even(self, terms: int) -> Callable[[Floats, Floats], Floats]:
+        """Up by east and north of what the ground may stand on."""
+        if terms not in self._evens:
+            self._evens[terms] = _even(self.points_m, self.sd_up_m, terms)
+        return self._evens[terms]
 
     def above(self, terms: int) -> Floats:
         """Heights of the points above what the ground may stand on."""
-        return self.points_m[:, 2] - self.evens[terms](self.points_m[:, 0], self.points_m[:, 1])
+        return self.points_m[:, 2] - self.even(terms)(self.points_m[:, 0], self.points_m[:, 1])
 
-    def without_each_side(self, ways: Iterable[float]) -> Iterator[tuple[Bools, _Task]]:
+    @cached_property
+    def without_each_side(self) -> dict[float, tuple[Bools, _Task]]:
         """For each way to the block's rim that is long enough: which points lie there, and the task without
         them."""
-        for angle in ways:
+        tasks = {}
+        for angle in _SIDES:
             along = self.points_m[:, :2] @ [np.cos(angle), np.sin(angle)]
             out = along > np.quantile(along, _OUTERMOST) - _SIDE * self.height_m
             if out.sum() >= _FEWEST and out.mean() <= _MOST_OF_ALL:
-                yield out, self.without(out)
+                tasks[angle] = out, self.without(out)
+        return tasks
 
     def without(self, out: Bools) -> _Task:
         """The task of the other points."""
-        return _Task.of(self.points_m[~out], self.sd_up_m[~out], self.low_m, self.high_m, self.height_m)
+        return _Task(self.points_m[~out], self.sd_up_m[~out], self.low_m, self.high_m, self.height_m)
 
     def missed(
         self, asked_m: Floats, spacing_m: float, curving: float, standing: tuple[int, float]
     ) -> Floats:
         """By how much a quick surface misses other points."""
-        trial = self.fitted(spacing_m, curving, standing, _TRIAL_ROUNDS)
+        key = (spacing_m, curving, standing)
+        if key not in self._trials:
+            self._trials[key] = self.fitted(spacing_m, curving, standing, _TRIAL_ROUNDS)
+        trial = self._trials[key]
         return np.asarray(np.abs(asked_m[:, 2] - trial.up_at(asked_m[:, 0], asked_m[:, 1])))
 
     def fitted(
@@ -348,24 +338,17 @@ class _Task:
     ) -> GroundSurface:
         """The surface of one curving, the mean change of curvature in flying heights, and one standing."""
         cols, rows = (np.ceil((self.high_m - self.low_m) / spacing_m).astype(int) + 1).tolist()
-        design = _bilinear((self.points_m[:, :2] - self.low_m) / spacing_m, rows, cols)
         terms, off = standing
-        target, height_m = self.above(terms), self.height_m
-        stiff = _stiffness(rows, cols, spacing_m / height_m, curving) / height_m**2
-        if off:
-            held = _PER_HEIGHT * spacing_m / height_m / (off * height_m)
-            stiff = stiff + held**2 * identity(rows * cols)
-        weight = 1.0 / self.sd_up_m**2
-        surface = np.zeros(rows * cols)
+        at, height_m = (self.points_m[:, :2] - self.low_m) / spacing_m, self.height_m
+        grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, curving, off)
+        target, weight = self.above(terms), 1.0 / self.sd_up_m**2
         for _ in range(rounds):
-            normal = (design.T @ diags(weight) @ design + stiff).tocsc()
-            factors = splu(normal, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-            surface = factors.solve(np.asarray(design.T @ (weight * target)))
-            miss = np.abs(target - design @ surface)
+            nodes = grid.fitted(target, weight, height_m)
+            miss = np.abs(target - grid.at_points(nodes))
             scale = np.maximum(self.sd_up_m, 1.5 * float(np.median(miss)))
             weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
         east, north = (self.low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-        up = surface.reshape(rows, cols) + self.evens[terms](east, north[:, None])
+        up = grid.laid_out(nodes) + self.even(terms)(east, north[:, None])
         return GroundSurface("tie_surface", float(self.low_m[0]), float(self.low_m[1]), spacing_m, up)
 
     def rated(self, surface: GroundSurface, astray: Callable[[Floats], Floats]) -> GroundSurface:
@@ -384,7 +367,7 @@ def _astray(
     """How far heights beyond the points are off, one deviation in m, by the distance from the last of them:
     a power of it, by what the surfaces without each of the block's sides and corners miss there."""
     away, missed = [np.zeros(0)], [np.zeros(0)]
-    for out, known in task.without_each_side(_SIDES):
+    for out, known in task.without_each_side.values():
         asked = task.points_m[out]
         away.append(KDTree(known.points_m[:, :2]).query(asked[:, :2])[0] / task.height_m)
         missed.append(known.missed(asked, spacing_m, curving, standing))
@@ -416,7 +399,7 @@ def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float
     ground, and it is beyond the points that ground needs something to stand on."""
     above = task.above(max(terms for terms, _ in _STANDINGS))
     total = np.zeros(len(_STANDINGS))
-    for out, known in task.without_each_side(_CORNERS):
+    for out, known in (task.without_each_side[way] for way in _CORNERS if way in task.without_each_side):
         low = out & (above <= np.quantile(above, _LOW))
         if low.sum() < _FEWEST:
             continue
@@ -433,52 +416,23 @@ def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Fl
 
     def powers(east_m: Floats, north_m: Floats) -> Floats:
         e, n = np.broadcast_arrays((east_m - middle[0]) / size_m, (north_m - middle[1]) / size_m)
-        return np.stack([np.ones_like(e), e, n, e * e, e * n, n * n][:terms], axis=-1)
+        return np.stack([np.ones_like(e), e, n, e * e, e * n, n * n][:terms])
 
     design, up = powers(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
 
     def by(weight: Floats) -> Floats:
-        weighed = design * weight[:, None]
-        return np.asarray(np.linalg.pinv(weighed.T @ design, hermitian=True) @ (weighed.T @ up))
+        weighed = design * weight
+        return np.asarray(np.linalg.pinv(weighed @ design.T, hermitian=True) @ (weighed @ up))
 
-    found = by(np.ones(len(up)))
-    for _ in range(30):
-        found = by(np.where(up > design @ found, _GROUND_SHARE, 1.0 - _GROUND_SHARE))
+    found, above = by(np.ones(len(up))), np.zeros(len(up), dtype=bool)
+    for k in range(30):
+        before, above = above, up > found @ design
+        if k and np.array_equal(above, before):
+            break
+        found = by(np.where(above, _GROUND_SHARE, 1.0 - _GROUND_SHARE))
     for _ in range(20):
-        miss = up - design @ found
+        miss = up - found @ design
         low = miss[miss <= np.quantile(miss, _LOWEST)]
         scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
         found = by(1.0 / (1.0 + (miss / scale) ** 2) ** 2)
-    return lambda east_m, north_m: np.asarray(powers(east_m, north_m) @ found)
-
-
-def _bilinear(at: Floats, rows: int, cols: int) -> csc_matrix:
-    """The surface at grid coordinates (p, 2), col and row, from its nodes: (p, rows * cols)."""
-    at = np.clip(at, 0.0, [cols - 1.001, rows - 1.001])
-    j, i = np.floor(at).astype(np.intp).T
-    dx, dy = (at - np.floor(at)).T
-    node = i * cols + j
-    entries = [(1 - dx) * (1 - dy), dx * (1 - dy), (1 - dx) * dy, dx * dy]
-    nodes = [node, node + 1, node + cols, node + cols + 1]
-    return coo_matrix(
-        (np.concatenate(entries), (np.tile(np.arange(len(at)), 4), np.concatenate(nodes))),
-        shape=(len(at), rows * cols),
-    ).tocsc()
-
-
-def _stiffness(rows: int, cols: int, spacing: float, curving: float) -> csc_matrix:
-    """Normal matrix of slopes and third derivatives, lengths in flying heights; each node counts by its
-    area, so that the surface doesn't depend on how fine the grid is."""
-    total = 1e-12 * identity(rows * cols)
-    for order, usual in ((1, _SLOPE), (3, curving)):
-        for across in range(order + 1):
-            part = kron(_differences(rows, across), _differences(cols, order - across))
-            total = total + (comb(order, across) / (usual * spacing**order) ** 2) * (part.T @ part)
-    return (total * (spacing * _PER_HEIGHT) ** 2).tocsc()
-
-
-def _differences(n: int, order: int) -> csc_matrix:
-    out = identity(n)
-    for k in range(order):
-        out = diags([-1.0, 1.0], [0, 1], shape=(max(n - k - 1, 0), n - k)) @ out
-    return out.tocsc()
+    return lambda east_m, north_m: np.asarray(np.tensordot(found, powers(east_m, north_m), 1))
