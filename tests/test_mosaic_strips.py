@@ -115,9 +115,9 @@ def test_offsets_bring_the_ground_to_its_place(tmp_path, dcol, blend):
     layout = image_space_layout(g, offsets(g, dcol, 5.6))
     _, pixels, valid = composed(g, tmp_path / "m.tif", layout, blend=blend)
     error = pixels - expected(layout)
-    # 1/64 px of cv2's steps on slopes of 8 greys a pixel, and two roundings.
+    # Two roundings, and strips' edges.
     assert np.abs(error[valid]).max() < 2.0
-    assert np.sqrt((error[valid] ** 2).mean()) < 0.5
+    assert np.sqrt((error[valid] ** 2).mean()) < 0.41
     wrong = image_space_layout(g, offsets(g, -dcol, -5.6))
     _, pixels, valid = composed(g, tmp_path / "w.tif", wrong, blend=blend)
     assert np.sqrt(((pixels - expected(wrong))[valid] ** 2).mean()) > 5.0

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.layout import Places
-from geomosaic.ccd.model import Floats
+from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.strip_lines import Lines
-from geomosaic.projection.resample import resample
+from geomosaic.mosaic.strip_taps import between
 
 Floats32 = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 _ROWS: Annotated[
     int,
     Because(
@@ -23,15 +22,43 @@ _ROWS: Annotated[
         "of a piece that is resampled at once: of this size it stays in the processor's cache",
         CHOSEN,
     ),
+] = 32
+_STRETCHES: Annotated[
+    int,
+    Because(
+        "stretches of columns",
+        "of a piece: together as wide as TH-1's strips; with more, weights reach over more columns where "
+        "places slope",
+        CHOSEN,
+    ),
 ] = 64
-_COLS: Annotated[
+_STRETCH_PX: Annotated[
     int,
     Because(
         "px",
-        "of a piece that is resampled at once: of this size it stays in the processor's cache",
+        "of columns that lie off their places alike, at most, and then a half, a quarter of it: more save "
+        "little time and are more than a narrow part has",
         CHOSEN,
     ),
-] = 4096
+] = 64
+_ALIKE_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which places may slope within a stretch, so that none is off by more than half of it: with "
+        "more, seams show it, with less, narrower stretches take more time",
+        "as fine as OpenCV's steps, cv2.INTER_TAB_SIZE",
+    ),
+] = 1.0 / 32.0
+_BEYOND_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "beyond a strip's edges, from which on a place isn't looked at, but some other of its piece: half a "
+        "stretch at least, since its middle may lie outside; more makes weights reach far",
+        CHOSEN,
+    ),
+] = 64.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,50 +86,83 @@ def part_of_strip(
     part = StripPart(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool))
     if lines is None:
         return part
-    for row in range(top, bottom, _ROWS):
-        here = slice(row - begin, min(row + _ROWS, bottom) - begin)
-        into = slice(row - top, row - top + here.stop - here.start)
-        for col in range(cols[0], cols[1], _COLS):
-            end = min(col + _COLS, cols[1])
-            x, y = _between_knots(places, here, col, end, lines.first)
-            at = into, slice(col - cols[0], end - cols[0])
-            part.valid[at] = _valid(lines, count, x, y)
-            part.pixels[at] = resample(lines.pixels[..., None], x, y, resampling)[..., 0]
+    knots, image = places.knots_px, places.image_px[:, top - begin : bottom - begin]
+    off = _off(knots, image, lines)
+    stretch = _stretch(knots, off)
+    # Counted from the CCD's first column, so that a pixel is the same in whatever part.
+    first = cols[0] - (cols[0] - int(knots[0])) % stretch
+    for left in range(first, cols[1], stretch * _STRETCHES):
+        here = max(left, cols[0]), min(left + stretch * _STRETCHES, cols[1])
+        across, down = _between_knots(
+            knots, off, np.arange(left + 0.5 * stretch, here[1] + 0.5 * stretch, stretch)
+        )
+        into = slice(here[0] - cols[0], here[1] - cols[0])
+        part.valid[:, into] = _valid(lines, count, knots, image, here)
+        for row in range(0, shape[0], _ROWS):
+            at = slice(row, row + _ROWS), into
+            if part.valid[at].any():
+                off_here = down[at[0]] + (row - lines.first), across[at[0]] + left
+                shown = between(lines.pixels, *off_here, stretch, resampling)
+                part.pixels[at] = shown[:, here[0] - left : here[1] - left]
     return part
 
 
-def _between_knots(
-    places: Places, rows: slice, first: int, end: int, first_line: int
-) -> tuple[Floats32, Floats32]:
-    """Strip col, and line counted from first_line, (rows, cols), at middles of raster cols first to end."""
-    knots = places.knots_px
-    image: Floats = places.image_px[:, rows]
-    xy = np.empty((2, image.shape[1], end - first), dtype=np.float32)
-    least = max(int(np.searchsorted(knots, first + 0.5, side="right")) - 1, 0)
-    done = first
-    for k in range(min(least, len(knots) - 2), len(knots) - 1):
-        last = end if k == len(knots) - 2 else min(end, int(np.ceil(knots[k + 1] - 0.5)))
-        if last <= done:
-            continue
-        middles = np.arange(done, last) + 0.5
-        share = ((middles - knots[k]) / (knots[k + 1] - knots[k])).astype(np.float32)
-        start = image[..., k] - np.array([0.0, first_line])[:, None]
-        step = image[..., k + 1] - image[..., k]
-        piece = xy[..., done - first : last - first]
-        np.multiply(step.astype(np.float32)[..., None], share, out=piece)
-        piece += start.astype(np.float32)[..., None]
-        done = last
-    return xy[0], xy[1]
+def _off(knots_px: Floats, image_px: Floats, lines: Lines) -> Floats:
+    """How much farther right and lower (2, rows, m) the strip has what is seen at knots, in rows from 0 on.
+
+    Where it has nothing near, as if straight on between the knots where it has.
+    """
+    col, line = image_px
+    height, width = lines.pixels.shape
+    near = _within(col, width, _BEYOND_PX) & _within(line - lines.first, height, _BEYOND_PX)
+    off = np.stack([col - knots_px, line - (np.arange(len(line))[:, None] + 0.5)])
+    if near.all():
+        return off
+    known = np.flatnonzero(near.any(axis=1))
+    for row in np.flatnonzero(~near.all(axis=1)) if known.size else ():
+        like = row if near[row].any() else known[np.abs(known - row).argmin()]
+        for of_axis in off:
+            of_axis[row] = np.interp(knots_px, knots_px[near[like]], of_axis[like, near[like]])
+    return off
 
 
-def _valid(lines: Lines, count: int, x: Floats32, y: Floats32) -> Flags | bool:
-    """Where the nearest pixel is one of the strip's and valid."""
-    width, top, bottom = lines.pixels.shape[1], -lines.first, count - lines.first
-    inside: Flags | bool = True
-    if not (x.min() >= 0.0 and x.max() <= width and y.min() >= top and y.max() <= bottom):  # or NaN
-        inside = (x >= 0.0) & (x <= width) & (y >= top) & (y <= bottom)
+def _stretch(knots_px: Floats, off_px: Floats) -> int:
+    """How many columns lie off their places alike, by the steepest slope between knots."""
+    steepest = np.abs(np.diff(off_px, axis=2) / np.diff(knots_px)).max()
+    stretch = _STRETCH_PX
+    while stretch > 1 and steepest * stretch > _ALIKE_PX:
+        stretch //= 2
+    return stretch
+
+
+def _valid(lines: Lines, count: int, knots_px: Floats, image_px: Floats, cols: tuple[int, int]) -> Flags:
+    """Where the nearest pixel is one of the strip's and valid, (rows, cols)."""
+    height, width = lines.pixels.shape
+    first, last = np.searchsorted(knots_px, [cols[0] + 0.5, cols[1] - 0.5], side="right")
+    about = image_px[..., max(first - 1, 0) : last + 1]
+    size = np.array([width, count])[:, None, None]
+    beyond = np.asarray(((about < 0.0).all(axis=2) | (about > size).all(axis=2)).any(axis=0))
+    asked = ~beyond
     if lines.valid is None:
-        return inside
-    row = np.clip(np.floor(np.nan_to_num(y)), 0, len(lines.valid) - 1).astype(np.intp)
-    col = np.clip(np.floor(np.nan_to_num(x)), 0, width - 1).astype(np.intp)
-    return np.asarray(lines.valid[row, col] & inside)
+        asked &= ~_within(about, size).all(axis=(0, 2))
+    valid = np.repeat(~beyond[:, None], cols[1] - cols[0], axis=1)
+    if asked.any():
+        image = _between_knots(knots_px, image_px[:, asked], np.arange(cols[0] + 0.5, cols[1]))
+        valid[asked] = _within(image, size).all(axis=0)
+        if lines.valid is not None:
+            col, line = np.floor(np.nan_to_num(image)).astype(np.intp)
+            row = np.clip(line - lines.first, 0, height - 1)
+            valid[asked] &= lines.valid[row, np.clip(col, 0, width - 1)]
+    return valid
+
+
+def _within(at_px: Floats, size: Any, beyond_px: float = 0.0) -> Flags:
+    """What lies within 0 and a size, or as much beyond; not what isn't known."""
+    return np.asarray((at_px >= -beyond_px) & (at_px <= size + beyond_px))
+
+
+def _between_knots(knots_px: Floats, at_knots: Floats, cols: Floats) -> Floats:
+    """What is given (2, rows, m) at knots, straight in between at raster cols (n,): (2, rows, n)."""
+    k = np.clip(np.searchsorted(knots_px, cols, side="right") - 1, 0, len(knots_px) - 2)
+    share = (cols - knots_px[k]) / (knots_px[k + 1] - knots_px[k])
+    return np.asarray(at_knots[..., k] + share * (at_knots[..., k + 1] - at_knots[..., k]))

@@ -36,7 +36,7 @@ class MosaicStrips(Stage):
     id = "mosaic.strips"
     display_name = "Compose the scene of strips"
     group = "Mosaic"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "strips": StripGeometry, "offsets": StripOffsets, "radiometry": Radiometry,
     }  # fmt: skip
