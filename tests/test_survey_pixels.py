@@ -196,3 +196,14 @@ def test_a_damaged_png_mask_is_named(tmp_path: Path, spoil: str) -> None:
     mask.write_bytes(spoiled[spoil])
     with pytest.raises(FileError, match=r"a_mask\.png: (the mask is damaged|can't be)"):
         masks([read_header(jpeg)])
+
+
+def test_brightness_alone(tmp_path: Path) -> None:
+    """Of a JPEG in colour one band, weighed as ITU-R BT.601 does; of other files all bands, as they are."""
+    pixels = image(96, 64, 3)
+    jpeg = frame(write_jpeg(tmp_path / "a.jpg", pixels))
+    (grey, valid), (colour, _) = read_pixels(jpeg, luma=True), read_pixels(jpeg)
+    assert grey.shape == (64, 96, 1) and valid is None
+    assert np.abs(grey[..., 0] - colour @ np.array([0.299, 0.587, 0.114])).mean() < 1.0
+    tiff = frame(write_tiff(tmp_path / "a.tif", pixels))
+    assert np.array_equal(read_pixels(tiff, luma=True)[0], pixels)

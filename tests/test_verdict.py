@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +52,26 @@ def test_ground_goes_on_across_right_seams(tmp_path: Path) -> None:
     assert known.sum() >= 5 and np.all(seams.left < seams.right)
     assert np.all(seams.length_px[known] < 0.05)
     assert len(seam_places(mosaic.seamlines, 64.0, most=3)) == 3
+
+
+def test_each_frame_is_decoded_once(tmp_path: Path) -> None:
+    """However many places it shows, and whoever does the work."""
+    survey, poses, ground = make_survey(tmp_path / "frames")
+    cameras = [survey.camera_of(i) for i in range(len(poses))]
+    views = frame_views(HOME, CRS, poses, cameras, [True] * len(poses), ground)
+    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
+    mosaic = compose(survey, poses, cameras, [True] * 6, ground, grid, tmp_path / "mosaic.tif")
+    given: dict[str, list[Any]] = {}
+
+    def backwards(name: str, function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        given[name] = list(items)
+        return [function(item) for item in reversed(items)][::-1]
+
+    seams = check_seams(survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines, backwards)
+    decoded = [job.frame.name for job in given["seams"]]
+    assert len(decoded) == len(set(decoded)) and len(seams.left) > len(decoded) / 2
+    again = check_seams(survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines)
+    assert np.array_equal(seams.displacement_px, again.displacement_px, equal_nan=True)
 
 
 def test_a_moved_line_is_seen_with_its_sign(tmp_path: Path) -> None:

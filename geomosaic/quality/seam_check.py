@@ -6,30 +6,30 @@ Tie points say how well an adjustment agrees with itself; this looks at what peo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Poses
+from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.projection.resample import seen_on
-from geomosaic.projection.warp import ground_window
+from geomosaic.projection.lattice import MapLattice
+from geomosaic.projection.resample import resample
 from geomosaic.quality.ssim import luma
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
+Spread = Callable[[str, Callable[[Any], Any], Sequence[Any]], list[Any]]
+"""Does a function with many items, under a name: one after the other, or on all cores."""
 
 WINDOW_PX: Annotated[
     int,
@@ -70,20 +70,11 @@ MOST_PLACES: Annotated[
     int,
     Because(
         "places of a mosaic",
-        "each takes two frames off the disk, all together some seconds, and their median is good to a sixth "
-        "of their deviation: fewer say less, more take time",
+        "each takes two frames off the disk, all together a second or two, and their median is good to a "
+        "sixth of their deviation: fewer say less, more take time",
         "chosen; the median's deviation: sqrt(pi / (2 n)) deviations of n normal values",
     ),
 ] = 60
-_FRAMES_KEPT: Annotated[
-    int,
-    Because(
-        "frames",
-        "decoded, since places follow each other along the same seams: fewer are read again, more take "
-        "memory, 64 MB for 16 MP",
-        CHOSEN,
-    ),
-] = 6
 
 
 @dataclass(frozen=True)
@@ -125,6 +116,87 @@ def seam_places(
     return [places[i] for i in some]
 
 
+@dataclass(frozen=True)
+class SeamGround:
+    """What the places of a mosaic have in common: its CRS and pixel, and the ground."""
+
+    crs: str
+    gsd_m: float
+    work_frame: LocalFrame
+    ground: GroundSurface
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A frame, and the middles (k, 2) of the places that are to be seen in it, easting and northing."""
+
+    frame: Frame
+    pose: Pose
+    camera: Camera
+    at_m: Floats
+
+
+@dataclass(frozen=True)
+class Sights:
+    """How a frame shows k places: pixels (k, h, w, bands) in its own type, and where they are valid."""
+
+    pixels: NDArray[Any]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Jump:
+    """Where the right frame shows a place minus where the left one does, (2,) in cols and rows, NaN where too
+    few patches were found."""
+
+    patches: int
+    displacement_px: Floats
+
+
+def seen_at(shared: SeamGround, job: Sighting) -> Sights:
+    """Decodes a frame once and takes all its places."""
+    pixels, mask = read_pixels(job.frame, luma=True)
+    height, width, bands = pixels.shape
+    pixels = pixels[..., : 3 if bands >= 3 else 1]
+    shown, seen = [], []
+    for east, north in job.at_m:
+        corner = east - WINDOW_PX * shared.gsd_m / 2.0, north + WINDOW_PX * shared.gsd_m / 2.0
+        lattice = MapLattice(
+            shared.crs, shared.work_frame, shared.ground, *corner, shared.gsd_m, WINDOW_PX, WINDOW_PX
+        )
+        at = lattice.seen(job.pose, job.camera, slice(0, WINDOW_PX), slice(0, WINDOW_PX))
+        valid = (at.cols > 0.0) & (at.cols < width) & (at.rows > 0.0) & (at.rows < height)
+        if mask is not None:
+            rows, cols = (np.where(valid, a, 0.0).astype(np.intp) for a in (at.rows, at.cols))
+            valid &= mask[rows, cols] != 0
+        shown.append(resample(pixels, at.cols, at.rows, "cubic"))
+        seen.append(valid)
+    return Sights(np.stack(shown), np.stack(seen))
+
+
+def jump_between(place: tuple[Sights, Sights]) -> Jump:
+    """Compares how the left and the right frame show one place."""
+    grey = [np.where(s.valid[0], luma(np.moveaxis(s.pixels[0], 2, 0)), np.float32(0.0)) for s in place]
+    corners = patch_corners((WINDOW_PX, WINDOW_PX), PATCH_PX, PATCH_PX // 2)
+    found = measure_displacements(
+        grey[1],
+        grey[0],
+        place[1].valid[0],
+        place[0].valid[0],
+        corners,
+        patch_px=PATCH_PX,
+        search_px=SEARCH_PX,
+    )
+    count = len(found.displacement_px)
+    none = np.full(2, np.nan)
+    return Jump(count, np.median(found.displacement_px, axis=0) if count >= LEAST_PATCHES else none)
+
+
+def in_turn(name: str, function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """One after the other."""
+    return [function(item) for item in items]
+
+
 def check_seams(
     frames: Sequence[Frame],
     poses: Poses,
@@ -133,45 +205,26 @@ def check_seams(
     ground: GroundSurface,
     grid: OutputGrid,
     seamlines: Sequence[Seamline],
-    *,
-    threads: int = 2,
-    progress: Callable[[int, int], None] | None = None,
+    spread: Spread = in_turn,
 ) -> SeamCheck:
-    """Measures `seam_places` of a mosaic: frames are read again, a few at a time."""
+    """Measures `seam_places` of a mosaic: each frame that has some is decoded once."""
     places = seam_places(seamlines, WINDOW_PX * grid.gsd_m)
-    side = WINDOW_PX
-    half_m = side * grid.gsd_m / 2.0
-
-    @lru_cache(maxsize=_FRAMES_KEPT)
-    def grey(frame: int) -> tuple[NDArray[np.float32], NDArray[Any] | None]:
-        pixels, mask = read_pixels(frames[frame])
-        return luma(np.moveaxis(pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1], 2, 0)), mask
-
-    def measured(place: tuple[int, int, float, float]) -> tuple[int, Floats]:
-        left, right, east, north = place
-        corner = east - half_m, north + half_m
-        window = ground_window(grid.crs, work_frame, ground, *corner, grid.gsd_m, side, side)
-        a, b = (seen_on(window, poses[i], cameras[i], *grey(i)) for i in (left, right))
-        corners = patch_corners((WINDOW_PX, WINDOW_PX), PATCH_PX, PATCH_PX // 2)
-        found = measure_displacements(b[0], a[0], b[1], a[1], corners, patch_px=PATCH_PX, search_px=SEARCH_PX)
-        count = len(found.displacement_px)
-        none = np.full(2, np.nan)
-        return count, np.median(found.displacement_px, axis=0) if count >= LEAST_PATCHES else none
-
-    results = []
-    with unreferenced_is_fine(), ThreadPoolExecutor(threads) as pool:
-        try:
-            for done, result in enumerate(pool.map(measured, places), 1):
-                results.append(result)
-                if progress is not None:
-                    progress(done, len(places))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    at_m = np.array([p[2:] for p in places], dtype=np.float64).reshape(-1, 2)
+    of: dict[int, list[int]] = {}
+    for k, (left, right, _, _) in enumerate(places):
+        of.setdefault(left, []).append(k)
+        of.setdefault(right, []).append(k)
+    jobs = [Sighting(frames[i], poses[i], cameras[i], at_m[ks]) for i, ks in of.items()]
+    shared = SeamGround(grid.crs, grid.gsd_m, work_frame, ground)
+    sights: dict[tuple[int, int], Sights] = {}
+    for (i, ks), found in zip(of.items(), spread("seams", partial(seen_at, shared), jobs), strict=True):
+        sights |= {(i, k): Sights(found.pixels[n : n + 1], found.valid[n : n + 1]) for n, k in enumerate(ks)}
+    both = [(sights[left, k], sights[right, k]) for k, (left, right, _, _) in enumerate(places)]
+    jumps = spread("jumps at seams", jump_between, both)
     return SeamCheck(
         np.array([p[0] for p in places], dtype=np.int64),
         np.array([p[1] for p in places], dtype=np.int64),
-        np.array([p[2:] for p in places], dtype=np.float64).reshape(-1, 2),
-        np.array([count for count, _ in results], dtype=np.int64),
-        np.array([d for _, d in results], dtype=np.float64).reshape(-1, 2),
+        at_m,
+        np.array([jump.patches for jump in jumps], dtype=np.int64),
+        np.array([jump.displacement_px for jump in jumps], dtype=np.float64).reshape(-1, 2),
     )

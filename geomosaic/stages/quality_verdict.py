@@ -28,7 +28,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
         "ownership": Ownership,
@@ -63,8 +63,7 @@ class QualityVerdict(Stage):
             inputs["ground"],
             mosaic.grid,
             mosaic.seamlines,
-            threads=params.threads,
-            progress=lambda done, total: context.progress(done, total, "seams"),
+            lambda name, function, items: context.map(name, function, items, keys=range(len(items))),
         )
         image = adjusted.image_residuals
         at = adjusted.poses.positions_m

@@ -32,7 +32,7 @@ _REDUCTIONS: Annotated[
 _MEND: Final = "copy it again from the camera, or take it out of the folder"
 
 
-def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | None]:
+def read_pixels(frame: Frame, reduction: int = 1, *, luma: bool = False) -> tuple[NDArray[Any], Mask | None]:
     """A frame's pixels (rows, cols, bands) in the file's own type, and its mask of valid pixels.
 
     Bands are in the file's order (red, green, blue for colour); an alpha band goes into the mask.
@@ -43,7 +43,8 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     coordinates `reduced = full / reduction`; sizes are rounded up. JPEG is reduced while decoding. A
     reduced pixel is valid where all full ones are.
 
-    Args: reduction 1, 2, 4 or 8.
+    Args: reduction: 1, 2, 4 or 8; luma: of a JPEG in colour one band is enough, its brightness by ITU-R
+    BT.601, which it holds by itself; other files give all of theirs.
     Raises: `FileError` when the file can't be decoded whole; `ValueError` for another reduction.
     """
     if reduction not in _REDUCTIONS:
@@ -52,12 +53,14 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     for named in filter(None, (frame.path, frame.valid_mask)):
         if not Path(named).is_absolute():  # in the current folder lies what nobody named
             raise FileError("is no full path", file=named, mend="run the recipe again from its first stage")
+    bands = frame.bands
     if path.suffix.lower() in JPEG_SUFFIXES:
-        pixels, valid = _decode_jpeg(path, frame, reduction), None
+        bands = 1 if luma else bands
+        pixels, valid = _decode_jpeg(path, frame, bands, reduction), None
     else:
         pixels, valid = _read_tiff(path, frame.whole_rows)
         pixels = _mean(pixels, reduction)
-    expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), frame.bands)
+    expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)
     if pixels.shape != expected:
         raise FileError(f"has changed: {pixels.shape} pixels instead of {expected}", file=path, mend=_MEND)
     if frame.valid_mask is not None:
@@ -69,14 +72,14 @@ def read_pixels(frame: Frame, reduction: int = 1) -> tuple[NDArray[Any], Mask | 
     return pixels, None if valid is None else _least(valid, reduction)
 
 
-def _decode_jpeg(path: Path, frame: Frame, reduction: int) -> NDArray[Any]:
+def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArray[Any]:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
     parse_structure(data, path, whole=frame.whole_rows is None)  # what is missing is filled with grey
     try:
-        return decoded(data, frame.bands, reduction)
+        return decoded(data, bands, reduction)
     except ValueError as error:
         raise FileError("the JPEG can't be decoded", file=path, mend=_MEND) from error
 
