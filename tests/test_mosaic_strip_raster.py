@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from osgeo import gdal
 
 from geomosaic.export.cog import write_cog
-from geomosaic.mosaic.raster import BLOCK_ROWS, halved, writing_scene
+from geomosaic.mosaic.pyramid import halved
+from geomosaic.mosaic.raster import BLOCK_ROWS, writing_scene
 from geomosaic.mosaic.window import Composed, Window
 
 
@@ -45,8 +46,8 @@ def test_overviews_are_whole_and_the_cog_takes_them(tmp_path: Path) -> None:
         for top in range(0, height, BLOCK_ROWS):
             rows = slice(top, min(top + BLOCK_ROWS, height))
             shown = np.where(valid, pixels, 0)[rows]
-            assert not raster.write(block(top, shown[:, :700], valid[rows, :700]))
-            assert raster.write(block(top, shown[:, 700:], valid[rows, 700:], 700))
+            raster.write(block(top, shown[:, :700], valid[rows, :700]))
+            raster.write(block(top, shown[:, 700:], valid[rows, 700:], 700))
     write_cog(tmp_path / "a.tif", tmp_path / "cog.tif")
     for path in (tmp_path / "a.tif", tmp_path / "cog.tif"):
         dataset = gdal.Open(str(path))

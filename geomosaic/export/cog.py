@@ -10,10 +10,11 @@ from typing import Any, Final
 import numpy as np
 from osgeo import gdal
 
-from geomosaic import __version__
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, gdal_failures, gdal_options
 from geomosaic.doors.raster import OWN, open_with_osgeo
 from geomosaic.errors import InputError
+from geomosaic.mosaic.raster import COMPRESSION, SOFTWARE
+from geomosaic.mosaic.raster import OVERVIEWS as OVERVIEWS_MADE
 
 COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
     "deflate": ("PREDICTOR=YES", "LEVEL=3"),
@@ -30,6 +31,7 @@ LERC: Final = "lerc"
 OVERVIEWS: Final = ("average", "cubic", "bilinear", "lanczos", "nearest")
 _BLOCK_PX = 512
 _CACHE_BYTES = 256 << 20
+_COPIED_BYTES = 16 << 20
 _MOST_OVERVIEWS = 7
 _MOST_BLOCKS = 256
 """For statistics: 67 megapixels, a second, and means good to a hundredth."""
@@ -50,61 +52,88 @@ def write_cog(
     raster: Path,
     out: Path,
     *,
-    compression: str = "deflate",
+    compression: str = COMPRESSION,
     quality: int = 90,
     most_off: float = 0.0,
-    overviews: str = "average",
+    overviews: str = OVERVIEWS_MADE,
     threads: int = 2,
     progress: Progress | None = None,
 ) -> None:
     """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
 
-    The software and the ground pixel (`GSD_M`) stand in its metadata, an RPC where the raster has one, and
-    each band's statistics, of a sample of its blocks. quality: of LOSSY compressions, in %. most_off: by how
-    much values may change by LERC.
+    One that composition wrote is a COG already: its bytes are copied, unless it is to be kept otherwise; then
+    GDAL makes another one of it. The software and the ground pixel (`GSD_M`) stand in its metadata, an RPC
+    where the raster has one, and each band's statistics: the raster's own, or of a sample of its blocks.
+    quality: of LOSSY compressions, in %. most_off: by how much values may change by LERC.
     Raises: `InputError` if the compression can't hold these pixels; `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
     with callback.reraise(), gdal_failures(out), _block_cache(_CACHE_BYTES):
         source = open_with_osgeo(raster, OWN)
-        band = source.GetRasterBand(1)
-        eight_bits = band.DataType == gdal.GDT_Byte
-        if compression in LOSSY and not (eight_bits and source.RasterCount in (1, 3)):
-            kind = f"{source.RasterCount} bands of {gdal.GetDataTypeName(band.DataType)}"
-            raise InputError(
-                f"{compression} can't hold {kind}",
-                mend=f"choose {', '.join(LOSSLESS)} or {LERC} for export.cog.compression",
-            )
-        if compression == "webp" and source.RasterCount == 1:
-            raise InputError("webp can't hold one band", mend=f"choose jpeg, {', '.join(LOSSLESS)} or {LERC}")
-        options = [
-            f"COMPRESS={compression.upper()}",
-            f"BLOCKSIZE={_BLOCK_PX}",
-            "BIGTIFF=IF_SAFER",
-            f"OVERVIEW_RESAMPLING={overviews.upper()}",
-            f"NUM_THREADS={threads}",
-            *COMPRESSIONS[compression],
-        ]
-        if compression in LOSSY:
-            options.append(f"QUALITY={quality}")
-        if compression == LERC:
-            options.append(f"MAX_Z_ERROR={most_off:g}")
-        if max(source.RasterXSize, source.RasterYSize) > _BLOCK_PX << _MOST_OVERVIEWS:
-            # GDAL holds as many rows at once as one of the smallest overview stands for.
-            options.append(f"OVERVIEW_COUNT={_MOST_OVERVIEWS}")
+        if (compression, overviews) == (COMPRESSION, OVERVIEWS_MADE) and _is_composed(source):
+            del source
+            _copy(raster, out, callback)
+            return
+        options = _options(source, compression, quality, most_off, overviews)
         with gdal_options({"GDAL_PAM_ENABLED": "NO"}):
-            _write_statistics(source)
+            if not source.GetRasterBand(1).GetMetadataItem("STATISTICS_MEAN"):
+                _write_statistics(source)
         placed = source.GetGeoTransform(can_return_null=True)
         gsd = [f"GSD_M={placed[1]:.10g}"] if placed is not None else []
         done = gdal.Translate(
             str(out),
             source,
             format="COG",
-            creationOptions=options,
-            metadataOptions=[f"TIFFTAG_SOFTWARE=geomosaic {__version__}", *gsd],
+            creationOptions=[*options, f"NUM_THREADS={threads}"],
+            metadataOptions=[f"TIFFTAG_SOFTWARE={SOFTWARE}", *gsd],
             callback=callback,
         )
-        del done, band, source
+        del done, source
+
+
+def _is_composed(source: Any) -> bool:
+    """Whether composition wrote a raster, as `mosaic.raster` does."""
+    layout = source.GetMetadataItem("LAYOUT", "IMAGE_STRUCTURE")
+    return bool(layout == "COG" and source.GetMetadataItem("TIFFTAG_SOFTWARE") == SOFTWARE)
+
+
+def _copy(raster: Path, out: Path, progress: GdalProgress) -> None:
+    length, done = raster.stat().st_size, 0
+    with raster.open("rb") as source, out.open("wb") as copy:
+        while chunk := source.read(_COPIED_BYTES):
+            copy.write(chunk)
+            done += len(chunk)
+            if not progress(done / length, "", None):
+                return
+
+
+def _options(source: Any, compression: str, quality: int, most_off: float, overviews: str) -> list[str]:
+    """GDAL's creation options. Raises `InputError` if the compression can't hold these pixels."""
+    band = source.GetRasterBand(1)
+    if compression in LOSSY and not (band.DataType == gdal.GDT_Byte and source.RasterCount in (1, 3)):
+        kind = f"{source.RasterCount} bands of {gdal.GetDataTypeName(band.DataType)}"
+        raise InputError(
+            f"{compression} can't hold {kind}",
+            mend=f"choose {', '.join(LOSSLESS)} or {LERC} for export.cog.compression",
+        )
+    if compression == "webp" and source.RasterCount == 1:
+        raise InputError("webp can't hold one band", mend=f"choose jpeg, {', '.join(LOSSLESS)} or {LERC}")
+    options = [
+        f"COMPRESS={compression.upper()}",
+        f"BLOCKSIZE={_BLOCK_PX}",
+        "BIGTIFF=IF_SAFER",
+        f"OVERVIEW_RESAMPLING={overviews.upper()}",
+        f"OVERVIEWS={'AUTO' if overviews == OVERVIEWS_MADE else 'IGNORE_EXISTING'}",
+        *COMPRESSIONS[compression],
+    ]
+    if compression in LOSSY:
+        options.append(f"QUALITY={quality}")
+    if compression == LERC:
+        options.append(f"MAX_Z_ERROR={most_off:g}")
+    if max(source.RasterXSize, source.RasterYSize) > _BLOCK_PX << _MOST_OVERVIEWS:
+        # GDAL holds as many rows at once as one of the smallest overview stands for.
+        options.append(f"OVERVIEW_COUNT={_MOST_OVERVIEWS}")
+    return options
 
 
 def _write_statistics(source: Any) -> None:

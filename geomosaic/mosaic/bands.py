@@ -16,7 +16,8 @@ from geomosaic.camera.interior import Camera
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.plan import windows
-from geomosaic.mosaic.raster import TILE_PX, writing_mosaic
+from geomosaic.mosaic.pyramid import TILE_PX
+from geomosaic.mosaic.raster import writing_mosaic
 from geomosaic.mosaic.window import Composed
 from geomosaic.survey.model import Survey
 

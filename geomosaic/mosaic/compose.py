@@ -24,7 +24,7 @@ from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
 from geomosaic.mosaic.plan import Planning, asked_of, windows
-from geomosaic.mosaic.raster import writing_mosaic
+from geomosaic.mosaic.raster import Raster, writing_mosaic
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seamlines import SeamLabels
 from geomosaic.mosaic.sight import FrameOnMap, Sighting, seen_cells
@@ -121,19 +121,19 @@ def compose(
     labels = SeamLabels(grid, WINDOW_PX, cut=area is not None)
     gave_pixels: set[int] = set()
     names = [frame.name for frame in survey.frames]
-    order = windows(grid, WINDOW_PX)
-    if area is not None:
-        order = area.touched(grid, order)
+    whole = windows(grid, WINDOW_PX)
+    order = whole if area is None else area.touched(grid, whole)
     with (
         unreferenced_is_fine(),
         ThreadPoolExecutor(threads) as pool,
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
+        for window in set(whole) - set(order):
+            raster.leave_out(window)
         try:
-            for done, window in enumerate(walk.windows(order, pool)):
-                raster.write(window)
-                labels.add(window)
-                gave_pixels.update(window.gave)
+            for done, made in enumerate(walk.windows(order, pool, raster)):
+                labels.add(made)
+                gave_pixels.update(made.gave)
                 if progress is not None:
                     progress(done + 1, len(order))
         except BaseException:
@@ -171,8 +171,10 @@ class _Walk:
     spread: Spread
     check_cancelled: Callable[[], None] | None
 
-    def windows(self, order: Sequence[Window], pool: ThreadPoolExecutor) -> Iterator[Composed]:
-        """Windows of the grid in their order."""
+    def windows(
+        self, order: Sequence[Window], pool: ThreadPoolExecutor, raster: Raster
+    ) -> Iterator[Composed]:
+        """Windows of the grid in their order, each written by the thread that composed it."""
         plan = self._plan(order, pool)
         asked = {number: Asked(self._on_map(number), boxes) for number, boxes in asked_of(plan).items()}
         make = partial(frame_part, self.warping)
@@ -187,7 +189,8 @@ class _Walk:
                 pool,
                 lambda number: parts[number].load(),
             )
-            yield from composed(plan, self._composed, supply, pool, self.threads, self.check_cancelled)
+            work = partial(self._written, raster)
+            yield from composed(plan, work, supply, pool, self.threads, self.check_cancelled)
 
     def _plan(self, order: Sequence[Window], pool: ThreadPoolExecutor) -> list[Step]:
         scene, halo_px = self.warping.scene, self.manner.blend.halo_px(self.reach_px)
@@ -207,9 +210,12 @@ class _Walk:
     def _on_map(self, number: int) -> FrameOnMap:
         return FrameOnMap(self.survey.frames[number], self.sources[number].view)
 
-    def _composed(self, step: Step, parts: Mapping[int, FramePart]) -> Composed:
+    def _written(self, raster: Raster, step: Step, parts: Mapping[int, FramePart]) -> Composed:
         done = compose_window(self.manner, step, parts)
-        return done if self.area is None else done.cut(self.area.mask(self.warping.scene.grid, step.window))
+        if self.area is not None:
+            done = done.cut(self.area.mask(self.warping.scene.grid, step.window))
+        raster.write(done)
+        return done
 
 
 def common_kind(frames: Sequence[Frame]) -> Frame:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
-from geomosaic.mosaic.window import Composed, Step
+from geomosaic.mosaic.window import Step
 
+Made = TypeVar("Made")
 Materials = Mapping[int, Any]
 """Of each source, by its number, what it needs to show its part of a window."""
 
@@ -22,14 +23,14 @@ class Supply(Protocol):
 
 def composed(
     steps: Sequence[Step],
-    compose: Callable[[Step, Materials], Composed],
+    compose: Callable[[Step, Materials], Made],
     supply: Supply,
     pool: Executor,
     ahead: int,
     check_cancelled: Callable[[], None] | None = None,
-) -> Iterator[Composed]:
-    """All steps' windows in their order, `ahead` of them begun beyond the one that is taken."""
-    running: deque[Future[Composed]] = deque()
+) -> Iterator[Made]:
+    """What is made of all steps in their order, `ahead` of them begun beyond the one that is taken."""
+    running: deque[Future[Made]] = deque()
     begun = 0
     while begun < len(steps) or running:
         if check_cancelled is not None:
@@ -42,8 +43,8 @@ def composed(
 
 
 def _given(
-    compose: Callable[[Step, Materials], Composed], step: Step, materials: Mapping[int, Future[Any]]
-) -> Composed:
+    compose: Callable[[Step, Materials], Made], step: Step, materials: Mapping[int, Future[Any]]
+) -> Made:
     return compose(step, {number: material.result() for number, material in materials.items()})
 
 

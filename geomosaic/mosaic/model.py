@@ -76,7 +76,7 @@ class Holes:
 
 @dataclass(frozen=True)
 class Mosaic:
-    """The composed mosaic, as an uncompressed raster with an internal mask.
+    """The composed mosaic, as a COG with an internal mask.
 
     raster: the raster's name inside the run folder. frames_used: indices of frames that gave pixels.
     band_names: of a rig's bands, in the raster's order. holes: none smaller than a cell of the seamlines is

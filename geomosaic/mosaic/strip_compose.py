@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -20,7 +21,7 @@ from geomosaic.doors.raster import READ_CACHE_MB, STRIP, open_raster, unreferenc
 from geomosaic.errors import UnknownNameError
 from geomosaic.mosaic.blends import BLENDS, STEP_PX, Blend
 from geomosaic.mosaic.driver import composed
-from geomosaic.mosaic.raster import BLOCK_ROWS, writing_scene
+from geomosaic.mosaic.raster import BLOCK_ROWS, Raster, writing_scene
 from geomosaic.mosaic.strip_lines import StripLines
 from geomosaic.mosaic.strip_source import StripBlocks, StripSource
 from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
@@ -87,12 +88,12 @@ def compose_strips(
         manner = Manner(BLENDS[blend], 1, dtype, highest=2**geometry.bit_depth - 1)
         with writing_scene(raster_path, width, height, dtype, geometry.bit_depth, rpc) as raster:
             blocks = StripBlocks(sources, steps, rows, pool)
-            work = partial(compose_window, manner)
+            work = partial(_written, raster, manner)
             ahead = len(columns) + threads
             try:
                 for window in composed(steps, work, blocks, pool, ahead, check_cancelled):
-                    if raster.write(window) and progress is not None:
-                        progress(window.window.row + window.window.height, height)
+                    if window.col + window.width == width and progress is not None:
+                        progress(window.row + window.height, height)
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
@@ -108,6 +109,11 @@ def compose_strips(
         lines_read=tuple(read.values()),
         gaps_px=_gaps([layout.cols(s.ccd) for s in sources], width),
     )
+
+
+def _written(raster: Raster, manner: Manner, step: Step, materials: Mapping[int, Any]) -> Window:
+    raster.write(compose_window(manner, step, materials))
+    return step.window
 
 
 def _sources(

@@ -23,7 +23,7 @@ class ExportCog(Stage):
     id = "export.cog"
     display_name = "Write the mosaic as COG"
     group = "Export"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"raster_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     results: ClassVar[tuple[str, ...]] = (MOSAIC,)
@@ -44,7 +44,7 @@ class ExportCog(Stage):
         threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """From the raster in RUN/work."""
+        """From the raster in RUN/work, which is a COG already: as it is, or kept in another way."""
         raster = context.path_of(inputs["raster_file"])
         with context.writing(MOSAIC) as path:
             write_cog(

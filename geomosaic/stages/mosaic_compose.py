@@ -35,7 +35,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 12
+    version = 13
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -80,7 +80,7 @@ class MosaicCompose(Stage):
         return [(BLENDS_GROUP, params.blend)]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Composes into RUN/work, and reports to run.json what came out."""
+        """Composes a COG into RUN/work, and reports to run.json what came out."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
         ground = inputs["ground"]
