@@ -4,7 +4,7 @@ Unknowns at every knot: the motion b and one own part p per pair, columns and li
 b + p. What can be expected of a curve between measurements is learned from the scene itself: an
 autoregression, of some order for the motion, whose jitter is a few nearly pure tones, and of a low one for
 the own parts (drift angle, mounting, relief). It holds forwards and backwards. The normal equations are
-sparse along the strip and solved by Cholesky.
+a band along the strip and solved by Cholesky.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.ccd.banded import Banded
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import CHOSEN, Because
@@ -227,7 +226,7 @@ def smooth_with_shift(
 
 def _equations(
     offset_px: Floats, information: Floats, level_px: Floats, habits: Habits
-) -> tuple[BlockTridiagonal, Floats]:
+) -> tuple[Banded, Floats]:
     """Normal equations of the curves less their levels: factors, and the right side (knots, 2 + 2 pairs)."""
     k, n = offset_px.shape[:2]
     offset_px = offset_px - level_px[:, None]
@@ -243,7 +242,9 @@ def _equations(
         right[:, mine] = pulled[p]
     spread = np.array([habits.reach_px] * 2 + [_OWN_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
-    return BlockTridiagonal(_matrix(diagonal, _bands(habits, n, k))), right
+    own, *beside = _bands(habits, n, k)
+    diagonal[:, np.arange(size), np.arange(size)] += own
+    return Banded(diagonal, beside), right
 
 
 def _curves(solved: Floats, level_px: Floats, covariance: Floats | None) -> Smoothed:
@@ -354,26 +355,3 @@ def _bands(habits: Habits, knots: int, pairs: int) -> list[Floats]:
                     for j in range(i, order + 1):
                         out[(j - i) * step][i * step : i * step + rows, column] += taps[i] * taps[j]
     return out
-
-
-def _matrix(diagonal: Floats, bands: list[Floats]) -> bsr_matrix:
-    n, size = diagonal.shape[:2]
-    along = np.arange(size)
-    diagonal[:, along, along] += bands[0]
-    reach = min(len(bands) - 1, n - 1)
-    blocks, row, column = [diagonal], [np.arange(n)], [np.arange(n)]
-    for d in range(1, reach + 1):
-        block = np.zeros((n - d, size, size))
-        block[:, along, along] = bands[d]
-        lower, upper = np.arange(d, n), np.arange(n - d)
-        blocks += [block, block]
-        row += [upper, lower]
-        column += [lower, upper]
-    rows, columns = np.concatenate(row), np.concatenate(column)
-    order = np.lexsort((columns, rows))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))])
-    return bsr_matrix(
-        (np.concatenate(blocks)[order], columns[order], starts),
-        shape=(n * size, n * size),
-        blocksize=(size, size),
-    )

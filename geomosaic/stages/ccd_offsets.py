@@ -25,7 +25,7 @@ class CcdOffsets(Stage):
     id = "ccd.offsets"
     display_name = "Offsets between the strips"
     group = "CCD strips"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
     outputs: ClassVar[dict[str, type]] = {"offsets": StripOffsets}
 
