@@ -306,17 +306,22 @@ class Context:
                     done[i] = take(Kept(returns, place.mark, place.path))
                 except (OSError, FileError):
                     files.remove(place.path)
+        if done:
+            self.inform(f"{name}: {len(done)} of {len(places)} are there from before")
         with self._for_workers(name, function, len(done) < len(places)) as work:
             waiting = ((i, item) for i, item in enumerate(items) if i not in done)
             running: dict[Future[Any], int] = {}
-            most = 2 * self._workers.workers if self._workers.workers > 1 else 1
             while True:
                 self.progress(len(done), len(places), name)
-                for i, item in itertools.islice(waiting, most - len(running)):
+                most = 2 * self._workers.workers if self._workers.elsewhere else 1
+                for i, item in itertools.islice(waiting, max(0, most - len(running))):
                     running[self._workers.submit(work, item)] = i
                 if not running:
                     break
-                for future in wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done:
+                finished = wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done
+                if not finished:
+                    self._workers.check()
+                for future in finished:
                     i = running.pop(future)
                     place, data = places[i], self._workers.result(future)
                     if place.path is not None:

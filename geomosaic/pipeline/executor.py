@@ -6,20 +6,24 @@ A worker process is started with its thread limits in the environment, so that n
 from __future__ import annotations
 
 import importlib
+import logging
 import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.context import SpawnContext
 from typing import Any
 
+from geomosaic import __version__
 from geomosaic.errors import GeomosaicError, InputError
 
 ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -28,10 +32,15 @@ ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _THREAD_LIMITS = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM")
 
 DASK_TIMEOUT_S = 10.0
+DASK_PATIENCE_S = 30.0
+"""How long a cluster may be without any worker: as long as one takes to be started anew."""
 
 
-def _guarded(function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
+def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
     """(result, process id, peak memory of that process in bytes); runs in the worker."""
+    if version != __version__:
+        mine, mend = f"the worker on {socket.gethostname()} has geomosaic {__version__}", "install the same"
+        raise InputError(f"{mine}, the run {version}", mend=mend)
     cv2 = sys.modules.get("cv2")
     if cv2 is not None:
         cv2.setNumThreads(1)
@@ -141,6 +150,7 @@ class Workers:
         self.peak_memory_bytes: dict[int, int] = {}
         self._dask = dask
         self._client: Any = None
+        self._deserted_s: float | None = None
         self._processes = _Processes()
         self._pool: Executor | None = None
 
@@ -170,15 +180,39 @@ class Workers:
             raise InputError(
                 f"no Dask scheduler answers at {address}", mend="start one or leave --dask away"
             ) from error
-        self.workers = max(1, sum(self._client.nthreads().values()))
+        for name in ("distributed", "distributed.client"):  # whose lines are tracebacks when a cluster dies
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self.check()
         executor: Executor = self._client.get_executor(pure=False)
         return executor
+
+    def check(self) -> None:
+        """Counts who is at work on Dask: workers come and go. To be asked while no result comes.
+
+        Raises: `GeomosaicError` where none is left for long.
+        """
+        if self._client is None:
+            return
+        try:
+            threads = sum(self._client.nthreads().values())
+        except (OSError, ValueError) as error:
+            raise self._scheduler_gone() from error
+        self.workers = max(1, threads)
+        if threads:
+            self._deserted_s = None
+        elif self._deserted_s is None:
+            self._deserted_s = time.monotonic()
+        elif time.monotonic() - self._deserted_s > DASK_PATIENCE_S:
+            raise GeomosaicError(f"no Dask worker is left at {self._dask}{_AGAIN}")
+
+    def _scheduler_gone(self) -> GeomosaicError:
+        return GeomosaicError(f"the Dask scheduler at {self._dask} is gone{_AGAIN}")
 
     def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         """A future of what `result` understands."""
         try:
             with _without_interrupts(), _one_thread_each():
-                return self._executor().submit(_guarded, function, item)
+                return self._executor().submit(_guarded, __version__, function, item)
         except BrokenProcessPool as error:
             raise _died() from error
 
@@ -188,6 +222,12 @@ class Workers:
             result, pid, peak = future.result()
         except BrokenProcessPool as error:
             raise _died() from error
+        except CancelledError as error:
+            raise self._scheduler_gone() from error
+        except Exception as error:
+            if type(error).__name__ != "KilledWorker":
+                raise
+            raise GeomosaicError("workers died over the same work, most likely for want of memory") from error
         self.peak_memory_bytes[pid] = max(peak, self.peak_memory_bytes.get(pid, 0))
         return result
 
@@ -202,6 +242,9 @@ class Workers:
             self._pool.shutdown(wait=error is None)
         if self._client is not None:
             self._client.close()
+
+
+_AGAIN = "; start it anew and run again; what is done is kept"
 
 
 def _died() -> GeomosaicError:
