@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,31 +138,28 @@ def _stretch(knots_px: Floats, off_px: Floats) -> int:
 def _valid(lines: Lines, count: int, knots_px: Floats, image_px: Floats, cols: tuple[int, int]) -> Flags:
     """Where the nearest pixel is one of the strip's and valid, (rows, cols)."""
     height, width = lines.pixels.shape
-    first, last = np.searchsorted(knots_px, [cols[0] + 0.5, cols[1] - 0.5], side="right")
-    about = image_px[..., max(first - 1, 0) : last + 1]
-    size = np.array([width, count])[:, None, None]
-    beyond = np.asarray(((about < 0.0).all(axis=2) | (about > size).all(axis=2)).any(axis=0))
-    asked = ~beyond
-    if lines.valid is None:
-        asked &= ~_within(about, size).all(axis=(0, 2))
-    valid = np.repeat(~beyond[:, None], cols[1] - cols[0], axis=1)
-    if asked.any():
-        image = _between_knots(knots_px, image_px[:, asked], np.arange(cols[0] + 0.5, cols[1]))
-        valid[asked] = _within(image, size).all(axis=0)
-        if lines.valid is not None:
-            col, line = np.floor(np.nan_to_num(image)).astype(np.intp)
-            row = np.clip(line - lines.first, 0, height - 1)
-            valid[asked] &= lines.valid[row, np.clip(col, 0, width - 1)]
+    middles = np.arange(cols[0] + 0.5, cols[1])
+    first, last = np.searchsorted(knots_px, middles[[0, -1]], side="right")
+    valid = np.ones((image_px.shape[1], cols[1] - cols[0]), dtype=bool)
+    for at, size in zip(image_px, (width, count), strict=True):
+        about = at[:, max(first - 1, 0) : last + 1]
+        valid[(about < 0.0).all(axis=1) | (about > size).all(axis=1)] = False
+        asked = valid.any(axis=1) & ~_within(about, size).all(axis=1)
+        if asked.any():
+            valid[asked] &= _within(_between_knots(knots_px, at[asked], middles), size)
+    if lines.valid is not None:
+        col, line = np.floor(np.nan_to_num(_between_knots(knots_px, image_px, middles))).astype(np.intp)
+        valid &= lines.valid[np.clip(line - lines.first, 0, height - 1), np.clip(col, 0, width - 1)]
     return valid
 
 
-def _within(at_px: Floats, size: Any, beyond_px: float = 0.0) -> Flags:
+def _within(at_px: Floats, size: int, beyond_px: float = 0.0) -> Flags:
     """What lies within 0 and a size, or as much beyond; not what isn't known."""
     return np.asarray((at_px >= -beyond_px) & (at_px <= size + beyond_px))
 
 
 def _between_knots(knots_px: Floats, at_knots: Floats, cols: Floats) -> Floats:
-    """What is given (2, rows, m) at knots, straight in between at raster cols (n,): (2, rows, n)."""
+    """What is given (..., m) at knots, straight in between at raster cols (n,): (..., n)."""
     k = np.clip(np.searchsorted(knots_px, cols, side="right") - 1, 0, len(knots_px) - 2)
     share = (cols - knots_px[k]) / (knots_px[k + 1] - knots_px[k])
     return np.asarray(at_knots[..., k] + share * (at_knots[..., k + 1] - at_knots[..., k]))
