@@ -24,6 +24,7 @@ from geomosaic.ccd.model import (
     Settings,
 )
 from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.parallel import each
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.strips import StripGeometry
@@ -171,10 +172,10 @@ def _solved(
     step = likely.knot_lines
     first, last = window.first * step, window.last * step
     before = [px[first:].copy() for px in known_px]
-    pairs = [
-        row_pair(strips, pair, first, last, px[first:last])
-        for pair, px in zip(strips.pairs, known_px, strict=True)
-    ]
+    pairs = each(
+        lambda k: row_pair(strips, strips.pairs[k], first, last, known_px[k][first:last]),
+        range(len(known_px)),
+    )
 
     def begun(lost: list[Step]) -> Start:
         for px, mine in zip(known_px, before, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from threading import Lock
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -70,7 +71,8 @@ class Strips:
 
 
 class StripFiles(Strips):
-    """Strips as GDAL reads them; the last piece of each is kept, so that both its edges are read at once.
+    """Strips as GDAL reads them, for any number of threads; the last piece of each is kept, so that both its
+    edges are read at once.
 
     Raises: `FileError` when a strip can't be read whole.
     """
@@ -79,10 +81,16 @@ class StripFiles(Strips):
         super().__init__(geometry, self._read)
         self._open = ExitStack()
         self._files: dict[int, Any] = {}
+        self._locks = [Lock() for _ in geometry.ccds]
         self._kept: dict[int, tuple[tuple[int, int], dict[Edge, NDArray[Any]]]] = {}
 
     def __enter__(self) -> Self:
-        self._open.enter_context(rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB))
+        with ExitStack() as files:
+            files.enter_context(rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB))
+            for k, ccd in enumerate(self.geometry.ccds):
+                if ccd.path is not None:
+                    self._files[k] = files.enter_context(open_raster(ccd.path, STRIP))
+            self._open = files.pop_all()
         return self
 
     def __exit__(
@@ -91,25 +99,22 @@ class StripFiles(Strips):
         self._open.close()
 
     def _read(self, ccd: int, edge: Edge, start: int, stop: int) -> NDArray[Any]:
-        if ccd not in self._kept or self._kept[ccd][0] != (start, stop):
-            self._kept[ccd] = (start, stop), self._edges(ccd, start, stop)
-        return self._kept[ccd][1][edge]
+        with self._locks[ccd]:
+            if ccd not in self._kept or self._kept[ccd][0] != (start, stop):
+                self._kept[ccd] = (start, stop), self._edges(ccd, start, stop)
+            return self._kept[ccd][1][edge]
 
     def _edges(self, ccd: int, start: int, stop: int) -> dict[Edge, NDArray[Any]]:
         path, read = self.geometry.ccds[ccd].path, self.geometry.read_px
         assert path is not None
+        last = self.geometry.width_px - read
+        windows: dict[Edge, Window] = {
+            "left": Window(0, start, read, stop - start),
+            "right": Window(last, start, read, stop - start),
+        }
         try:
-            if ccd not in self._files:
-                self._files[ccd] = self._open.enter_context(open_raster(path, STRIP))
-            strip, last = self._files[ccd], self.geometry.width_px - read
-            windows: dict[Edge, Window] = {
-                "left": Window(0, start, read, stop - start),
-                "right": Window(last, start, read, stop - start),
-            }
-            return {edge: strip.read(1, window=window) for edge, window in windows.items()}
+            return {edge: self._files[ccd].read(1, window=window) for edge, window in windows.items()}
         except (RasterioError, ValueError, OSError) as error:
-            if isinstance(error, FileError):
-                raise
             raise FileError(f"can't be read: {error}", file=path, mend=_MEND) from error
 
 

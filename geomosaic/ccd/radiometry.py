@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import cv2
@@ -23,6 +24,7 @@ from geomosaic.ccd.model import (
     StripOffsets,
 )
 from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.parallel import each
 from geomosaic.constants import CHOSEN, Because
 
 _PIECE_LINES: Annotated[
@@ -163,14 +165,19 @@ def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress)
     longest = max(g.lines)
     tops = np.arange(0, longest, _PIECE_LINES)
     tops = tops[np.unique(np.linspace(0, len(tops) - 1, min(len(tops), _MOST_PIECES)).astype(np.intp))]
+
+    def of_pair(pair: int, top: int) -> list[Blocks]:
+        first = top + (0 if g.side(pair) > 0 else lag)
+        stop = min(first + _PIECE_LINES, strips.lines(pair))
+        if stop <= first:
+            return []
+        overlap = strips.overlap(pair, first - _SPARE_LINES, stop + _SPARE_LINES)
+        return [blocks(overlap, strips, curves.get(pair))]
+
     found: dict[int, list[Blocks]] = {pair: [] for pair in strips.pairs}
-    for done, top in enumerate(tops):
-        for pair in strips.pairs:
-            first = int(top) + (0 if g.side(pair) > 0 else lag)
-            stop = min(first + _PIECE_LINES, strips.lines(pair))
-            if stop > first:
-                overlap = strips.overlap(pair, first - _SPARE_LINES, stop + _SPARE_LINES)
-                found[pair].append(blocks(overlap, strips, curves.get(pair)))
+    for done, top in enumerate(tops.tolist()):
+        for pair, part in zip(strips.pairs, each(partial(of_pair, top=top), strips.pairs), strict=True):
+            found[pair] += part
         progress(done + 1, len(tops))
     lines = {pair: straight_line(parts, 2.0**g.bit_depth - 1) for pair, parts in found.items()}
     ccds = len(g.ccds)

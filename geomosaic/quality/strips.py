@@ -22,6 +22,7 @@ from geomosaic.ccd.model import (
     StripOffsets,
 )
 from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.parallel import each
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.matching.least_squares_matching import bspline_weights
@@ -197,16 +198,10 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
     the block's patches, not of the measurable ones alone.
     """
     pairs, errors, other_errors = [], [], []
-    total = sum(strips.lines(p.pair) for p in offsets.pairs)
-    done = seen_lines = unmeasured = other = 0
+    seen_lines = unmeasured = other = 0
     label = MEASURED if any((p.label == MEASURED).any() for p in offsets.pairs) else BRIDGED
-    for pair in offsets.pairs:
+    for pair, parts in zip(offsets.pairs, _pieces(strips, offsets, label, progress), strict=True):
         lines = strips.lines(pair.pair)
-        parts = []
-        for start in range(0, lines, _PIECE_LINES):
-            parts.append(_piece(strips, pair, label, start, min(start + _PIECE_LINES, lines)))
-            done += min(_PIECE_LINES, lines - start)
-            progress(done, total)
         residual, sd, elsewhere = (np.concatenate(v) for v in zip(*parts, strict=True))
         residual = confirmed(residual)
         seen = common_lines(strips.geometry, pair.pair, pair.dline_px)
@@ -281,6 +276,25 @@ def quality_metrics(quality: StripQuality) -> dict[str, object]:
 
 def _plain(value: float) -> float | None:
     return round(value, 6) if np.isfinite(value) and value >= 0.0 else None
+
+
+def _pieces(
+    strips: Strips, offsets: StripOffsets, label: int, progress: Progress
+) -> list[list[tuple[Floats, Floats, Floats]]]:
+    """Of each pair what its pieces show."""
+    lines = [strips.lines(pair.pair) for pair in offsets.pairs]
+    found: list[list[tuple[Floats, Floats, Floats]]] = [[] for _ in lines]
+    for start in range(0, max(lines, default=0), _PIECE_LINES):
+        stop = start + _PIECE_LINES
+        here = [k for k, of_pair in enumerate(lines) if of_pair > start]
+
+        def shown(k: int, start: int = start, stop: int = stop) -> tuple[Floats, Floats, Floats]:
+            return _piece(strips, offsets.pairs[k], label, start, min(stop, lines[k]))
+
+        for k, part in zip(here, each(shown, here), strict=True):
+            found[k].append(part)
+        progress(sum(min(stop, of_pair) for of_pair in lines), sum(lines))
+    return found
 
 
 def _piece(
