@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import Annotated, Final
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses
 from geomosaic.ccd.model import BRIDGED, UNRELIABLE, Floats, PairOffsets, Progress, Settings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
@@ -190,6 +189,7 @@ def _filled(values: Floats) -> Floats:
 def _attitude_noise_px(model: Pushbroom) -> tuple[float, float]:
     """Noise of single attitudes along (pitch) and across (roll), from their third differences."""
     third = np.diff(model.roll_pitch_yaw_rad[:, :2], n=3, axis=0)
-    roll, pitch = median_abs_deviation(third, axis=0, scale="normal") / np.sqrt(20.0)
+    usual = np.median(np.abs(third - np.median(third, axis=0)), axis=0)
+    roll, pitch = NORMAL_PER_MAD * usual / np.sqrt(20.0)
     pixel_rad = float(np.abs(model.right_tan[:, 1]).mean())
     return float(pitch) / pixel_rad, float(roll) / pixel_rad

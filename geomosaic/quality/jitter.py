@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
-from scipy.signal import detrend
 
 from geomosaic.ccd.model import Floats, StripOffsets
 from geomosaic.constants import CHOSEN, Because
@@ -124,7 +123,14 @@ def _spectrum(series: Sequence[Floats], rate_hz: float) -> Spectrum:
     power = np.zeros((2, int(wanted.sum())))
     for s in series:
         window = np.hanning(s.shape[1])
-        amplitude = 2.0 / window.sum() * np.abs(rfft(detrend(s, axis=1) * window, size, axis=1))
+        amplitude = 2.0 / window.sum() * np.abs(rfft(_levelled(s) * window, size, axis=1))
         power += amplitude[:, wanted] ** 2 / len(series)
     across, along = np.sqrt(power)
     return Spectrum(frequency[wanted], across, along)
+
+
+def _levelled(series: Floats) -> Floats:
+    """Series (2, n) less the straight lines through them."""
+    at = np.linspace(-1.0, 1.0, series.shape[1])
+    apart = series - series.mean(axis=1, keepdims=True)
+    return np.asarray(apart - np.outer(apart @ at / (at @ at), at))

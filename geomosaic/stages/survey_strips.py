@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from geomosaic.doors.raster import STRIP, open_raster, reading
+from geomosaic.ccd.parallel import each
+from geomosaic.doors.raster import STRIP, open_raster, reading, unreferenced_is_fine
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
@@ -58,8 +59,12 @@ class SurveyStrips(Stage):
             if lines < longest:
                 text = f"has {lines} lines, the longest strip {longest}; the rest of its place stays empty"
                 context.warn("strip-short", ccd.path.name, text)
-            context.check_cancelled()
-            context.recorder.image("/strips", ccd.path.name, thumbnail(_glance(ccd.path)))
+        paths = [ccd.path for ccd in geometry.ccds if ccd.path is not None]
+        with unreferenced_is_fine():
+            seen = each(_glance, paths)
+        context.check_cancelled()
+        for path, image in zip(paths, seen, strict=True):
+            context.recorder.image("/strips", path.name, thumbnail(image))
         return {"strips": geometry}
 
 
