@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -14,20 +17,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mosaic_scenes import CRS, GSD_M, make_survey
 
+from geomosaic.camera.interior import Camera
 from geomosaic.errors import PluginError
+from geomosaic.mosaic import seam_cut
 from geomosaic.mosaic.blends import BLENDS, Blend, Piece
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.driver import InMemory
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.mosaic.ownership import Ownership, cell_px_of, frame_cells, nearest_nadir
 from geomosaic.mosaic.plan import windows
 from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
 from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.seam_cut import Part, bands, cut_seams, giving, seam_figures
+from geomosaic.mosaic.seam_cut import Shared, cut_pair, cut_seams
+from geomosaic.mosaic.seam_figures import seam_figures
+from geomosaic.mosaic.seam_parts import Glimpse, Part, bands, giving, glimpsed
+from geomosaic.mosaic.spread import AtOnce
 from geomosaic.mosaic.views import frame_views
 from geomosaic.mosaic.window import Window
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
 
 REACH_PX = 48.0
 
@@ -141,22 +150,28 @@ def test_windows_anywhere_see_the_same_owners() -> None:
     assert around[-1].tolist() == [5, 6, 7] and around[0].tolist() == [1, 2, 3]
 
 
+def glimpses(survey: Survey, scene: Scene) -> tuple[Ownership, list[Part]]:
+    """The nearest frames' cells, and what each frame may give of them."""
+    nearest, distance_m = nearest_nadir(scene, [True] * len(survey.frames), 8)
+    jobs = [Glimpse(survey.frames[b.view.frame], 1, b)
+            for b in bands(scene, nearest, distance_m, giving(scene, nearest))]  # fmt: skip
+    return nearest, [glimpsed(scene, 8, None, job) for job in jobs]
+
+
 def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
     """Two frames alike in one lane of cells only, which leads beside the line halfway between them."""
-    *_, scene = scene_of(tmp_path, lines=1, per_line=2)
-    nearest, distance_m = nearest_nadir(scene, [True] * 2, 8)
-    found = list(bands(scene, nearest, distance_m, giving(scene, nearest)))
-    one, other = (cells.of_all for cells, *_ in found)
+    survey, *_, scene = scene_of(tmp_path, lines=1, per_line=2)
+    nearest, found = glimpses(survey, scene)
+    one, other = (part.of_all for part in found)
     rows, cols = (range(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
     across = len(cols) < len(rows)
     shared = cols if across else rows
     lane = shared[len(shared) // 2 + 2]
     parts = []
-    for k, (cells, may, _) in enumerate(found):
-        row, col = np.mgrid[cells.of_all]
+    for k, part in enumerate(found):
+        row, col = np.mgrid[part.of_all]
         off = np.abs((col if across else row) - lane) > 1
-        values = np.where(off, 100.0 + 60.0 * k, 100.0).astype(np.float32)
-        parts.append(Part(cells.view.frame, cells.view.nadir_m, cells.row, cells.col, values[..., None], may))
+        parts.append(replace(part, values=np.where(off, 100.0 + 60.0 * k, 100.0)[..., None]))
     cut = cut_seams(nearest, parts)
     before, after = (seam_figures(o, parts) for o in (nearest, cut))
     assert before.difference_mean > 30.0 > 10.0 > after.difference_mean
@@ -169,19 +184,77 @@ def test_seams_keep_off_what_stands_on_the_ground(tmp_path: Path) -> None:
     off_m, up_m = np.abs(np.arange(201) - 100.0), np.zeros((201, 201))
     up_m[np.ix_(off_m <= 5, off_m <= 5)] = 6.0
     house = GroundSurface("dem", -100.0, -100.0, 1.0, up_m)
-    *_, scene = scene_of(tmp_path, lines=1, per_line=2, ground=house)
-    nearest, distance_m = nearest_nadir(scene, [True] * 2, 8)
+    survey, *_, scene = scene_of(tmp_path, lines=1, per_line=2, ground=house)
+    nearest, found = glimpses(survey, scene)
     parts = []
-    for k, (cells, may, high) in enumerate(bands(scene, nearest, distance_m, giving(scene, nearest))):
-        assert high is not None and 0.0 < high.mean() < 0.1
-        values = np.full((*may.shape, 1), 100.0 + 5.0 * k, np.float32)
-        parts.append(Part(cells.view.frame, cells.view.nadir_m, cells.row, cells.col, values, may, high))
+    for k, part in enumerate(found):
+        assert part.standing is not None and 0.0 < part.standing.mean() < 0.1
+        parts.append(replace(part, values=np.full((*part.may.shape, 1), 100.0 + 5.0 * k)))
     cut = cut_seams(nearest, parts)
     assert (seam_figures(nearest, parts).on_objects or 0.0) > 0.05
     assert seam_figures(cut, parts).on_objects == 0.0
     blind = [replace(p, standing=None) for p in parts]
     assert seam_figures(cut_seams(nearest, blind), parts).on_objects != 0.0
     assert seam_figures(cut, blind).on_objects is None
+
+
+def crossed(first: np.ndarray, difference: np.ndarray) -> float:
+    """What a cut costs: how far both differ at both cells of each of its steps."""
+    total = 0.0
+    for axis in (0, 1):
+        one, other = (np.moveaxis(first, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+        left, right = (np.moveaxis(difference, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+        total += float((left + right)[one != other].sum())
+    return total
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_large_cut_is_as_good_as_one_in_small_cells_alone(seed: int) -> None:
+    """What either frame alone may give stays its own; the rest costs at most a tenth more than the least."""
+    rng = np.random.default_rng(seed)
+    coarse = cv2.resize(rng.uniform(0.0, 60.0, (25, 25)), (200, 200), interpolation=cv2.INTER_CUBIC)
+    difference = np.abs(coarse + rng.normal(0.0, 4.0, (200, 200)))
+    col = np.arange(200) + rng.integers(-3, 3, (200, 1))
+    one, other = col < 170, col > 30
+    assert (one & other).sum() > seam_cut._MANY_CELLS
+    values = np.zeros((200, 200, 1)), difference[..., None]
+    first = cut_pair(1.0, Shared((one, other), values, None))
+    assert first[one & ~other].all() and not first[other & ~one].any()
+    shown = [np.repeat(of, 3, axis=2).astype(np.float32) for of in values]
+    least = np.where(one & other, seam_cut._least_cut(shown, one, other), one)
+    assert crossed(first, difference) <= 1.1 * crossed(least, difference)
+
+
+def test_pairs_cut_at_once_have_no_frame_in_common(tmp_path: Path) -> None:
+    """So the seams are the same, whoever cuts which pair first."""
+    survey, *_, scene = scene_of(tmp_path)
+    nearest, parts = glimpses(survey, scene)
+    rounds: list[int] = []
+
+    class Backwards(AtOnce):
+        def map(self, name: str, function: Any, items: Sequence[Any], keys: Sequence[Any]) -> list[Any]:
+            rounds.append(len(items))
+            return super().map(name, function, items[::-1], keys[::-1])[::-1]
+
+    backwards = cut_seams(nearest, parts, Backwards())
+    assert len(rounds) < sum(rounds) and max(rounds) <= len(parts) // 2
+    assert np.array_equal(backwards.owner, cut_seams(nearest, parts).owner)
+
+
+def test_places_between_cells_that_are_exact(tmp_path: Path) -> None:
+    """Hills, seen tilted: to half a pixel; where the lens ends near the frame, all are exact."""
+    wave = 8.0 * np.sin(np.arange(101) / 8.0)
+    hills = GroundSurface("dem", -150.0, -150.0, 3.0, wave[:, None] + wave)
+    *_, scene = scene_of(tmp_path, ground=hills, camera=Camera("cam", 240, 180, 200.0, 120.0, 90.0))
+    off: list[float] = []
+    for view in scene.views:
+        exact, smooth = (frame_cells(scene, view, 1, smooth=s) for s in (False, True))
+        away = np.hypot(exact.cols_px - smooth.cols_px, exact.rows_px - smooth.rows_px)
+        off += away[exact.margin_px > 0.0].tolist()
+    assert 0.01 < max(off) < 0.5
+    for view in scene.views:  # cells so large that the lens ends within one of the frame's corners
+        exact, smooth = (frame_cells(scene, view, 8, smooth=s) for s in (False, True))
+        assert np.array_equal(exact.cols_px, smooth.cols_px, equal_nan=True)
 
 
 def test_the_mosaic_is_made_as_it_is_owned(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import Mosaic
+from geomosaic.mosaic.spread import AtOnce
 from geomosaic.mosaic.views import frame_views
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
@@ -63,14 +64,16 @@ def test_each_frame_is_decoded_once(tmp_path: Path) -> None:
     mosaic = compose(survey, poses, cameras, [True] * 6, ground, grid, tmp_path / "mosaic.tif")
     given: dict[str, list[Any]] = {}
 
-    def backwards(name: str, function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-        given[name] = list(items)
-        return [function(item) for item in reversed(items)][::-1]
+    class Backwards(AtOnce):
+        def map(self, name: str, function: Any, items: Sequence[Any], keys: Sequence[Any]) -> list[Any]:
+            given[name] = list(items)
+            return super().map(name, function, items[::-1], keys[::-1])[::-1]
 
-    seams = check_seams(survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines, backwards)
+    at = survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines
+    seams = check_seams(*at, Backwards())
     decoded = [job.frame.name for job in given["seams"]]
     assert len(decoded) == len(set(decoded)) and len(seams.left) > len(decoded) / 2
-    again = check_seams(survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines)
+    again = check_seams(*at)
     assert np.array_equal(seams.displacement_px, again.displacement_px, equal_nan=True)
 
 

@@ -53,6 +53,16 @@ _MOST_CELLS: Annotated[
         CHOSEN,
     ),
 ] = 16_000_000
+_APART: Annotated[
+    int,
+    Because(
+        "cells",
+        "between places that go through the equations where the ground is smooth, bilinear between them: "
+        "farther apart a shutter's turns would move what is seen by whole cells, nearer ones take longer",
+        "chosen; computed of a flight with a rolling shutter and a tie surface: a seventh of the time, off "
+        "by 0.01 px of the frame in the median and 2.5 px at most, where a cell has 8",
+    ),
+] = 4
 _AROUND_AREA_PX: Annotated[
     int,
     Because(
@@ -137,14 +147,41 @@ def cell_px_of(scene: Scene) -> int:
     return side
 
 
-def frame_cells(scene: Scene, view: FrameView, cell_px: int, beyond_px: int = 0) -> FrameCells:
-    """The cells of a frame's bounds, as far as beyond_px outside the grid."""
+def frame_cells(
+    scene: Scene, view: FrameView, cell_px: int, beyond_px: int = 0, *, smooth: bool = False
+) -> FrameCells:
+    """The cells of a frame's bounds, as far as beyond_px outside the grid.
+
+    smooth: places are exact at every fourth cell each way and bilinear between, without the ground's relief.
+    """
     window = bounds_window(scene.grid, view, cell_px, beyond_px)
-    ground = ground_of(scene, window, cell_px)
-    cols, rows = frame_from_map(ground, view.pose, view.camera)
+    relief_m = None
+    places = _between(scene, view, window, cell_px) if smooth else None
+    if places is None:
+        ground = ground_of(scene, window, cell_px)
+        places, relief_m = frame_from_map(ground, view.pose, view.camera), ground.relief_m
+    cols, rows = places
     margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(scene.grid, window, view, cell_px)
     first = window.row // cell_px, window.col // cell_px
-    return FrameCells(view, *first, cols, rows, margin, away_m, ground.relief_m)
+    return FrameCells(view, *first, cols, rows, margin, away_m, relief_m)
+
+
+def _between(scene: Scene, view: FrameView, window: Window, cell_px: int) -> tuple[Floats32, Floats32] | None:
+    """Cols and rows of a window's cells between those of every fourth; None where the lens ends near the
+    frame's edge, which would be lost."""
+    side, wide = _APART * cell_px, _APART
+    down, across = (-(-n // side) + 2 for n in (window.height, window.width))
+    around = Window(window.col - side, window.row - side, across * side, down * side)
+    places = frame_from_map(ground_of(scene, around, side), view.pose, view.camera)
+    beyond_lens = cv2.dilate(np.isnan(places[0]).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    step_px = 1.5 * side * scene.grid.gsd_m / view.gsd_m
+    if (margin_px(*places, view.camera, None)[beyond_lens] > -step_px).any():
+        return None
+    cells = slice(wide, wide + window.height // cell_px), slice(wide, wide + window.width // cell_px)
+    cols, rows = (
+        cv2.resize(a, None, fx=wide, fy=wide, interpolation=cv2.INTER_LINEAR)[cells] for a in places
+    )
+    return np.ascontiguousarray(cols), np.ascontiguousarray(rows)
 
 
 def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:
@@ -156,7 +193,7 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
     shape = -(-grid.height_px // cell_px), -(-grid.width_px // cell_px)
     nearest, owner = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.int32)
     for view in scene.views:
-        cells = frame_cells(scene, view, cell_px)
+        cells = frame_cells(scene, view, cell_px, smooth=True)
         mine = (cells.margin_px > 0.0) & (cells.distance_m < nearest[cells.of_all])
         nearest[cells.of_all][mine] = cells.distance_m[mine]
         owner[cells.of_all][mine] = view.frame + 1

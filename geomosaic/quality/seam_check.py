@@ -5,7 +5,7 @@ Tie points say how well an adjustment agrees with itself; this looks at what peo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
@@ -20,6 +20,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
+from geomosaic.mosaic.spread import AtOnce, Spread
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.lattice import MapLattice
 from geomosaic.projection.resample import resample
@@ -28,8 +29,6 @@ from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
-Spread = Callable[[str, Callable[[Any], Any], Sequence[Any]], list[Any]]
-"""Does a function with many items, under a name: one after the other, or on all cores."""
 
 WINDOW_PX: Annotated[
     int,
@@ -192,11 +191,6 @@ def jump_between(place: tuple[Sights, Sights]) -> Jump:
     return Jump(count, np.median(found.displacement_px, axis=0) if count >= LEAST_PATCHES else none)
 
 
-def in_turn(name: str, function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-    """One after the other."""
-    return [function(item) for item in items]
-
-
 def check_seams(
     frames: Sequence[Frame],
     poses: Poses,
@@ -205,9 +199,10 @@ def check_seams(
     ground: GroundSurface,
     grid: OutputGrid,
     seamlines: Sequence[Seamline],
-    spread: Spread = in_turn,
+    spread: Spread | None = None,
 ) -> SeamCheck:
     """Measures `seam_places` of a mosaic: each frame that has some is decoded once."""
+    spread = spread or AtOnce()
     places = seam_places(seamlines, WINDOW_PX * grid.gsd_m)
     at_m = np.array([p[2:] for p in places], dtype=np.float64).reshape(-1, 2)
     of: dict[int, list[int]] = {}
@@ -217,10 +212,11 @@ def check_seams(
     jobs = [Sighting(frames[i], poses[i], cameras[i], at_m[ks]) for i, ks in of.items()]
     shared = SeamGround(grid.crs, grid.gsd_m, work_frame, ground)
     sights: dict[tuple[int, int], Sights] = {}
-    for (i, ks), found in zip(of.items(), spread("seams", partial(seen_at, shared), jobs), strict=True):
+    looks = spread.map("seams", partial(seen_at, shared), jobs, list(of))
+    for (i, ks), found in zip(of.items(), looks, strict=True):
         sights |= {(i, k): Sights(found.pixels[n : n + 1], found.valid[n : n + 1]) for n, k in enumerate(ks)}
     both = [(sights[left, k], sights[right, k]) for k, (left, right, _, _) in enumerate(places)]
-    jumps = spread("jumps at seams", jump_between, both)
+    jumps = spread.map("jumps at seams", jump_between, both, range(len(both)))
     return SeamCheck(
         np.array([p[0] for p in places], dtype=np.int64),
         np.array([p[1] for p in places], dtype=np.int64),

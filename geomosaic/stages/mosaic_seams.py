@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -16,16 +17,9 @@ from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, wit
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.seam_cut import (
-    NEAREST_NADIR,
-    SEAMS,
-    Glimpse,
-    Seam,
-    bands,
-    giving,
-    glimpsed,
-    seam_figures,
-)
+from geomosaic.mosaic.seam_cut import NEAREST_NADIR, SEAMS, Seam
+from geomosaic.mosaic.seam_figures import seam_figures
+from geomosaic.mosaic.seam_parts import Glimpse, bands, giving, glimpsed
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -44,7 +38,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -161,17 +155,14 @@ class MosaicSeams(Stage):
         views = giving(scene, nearest)
 
         def glimpses() -> Iterator[Glimpse]:
-            for cells, may, standing in bands(scene, nearest, nearest_m, views):
-                view, frame = cells.view, survey.frames[cells.view.frame]
-                brighter = np.zeros((1, 1, frame.bands), dtype=np.float32)
-                if tones is not None:
-                    brighter = tones.brighter(view.frame, view.camera, cells.cols_px, cells.rows_px)
-                finer = nearest.cell_px * scene.grid.gsd_m / view.gsd_m
+            for band in bands(scene, nearest, nearest_m, views):
+                finer = nearest.cell_px * scene.grid.gsd_m / band.view.gsd_m
                 reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
-                yield Glimpse(frame, reduction, cells, may, standing, brighter)
+                yield Glimpse(survey.frames[band.view.frame], reduction, band)
 
-        parts = context.map("seams", glimpsed, glimpses(), keys=[v.frame for v in views])
-        ownership = cut(nearest, parts)
+        look = partial(glimpsed, replace(scene, views=()), nearest.cell_px, tones)
+        parts = context.map("seams", look, glimpses(), keys=[v.frame for v in views])
+        ownership = cut(nearest, parts, context)
         for how, of in ((NEAREST_NADIR, nearest), (name, ownership)):
             context.metric(f"seams.{how}", asdict(seam_figures(of, parts)))
         return ownership

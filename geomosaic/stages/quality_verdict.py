@@ -63,7 +63,7 @@ class QualityVerdict(Stage):
             inputs["ground"],
             mosaic.grid,
             mosaic.seamlines,
-            lambda name, function, items: context.map(name, function, items, keys=range(len(items))),
+            context,
         )
         image = adjusted.image_residuals
         at = adjusted.poses.positions_m
