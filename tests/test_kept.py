@@ -168,6 +168,23 @@ def test_a_process_keeps_of_what_it_read_the_latest(monkeypatch: pytest.MonkeyPa
     assert read == ["a", "b", "c", "b", "large", "a"]
 
 
+def test_a_look_reads_what_is_looked_at(flight: Flight) -> None:
+    """Of a frame's part of 100 MB a window wants a corner."""
+    flight.put(2)
+    hashes = FileHashes()
+    hashes.manifest(flight.frames)
+    context = Context(flight.folder / "run", key="one", hashes=hashes)
+    (made,) = context.stored("keypoints", keypoints, [str(flight.frames / "02.jpg")])
+    assert np.array_equal(made.look().at, made.load().at)
+    assert not made.look().at.flags.owndata and made.look() is made.look()
+    with pytest.raises(ValueError, match="read-only"):
+        made.look().at[0] = 1.0
+    assert made.path is not None
+    made.path.write_bytes(made.path.read_bytes()[:-4000])
+    with pytest.raises(FileError):
+        Kept(made.returns, "another", made.path).look()
+
+
 def test_large_arguments_are_written_once_for_all_items(flight: Flight) -> None:
     """8 MB of ground times thousands of frames went through the pipes."""
     ground = np.full(1_000_000, 0.5)

@@ -14,6 +14,8 @@ import io
 import itertools
 import json
 import math
+import mmap
+import struct
 import tokenize
 import types
 import typing
@@ -39,6 +41,9 @@ _NOT_WHOLE = (
 _TREE = "tree.json"
 _TIMELESS = (1980, 1, 1, 0, 0, 0)
 _KINDS = "biufcSU"
+_NAME_AT = 26
+"""Where a member's own header in a zip has the lengths of its name and of what follows; then its bytes."""
+_MOST_HEADER_BYTES = 1 << 16
 
 
 def fingerprint_of_file(file: BinaryIO) -> str:
@@ -156,17 +161,22 @@ def dataclasses_in(annotation: Any, found: dict[str, type] | None = None) -> dic
     return found
 
 
-def decode(data: bytes | BinaryIO, as_type: type[T] | Any, also: Iterable[type] = ()) -> T:
+def decode(
+    data: bytes | BinaryIO, as_type: type[T] | Any, also: Iterable[type] = (), *, mapped: bool = False
+) -> T:
     """The artefact of a type (a dataclass, or an annotation such as `tuple[Camera, ...]`) from its bytes.
 
-    `also` names more classes the file may hold. Raises `FileError` if the bytes are anything else.
+    `also` names more classes the file may hold. mapped: arrays stay in the file (which is one), are read as
+    they are looked at, and can't be written to; nor is it asked whether their bytes are right. Raises
+    `FileError` if the bytes are anything else.
     """
     known = dataclasses_in(as_type)
     for cls in also:
         dataclasses_in(cls, known)
     try:
         with _opened(data) as file:
-            value = _value(json.loads(file.read(_TREE)), _Members(file), known)
+            members = _Mapped(file) if mapped else _Members(file)
+            value = _value(json.loads(file.read(_TREE)), members, known)
     except _NOT_WHOLE as error:
         raise FileError(f"this is no whole artefact of type {type_name(as_type)} ({error})") from error
     if isinstance(as_type, type) and as_type not in (object, Any) and not isinstance(value, as_type):
@@ -251,10 +261,29 @@ class _Members:
         self._file = file
         self._left = {name for name in file.namelist() if name != _TREE}
 
-    def take(self, number: Any) -> bytes:
+    def take(self, number: Any) -> bytes | memoryview:
         """Raises `KeyError` for one that isn't there, or has been taken."""
         self._left.remove(str(int(number)))
         return self._file.read(str(int(number)))
+
+
+class _Mapped(_Members):
+    """As `_Members`, of a file on the disk: its own bytes, not copies."""
+
+    def __init__(self, file: zipfile.ZipFile) -> None:
+        super().__init__(file)
+        assert file.fp is not None
+        self._map = memoryview(mmap.mmap(file.fp.fileno(), 0, access=mmap.ACCESS_READ))
+
+    def take(self, number: Any) -> memoryview:
+        """See `_Members`."""
+        self._left.remove(str(int(number)))
+        member = self._file.getinfo(str(int(number)))
+        name, extra = struct.unpack_from("<HH", self._map, member.header_offset + _NAME_AT)
+        start = member.header_offset + _NAME_AT + 4 + name + extra
+        if start + member.file_size > len(self._map):
+            raise ValueError("a member beyond the file's end")
+        return self._map[start : start + member.file_size]
 
 
 def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
@@ -276,7 +305,7 @@ def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
         case "path":
             return Path(str(content))
         case "bytes":
-            return file.take(content)
+            return bytes(file.take(content))
         case "array":
             return _array(file.take(content))
         case "tuple":
@@ -288,11 +317,12 @@ def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
     raise ValueError(f"a {kind!r}")
 
 
-def _array(data: bytes) -> np.ndarray[Any, Any]:
-    stream = io.BytesIO(data)
+def _array(data: bytes | memoryview) -> np.ndarray[Any, Any]:
+    stream = io.BytesIO(data[:_MOST_HEADER_BYTES])
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError("an array of another format version")
     shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     if dtype.kind not in _KINDS or fortran or math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
         raise ValueError("an array whose size disagrees with its header")
-    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape).copy()
+    array = np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
+    return array if isinstance(data, memoryview) else array.copy()

@@ -100,6 +100,18 @@ class Kept(Reference, Generic[Result]):
         path = self.path
         return typing.cast(Result, _memory.get(self.mark, lambda: (self.load(), path.stat().st_size)))
 
+    def look(self) -> Result:
+        """As `recall`, but arrays stay in the file until they are looked at, part by part: for what is wanted
+        in parts. Processes of a machine share what the system holds of it."""
+        if self.path is None:
+            return self.load()
+        path = self.path
+
+        def read() -> tuple[Result, int]:
+            return _read(path, lambda file: decode(file, self.returns, mapped=True)), path.stat().st_size
+
+        return typing.cast(Result, _memory.get(f"{self.mark} mapped", read))
+
     def forget(self) -> None:
         """Its file goes."""
         if self.path is not None:
