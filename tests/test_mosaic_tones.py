@@ -16,8 +16,9 @@ from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
-from geomosaic.mosaic.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
+from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
 from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.window import scaled
 from geomosaic.pipeline.stage import Context
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
@@ -100,11 +101,12 @@ def test_evened_pixels_are_those_that_all_frames_would_show() -> None:
     pixels = np.array([[[100], [60]]], dtype=np.uint8)
     cols, rows = np.array([[200.0, 400.0]], np.float32), np.array([[150.0, 300.0]], np.float32)
     brighter = tones.brighter(1, CAMERA, cols, rows)
-    found = evened(pixels, brighter)
+    found = scaled(pixels, np.exp(-brighter), "float32")
     np.testing.assert_allclose(
         found[0, :, 0], [200.0, 60.0 * 2.0 * np.exp(0.3 - 0.25 * 0.8 + 0.1 * 0.6)], rtol=1e-5
     )
-    assert evened(np.full((1, 2, 1), 200, np.uint8), brighter).max() == 255.0
+    found = scaled(np.full((1, 2, 1), 200, np.uint8), np.exp(-brighter), "uint8")
+    assert (found.dtype, found.max()) == (np.uint8, 255)
     assert tones.flat(0) and not tones.flat(1)
     assert np.isfinite(tones.brighter(1, CAMERA, np.full_like(cols, np.nan), rows)).all()
 

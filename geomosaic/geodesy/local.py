@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,21 +58,25 @@ class LocalFrame:
     lat_deg: float
     height_ellipsoidal_m: float
 
-    @property
+    @cached_property
     def _origin_ecef_m(self) -> Floats:
         return ecef_from_geodetic(self.lon_deg, self.lat_deg, self.height_ellipsoidal_m)
+
+    @cached_property
+    def _enu_from_ecef(self) -> Floats:
+        return enu_from_ecef_rotation(self.lon_deg, self.lat_deg)
 
     def enu_from_geodetic(
         self, lon_deg: ArrayLike, lat_deg: ArrayLike, height_ellipsoidal_m: ArrayLike
     ) -> Floats:
         """East, north, up in metres, shape (..., 3)."""
         d = ecef_from_geodetic(lon_deg, lat_deg, height_ellipsoidal_m) - self._origin_ecef_m
-        return np.asarray(d @ enu_from_ecef_rotation(self.lon_deg, self.lat_deg).T)
+        return np.asarray(d @ self._enu_from_ecef.T)
 
     def geodetic_from_enu(self, enu_m: ArrayLike) -> Floats:
         """Longitude, latitude (degrees) and ellipsoidal height (m), shape (..., 3)."""
         enu = np.asarray(enu_m, dtype=np.float64)
-        ecef = enu @ enu_from_ecef_rotation(self.lon_deg, self.lat_deg) + self._origin_ecef_m
+        ecef = enu @ self._enu_from_ecef + self._origin_ecef_m
         return geodetic_from_ecef(ecef)
 
     def enu_from_local_rotation(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
@@ -81,4 +85,4 @@ class LocalFrame:
         Holds the convergence of the meridians and the change of the vertical: 1.6e-4 rad per km.
         """
         there = enu_from_ecef_rotation(lon_deg, lat_deg)
-        return np.asarray(enu_from_ecef_rotation(self.lon_deg, self.lat_deg) @ np.swapaxes(there, -1, -2))
+        return np.asarray(self._enu_from_ecef @ np.swapaxes(there, -1, -2))

@@ -66,6 +66,7 @@ _STRUCT: Final = {
 """One value of each type."""
 _SIZE_BYTES: Final = struct.calcsize("<I")
 """A tile's size before it, and its last bytes once more behind it."""
+_CLASSIC_BYTES: Final = np.iinfo(np.uint32).max
 _WORDS: Final = (
     "LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nBLOCK_LEADER=SIZE_AS_UINT4\n"
     "BLOCK_TRAILER=LAST_4_BYTES_REPEATED\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
@@ -99,7 +100,7 @@ def write_cog_of(pyramid: Pyramid, like: Sequence[Tags], out: IO[bytes]) -> None
     sizes = [_sizes(level, empty) for level in pyramid.levels]
     total = sum(int((of + 2 * _SIZE_BYTES).sum()) for of in sizes)
     header = _header(pyramid.levels, sizes, like, big=False)
-    if len(header) + total > np.iinfo(np.uint32).max:
+    if len(header) + total > _CLASSIC_BYTES:
         header = _header(pyramid.levels, sizes, like, big=True)
     out.write(header)
     for level in reversed(pyramid.levels):

@@ -13,9 +13,9 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.frames import Decoded, decode
 from geomosaic.mosaic.scene import Scene, margin_px
 from geomosaic.mosaic.sight import FrameOnMap
-from geomosaic.mosaic.tones import Tones, evened
+from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import FrameView
-from geomosaic.mosaic.window import Shown, Window, as_type
+from geomosaic.mosaic.window import Shown, Window, as_type, scaled
 from geomosaic.projection.lattice import Seen
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
 
@@ -31,6 +31,16 @@ TILE_PX: Annotated[
     ),
 ] = 512
 
+_NODES_OFF_PX: Annotated[
+    float,
+    Because(
+        "px of the frame",
+        "how far beyond its four nodes a place may lie: with less, pixels near the frame's edge might be "
+        "taken for far inside, with more, more are looked at one by one",
+        "chosen; docs/design.md, composition: 0.05 px where a shutter's table breaks",
+    ),
+] = 1.0
+
 
 @dataclass(frozen=True)
 class Patch:
@@ -40,6 +50,16 @@ class Patch:
     col: int
     pixels: NDArray[Any]
     margin_px: Floats32 | None
+
+    @property
+    def last_row(self) -> int:
+        """The first row beyond it."""
+        return int(self.row + self.pixels.shape[0])
+
+    @property
+    def last_col(self) -> int:
+        """The first col beyond it."""
+        return int(self.col + self.pixels.shape[1])
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -57,8 +77,12 @@ class FramePart:
 
     def shown(self, wanted: Window) -> Shown:
         """A box of the grid that was planned. Pixels of no patch are not valid."""
-        lying = [(p, *_overlap(p, wanted)) for p in self.patches]
-        lying = [(p, there, here) for p, there, here in lying if all(s.stop > s.start for s in there)]
+        last_row, last_col = wanted.row + wanted.height, wanted.col + wanted.width
+        lying = [
+            (p, *_overlap(p, wanted))
+            for p in self.patches
+            if p.row < last_row and p.col < last_col and p.last_row > wanted.row and p.last_col > wanted.col
+        ]
         if len(lying) == 1 and lying[0][0].pixels[lying[0][1]].shape[:2] == (wanted.height, wanted.width):
             patch, there, _ = lying[0]
             return Shown(patch.pixels[there], None if patch.margin_px is None else patch.margin_px[there])
@@ -124,22 +148,35 @@ def _patch(how: Warping, view: FrameView, decoded: Decoded, box: Window) -> Patc
     tile = tile_of(box.row, box.col)
     rows, cols = box.within(tile)
     seen = how.scene.lattice(tile).seen(view.pose, view.camera, rows, cols)
-    margin = margin_px(seen.cols, seen.rows, view.camera, decoded.mask_distance_px)
-    margin *= np.float32(view.gsd_m / how.scene.grid.gsd_m)
     pixels = resample(decoded.pixels, seen.cols, seen.rows, how.resampling)
-    pixels = as_type(_evened(pixels, seen, view, how.tones), how.dtype)
-    return Patch(box.row, box.col, pixels, margin if margin.min() <= max(how.far_px, 0.0) else None)
+    pixels = _evened(pixels, seen, view, how)
+    return Patch(box.row, box.col, pixels, _margin_px(how, view, decoded, seen))
 
 
-def _evened(pixels: NDArray[Any], seen: Seen, view: FrameView, tones: Tones | None) -> NDArray[Any]:
+def _margin_px(how: Warping, view: FrameView, decoded: Decoded, seen: Seen) -> Floats32 | None:
+    """How far inside the frame pixels lie, in pixels of the mosaic; None where that doesn't matter. Nodes far
+    inside need no look at what lies between them."""
+    per_px, far_px = np.float32(view.gsd_m / how.scene.grid.gsd_m), max(how.far_px, 0.0)
+    mask_px = decoded.mask_distance_px
+    if mask_px is None:
+        nodes = margin_px(seen.node_cols, seen.node_rows, view.camera, None)
+        if float(nodes.min()) > far_px / per_px + _NODES_OFF_PX:
+            return None
+    margin = margin_px(seen.cols, seen.rows, view.camera, mask_px)
+    margin *= per_px
+    return margin if margin.min() <= far_px else None
+
+
+def _evened(pixels: NDArray[Any], seen: Seen, view: FrameView, how: Warping) -> NDArray[Any]:
     """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel shows them."""
+    tones = how.tones
     if tones is None or tones.flat(view.frame):
-        return pixels
+        return as_type(pixels, how.dtype)
     nodes = seen.node_cols, seen.node_rows
     gone = bool(np.isnan(nodes[0]).any())  # a node past the lens's end says nothing of pixels before it
     where = (seen.cols, seen.rows) if gone else nodes
-    brighter = tones.brighter(view.frame, view.camera, *where)
-    return evened(pixels, brighter if gone else seen.between(brighter))
+    darker = np.exp(-tones.brighter(view.frame, view.camera, *where))
+    return scaled(pixels, darker if gone else seen.between(darker), how.dtype)
 
 
 def tile_of(row: int, col: int) -> Window:

@@ -55,7 +55,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class TileKind:
-    """What tiles hold: bands of a type, and whether a mask goes with them."""
+    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image."""
 
     bands: int
     dtype: np.dtype[Any]
@@ -65,7 +65,8 @@ class TileKind:
         """A tile's pixels (h, w, bands), filled up with zeros to its full size, as TIFF's predictors 2 (of
         whole numbers) and 3 (of others) and deflate have them (TIFF 6.0, section 14; Adobe's Photoshop TIFF
         Technical Note 3)."""
-        return _deflated(_less_neighbours(_full(pixels)), _EFFORT)
+        effort = _EFFORT if self.masked else zlib.Z_DEFAULT_COMPRESSION
+        return _deflated(_less_neighbours(_full(pixels)), effort)
 
     def empty(self) -> tuple[bytes, bytes]:
         """A tile without a valid pixel, and its mask's; none without one."""
@@ -269,11 +270,12 @@ def halved(pixels: NDArray[Any], valid: Flags) -> tuple[NDArray[Any], Flags]:
     means = means.reshape(size[1], size[0], bands)
     if valid.all():
         return means, np.ones(means.shape[:2], dtype=bool)
-    count = valid.reshape(size[1], 2, size[0], 2).sum(axis=(1, 3), dtype=np.uint8)
-    some = (count > 0) & (count < 4)
-    four = np.where(valid[..., None], pixels, 0).reshape(size[1], 2, size[0], 2, bands)
-    of_valid = four.sum(axis=(1, 3), dtype=np.float64 if pixels.dtype.kind == "f" else np.int64)
-    found = of_valid[some] / count[some][:, None]
-    means[some] = (found if pixels.dtype.kind == "f" else np.rint(found)).astype(means.dtype)
+    corners = np.stack([valid[i::2, j::2] for i in (0, 1) for j in (0, 1)])
+    count = np.asarray(corners.sum(axis=0, dtype=np.uint8))
+    at = np.nonzero((count > 0) & (count < len(corners)))
+    four = np.stack([pixels[i::2, j::2][at] for i in (0, 1) for j in (0, 1)])
+    of_valid = np.where(corners[:, *at, None], four, 0)
+    found = of_valid.sum(axis=0, dtype=np.float64) / count[at][:, None]
+    means[at] = (found if pixels.dtype.kind == "f" else np.rint(found)).astype(means.dtype)
     means[count == 0] = 0
     return means, count > 0

@@ -45,8 +45,8 @@ class Raster:
         window = composed.window
         self._image.add(window.col, window.row, composed.pixels, composed.valid)
         if self._sources is not None:
-            given = composed.source.astype(self._sources.kind.dtype)[..., None]
-            self._sources.add(window.col, window.row, given, composed.valid)
+            given = composed.source(self._sources.kind.dtype)
+            self._sources.add(window.col, window.row, given[..., None], composed.valid)
 
     def leave_out(self, window: Window) -> None:
         """One in which nothing is shown: what it is part of need not wait for it."""

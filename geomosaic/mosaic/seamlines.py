@@ -60,12 +60,12 @@ class SeamLabels:
     def add(self, composed: Composed) -> None:
         """Takes over a window's sources, from the middle of each cell of n x n pixels."""
         n = self.step_px
-        height, width = composed.source.shape
+        height, width = composed.label.shape
         rows = np.minimum(np.arange(0, height, n) + n // 2, height - 1)
         cols = np.minimum(np.arange(0, width, n) + n // 2, width - 1)
         row, col = composed.window.row // n, composed.window.col // n
         at = slice(row, row + rows.size), slice(col, col + cols.size)
-        self._labels[at] = composed.source[np.ix_(rows, cols)]
+        self._labels[at] = composed.source(at=np.ix_(rows, cols))
         self._wanted[at] = True if composed.wanted is None else composed.wanted[np.ix_(rows, cols)]
 
     def seamlines(self) -> tuple[Seamline, ...]:

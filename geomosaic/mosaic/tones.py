@@ -134,17 +134,6 @@ class Tones:
         return np.asarray(out)
 
 
-def evened(pixels: NDArray[Any], brighter: Floats32) -> NDArray[Any]:
-    """Pixels (..., b) that a frame shows brighter than all do, see `Tones.brighter`, as all would: float32,
-    within what integers of the pixels' type hold."""
-    out = np.exp(-brighter)
-    out *= pixels
-    if np.issubdtype(pixels.dtype, np.integer):
-        limits = np.iinfo(pixels.dtype)
-        np.clip(out, limits.min, limits.max, out=out)
-    return out
-
-
 @dataclass(frozen=True)
 class Sampling:
     """A frame, and where it is to be sampled: image_px (n, 2) col and row."""

@@ -121,6 +121,12 @@ def as_type(pixels: NDArray[Any], dtype: str, highest: int | None = None) -> NDA
     return out.reshape(pixels.shape)
 
 
+def scaled(pixels: NDArray[Any], by: Floats32, dtype: str) -> NDArray[Any]:
+    """Pixels (h, w, bands) times what is as large, rounded and cut as by `as_type`."""
+    of, factors = (np.ascontiguousarray(a).reshape(len(pixels), -1) for a in (pixels, by))
+    return np.asarray(cv2.multiply(of, factors, dtype=_DEPTHS[dtype])).reshape(pixels.shape)
+
+
 @dataclass(frozen=True)
 class Composed:
     """A finished window: pixels (h, w, bands), 0 where not valid (h, w); label (h, w), the place in `numbers`
@@ -142,10 +148,10 @@ class Composed:
         pixels = np.where(wanted[..., None], self.pixels, self.pixels.dtype.type(0))
         return Composed(self.window, pixels, self.valid & wanted, label, self.numbers, gave, wanted)
 
-    @property
-    def source(self) -> NDArray[np.int32]:
-        """Of every pixel the source's number plus 1, 0 where there is none."""
-        return np.asarray(np.array([*self.numbers, -1], dtype=np.int32) + 1)[self.label]
+    def source(self, dtype: Any = np.int32, at: Any = np.s_[:, :]) -> NDArray[Any]:
+        """Of pixels, all if not told, the source's number plus 1, 0 where there is none."""
+        number = np.array([*self.numbers, -1], dtype=np.int64) + 1
+        return np.asarray(number.astype(dtype)[self.label[at]])
 
 
 def compose_window(manner: Manner, step: Step, materials: Mapping[int, Any]) -> Composed:

@@ -45,8 +45,7 @@ def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: s
     Only the part of the frame in use is handed to cv2, whose images end at 32767 px.
     """
     height, width, bands = pixels.shape
-    x = np.where(np.isnan(cols), np.float32(width / 2.0), cols) - np.float32(0.5)
-    y = np.where(np.isnan(rows), np.float32(height / 2.0), rows) - np.float32(0.5)
+    x, y = (_before_middle(*of) for of in ((cols, width), (rows, height)))
     reach = KERNEL_RADIUS_PX[resampling] + 1
     left, right = (
         int(np.clip(v, 0, width - 1)) for v in (np.floor(x.min()) - reach, np.ceil(x.max()) + reach)
@@ -68,6 +67,14 @@ def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: s
         for k in range(0, bands, _MOST_CHANNELS)
     ]
     return found[0] if len(found) == 1 else np.concatenate(found, axis=-1)
+
+
+def _before_middle(places: Floats32, size: int) -> Floats32:
+    """Counted from the first pixel's middle; the image's own middle where there is no place."""
+    moved = places - np.float32(0.5)
+    if np.isnan(moved.min()):
+        moved[np.isnan(moved)] = (size - 1) / 2.0
+    return moved
 
 
 def seen_on(

@@ -37,7 +37,7 @@ class ExportOrthos(Stage):
     id = "export.orthos"
     display_name = "Write the frames' orthos"
     group = "Export"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
