@@ -57,6 +57,12 @@ bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, 
 bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (about 2 hours); SEEDS=n SEED=n WORKERS=n
 	$(PY) tools/bench_dirty.py --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
 
+bench-speed: setup ## real and simulated frames beside the floor and other programs (about an hour); DATA=../shared, skips the real ones without it
+	$(PY) tools/bench_speed.py --shared "$(DATA)" --out out/bench-speed
+
+bench-scale: setup ## 50 to 1,000 frames from pixels, 5,000 by observations, 50,000 windows planned (about an hour)
+	$(PY) tools/bench_scale.py --out out/bench-scale
+
 bench-bundle: setup ## 1,000 frames with 300,000 image observations (about a minute)
 	$(PY) tools/bench_bundle.py --whole
 
@@ -86,4 +92,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-oracle bench-strips bench-real fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-strips bench-real fuzz chaos format clean

@@ -1,0 +1,85 @@
+"""What the benches of speed and scale make of their figures, and how they measure a command."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).parents[1] / "tools"
+sys.path.insert(0, str(TOOLS))
+
+from bench_scale import BLOCKS, growth  # noqa: E402
+from bench_speed_judge import steps_of  # noqa: E402
+from bench_speed_measure import measured  # noqa: E402
+from bench_speed_table import Result, against_floor, behind, missed, side_by_side  # noqa: E402
+
+OURS = {"wall_s": 20.0, "peak_mb": 900.0, "frames_used": 18.0, "ssim": 0.98}
+
+
+def test_a_peer_that_is_better_in_one_column_is_told_and_missed() -> None:
+    slower = Result("slower", {"wall_s": 27.0, "peak_mb": 950.0, "frames_used": 18.0, "ssim": 0.97})
+    smaller = Result("smaller", {**slower.figures, "peak_mb": 400.0})
+    assert behind(OURS, slower.figures) == []
+    assert behind(OURS, smaller.figures) == ["memory"]
+    assert behind({**OURS, "frames_used": 17.0}, slower.figures) == ["frames used"]
+    assert not missed(side_by_side(Result("ours", OURS), [slower]))
+    assert missed(side_by_side(Result("ours", OURS), [slower, smaller]))
+
+
+def test_a_figure_that_only_the_peer_has_is_behind_and_one_that_it_lacks_is_not() -> None:
+    assert behind({"wall_s": 1.0}, {"wall_s": 2.0, "ssim": 0.1}) == ["SSIM"]
+    assert behind({"wall_s": 1.0, "ssim": 0.1}, {"wall_s": 2.0}) == []
+    lines = side_by_side(Result("ours", OURS), [Result("absent", failed="left out: no network")])
+    assert lines[-1] == "| absent |  |  |  |  | left out: no network |"
+    assert not missed(lines)
+
+
+def test_the_mosaic_and_the_whole_are_held_against_the_floor() -> None:
+    floor = {"warp_s": 3.0, "cog_s": 5.0, "whole_s": 8.0}
+    stages = {"matching.sift": 6.0, "mosaic.seams": 1.0, "mosaic.compose": 6.0, "export.cog": 3.0}
+    lines = against_floor(floor, stages, wall_s=19.0, processor_s=30.0, peak_mb=1400.0)
+    assert "| mosaic with COG | 10.0 | 1.25 | ok: at most 1.3 |" in lines
+    assert "| whole | 19.0 | 2.38 | ok: at most 2.5 |" in lines
+    assert not missed(lines)
+    assert missed(against_floor(floor, stages, wall_s=21.0, processor_s=30.0, peak_mb=1400.0))
+    assert missed(against_floor(floor, stages, wall_s=19.0, processor_s=30.0, peak_mb=1600.0))
+
+
+def test_growth_is_against_the_least_of_all_smaller_runs() -> None:
+    assert growth([0.2, 0.1, 0.11, 0.12]) == pytest.approx(1.2)
+    assert growth([0.2]) == 1.0
+    assert all(lines * per_line == frames for frames, (lines, per_line) in BLOCKS.items())
+
+
+def test_a_seam_is_a_step_that_no_frame_shows_whatever_their_gains() -> None:
+    rng = np.random.default_rng(4)
+    ground = rng.uniform(40.0, 200.0, (12, 10, 3)).astype(np.float32)
+    frames = np.stack([ground * np.float32(0.7), ground * np.float32(1.3)])
+    frames[0, :, 7:] = frames[1, :, :3] = np.nan
+    even, seamed = ground.copy(), ground.copy()
+    seamed[:, :5] = frames[0, :, :5]
+    seamed[:, 5:] = frames[1, :, 5:]
+    assert steps_of(even, frames).max() < 1e-3
+    steps = steps_of(seamed, frames)
+    assert len(steps) == 11 * 10 + 12 * 9
+    assert (steps > 1.0).sum() == 12, "one for each row that the seam crosses"
+
+
+def test_a_command_is_measured_with_what_it_starts_and_stopped_at_its_limits(tmp_path: Path) -> None:
+    held = "import time; data = bytearray(100 << 20); time.sleep(1)"
+    command = [
+        sys.executable,
+        "-c",
+        f"import subprocess, sys; subprocess.run([sys.executable, '-c', {held!r}])",
+    ]
+    taken = measured(command, tmp_path / "log")
+    assert not taken.failed
+    assert taken.wall_s > 0.9
+    assert taken.peak_mb > 100.0
+    stopped = measured([sys.executable, "-c", "import time; time.sleep(60)"], tmp_path / "log", most_s=0.5)
+    assert stopped.failed == "stopped after 0 s"
+    refused = measured([sys.executable, "-c", "raise SystemExit('no such thing')"], tmp_path / "log")
+    assert refused.failed == "exit code 1: no such thing"

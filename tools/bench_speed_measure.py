@@ -1,0 +1,94 @@
+"""What a command takes: wall and processor time, and the peak memory of all its processes together."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+SAMPLE_S = 0.1
+
+
+@dataclass(frozen=True)
+class Taken:
+    """wall_s, processor_s (user and system, of all processes that were waited for), peak_mb: the largest sum
+    over the process tree of what each holds, shared pages counted by shares (PSS), sampled every 0.1 s.
+
+    code: its exit code. stopped: why it was ended before its time, empty where it wasn't. said: its words.
+    """
+
+    wall_s: float
+    processor_s: float
+    peak_mb: float
+    code: int
+    stopped: str
+    said: str
+
+    @property
+    def failed(self) -> str:
+        """Why there is no result, or nothing."""
+        if self.stopped or self.code == 0:
+            return self.stopped
+        return f"exit code {self.code}: {(self.said.strip().splitlines() or ['nothing said'])[-1][:200]}"
+
+
+def measured(
+    command: Sequence[str | Path],
+    log: Path,
+    *,
+    most_s: float = 7200.0,
+    most_mb: float = 16_000.0,
+    env: dict[str, str] | None = None,
+) -> Taken:
+    """Runs a command to its end, or until it takes more than most_s or holds more than most_mb.
+
+    What it says goes to the file `log`.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    with log.open("wb") as file:
+        process = subprocess.Popen(list(map(str, command)), stdout=file, stderr=subprocess.STDOUT, env=env)
+        peak_mb, stopped = 0.0, ""
+        while True:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(SAMPLE_S)
+                break
+            peak_mb = max(peak_mb, held_mb(process.pid))
+            if time.perf_counter() - start > most_s:
+                stopped = f"stopped after {most_s:.0f} s"
+            elif peak_mb > most_mb:
+                stopped = f"stopped at {peak_mb / 1e3:.1f} GB"
+            if stopped:
+                _end(process)
+                break
+    wall_s = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    said = log.read_text(errors="replace")
+    return Taken(wall_s, processor_s, peak_mb, process.returncode, stopped, said)
+
+
+def held_mb(pid: int) -> float:
+    """What a process and all below it hold, in MB."""
+    held = 0
+    with suppress(psutil.Error):
+        root = psutil.Process(pid)
+        for one in [root, *root.children(recursive=True)]:
+            with suppress(psutil.Error):
+                held += one.memory_full_info().pss
+    return held / 1e6
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    with suppress(psutil.Error):
+        for child in psutil.Process(process.pid).children(recursive=True):
+            with suppress(psutil.Error):
+                child.kill()
+    process.kill()
+    process.wait()
