@@ -70,8 +70,8 @@ _CHANCE_SD: Annotated[
         "logarithm of a likelihood ratio",
         "least deviation of a block's evidence where nothing matches, by which peaks of all blocks' sum are "
         "judged: with less, peaks of chance are layers, with more, ground that few blocks show is none",
-        "chosen; volumes of tools/bench_strips.py, seed 3, have 0.7 to 0.9 where all is clear, 0.5 to 0.7 with "
-        "clouds on a fifth, 0.3 to 0.5 on half, 0 of the part that is hardly asked: so it counts under clouds",
+        "chosen; volumes of tools/bench_strips.py, seed 3, have 0.7 to 0.9 of clear ground, 0.5 to 0.7 "
+        "with clouds on a fifth, 0.3 to 0.5 on half, 0 of what is hardly asked: so it counts under clouds",
     ),
 ] = 0.6
 _PEAK_FROM: Annotated[
