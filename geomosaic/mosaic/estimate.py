@@ -29,8 +29,8 @@ _HERE: Final = "18 frames of 9 MP on two cores, by their processor time; widened
 KEYPOINTS: Final = Rate(0.4, 1.2, "core s/MP", "SIFT; frames of over 3000 px are halved first", _HERE)
 PAIRS: Final = Rate(0.15, 0.7, "core s/pair", "descriptors compared and checked, up to 6000 a frame", _HERE)
 SOLVE: Final = Rate(0.2, 2.0, "s/frame", "bundle, by how many points and rounds it takes", _HERE)
-COMPOSE: Final = Rate(0.3, 1.2, "core s/MP filled", "every frame that sees a pixel is resampled", _HERE)
-WRITE: Final = Rate(0.2, 0.6, "core s/MP filled", "compression and overviews", _HERE)
+COMPOSE: Final = Rate(0.15, 0.8, "core s/MP filled", "every frame that sees a pixel is resampled", _HERE)
+WRITE: Final = Rate(0.08, 0.3, "core s/MP filled", "compression and overviews", _HERE)
 _SCENE: Final = "8 strips of 4,096 x 35,000 lines on two cores by joint: 0.074 s/MP, 0.91 GB; widened"
 STRIPS: Final = Rate(0.05, 0.5, "s/MP", "offsets to overviews; SIFT chains take several times joint", _SCENE)
 SCENE_MEMORY: Final = Rate(8e3, 30e3, "bytes/column", "blocks of rows at work, windows of offsets", _SCENE)
@@ -113,9 +113,9 @@ _SOURCE_BYTES: Annotated[
 class Estimate:
     """A mosaic's size, and the least and the most of what it takes.
 
-    filled_share: of the grid that frames cover; empty parts take neither room nor time. scratch_gb: in
-    RUN/work, besides parts_gb while it is composed and mosaic_gb for mosaic.tif after that. gsd_m: None for a
-    scene without a map.
+    filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
+    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, scratch_gb: what else. gsd_m:
+    None for a scene without a map.
     """
 
     width_px: int
@@ -131,7 +131,7 @@ class Estimate:
     @property
     def disk_gb(self) -> Range:
         """All of it on the disk at once."""
-        least, most = (max(both) for both in zip(self.mosaic_gb, self.parts_gb, strict=True))
+        least, most = (m + max(m, p) for m, p in zip(self.mosaic_gb, self.parts_gb, strict=True))
         return self.scratch_gb + least, self.scratch_gb + most
 
     def text(self) -> str:
@@ -159,7 +159,7 @@ def estimate(
     pixels = float(width_px) * float(height_px)
     filled = filled_share * pixels
     raw_gb = filled * pixel_bytes / 1e9
-    scratch = raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
+    scratch = filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
     memory = (memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
     return Estimate(
         width_px=width_px,
@@ -190,7 +190,7 @@ def estimate_scene(
             f"or --set mosaic.strips.max_gigapixels={math.ceil(gigapixels)}",
         )
     pixels = filled_share * width_px * height_px
-    scratch = pixels * (4.0 / 3.0 * pixel_bytes + _MASK_BYTES)
+    scratch = pixels * _MASK_BYTES
     memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
     return Estimate(
         width_px=width_px,
