@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, Generic, TypeVar
 
@@ -24,9 +25,14 @@ class Named(Mapping[str, T], Generic[T]):
 
     def __init__(self, own: Mapping[str, T], group: str, fits: Callable[[object], bool]) -> None:
         self._own, self._group, self._fits = dict(own), group, fits
-        self._entries: dict[str, list[EntryPoint]] = {}
-        for entry in entry_points(group=group):
-            self._entries.setdefault(entry.name, []).append(entry)
+
+    @cached_property
+    def _entries(self) -> dict[str, list[EntryPoint]]:
+        """By name. Workers, who are told what to do, never look through all distributions for them."""
+        found: dict[str, list[EntryPoint]] = {}
+        for entry in entry_points(group=self._group):
+            found.setdefault(entry.name, []).append(entry)
+        return found
 
     def __getitem__(self, name: str) -> T:
         entries = self._entries.get(name, [])
