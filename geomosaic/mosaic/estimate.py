@@ -114,8 +114,8 @@ class Estimate:
     """A mosaic's size, and the least and the most of what it takes.
 
     filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
-    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, scratch_gb: what else. gsd_m:
-    None for a scene without a map.
+    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed; scratch_gb: what else is.
+    gsd_m: None for a scene without a map.
     """
 
     width_px: int
