@@ -16,6 +16,7 @@ from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from geomosaic.export.cog import write_cog
 from geomosaic.mosaic import cog_layout
 from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.plan import windows as along_the_curve
 from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, TileKind, halved
 from geomosaic.mosaic.raster import writing_mosaic, writing_scene
 from geomosaic.mosaic.window import Composed, Window
@@ -125,6 +126,21 @@ def test_what_is_left_out_or_never_comes_is_empty(tmp_path: Path) -> None:
         assert pyramid.levels[1].places[0, 0, 1] > 0, "the overview's tile needed no more"
         pyramid.finish()
         assert not pyramid.levels[0].places[:, 2:].any() and pyramid.levels[-1].places[0, 0, 1] > 0
+
+
+def test_along_the_curve_no_more_than_a_tile_a_level_is_in_hand(tmp_path: Path) -> None:
+    grid = OutputGrid("EPSG:32615", 0.0, 0.0, 1.0, 13 * TILE_PX - 5, 11 * TILE_PX)
+    with TemporaryFile(dir=tmp_path) as tiles:
+        pyramid = Pyramid(
+            grid.width_px, grid.height_px, TileKind(1, np.dtype("uint8")), tiles, overviews=True
+        )
+        most = 0
+        for window in along_the_curve(grid, TILE_PX):
+            shape = window.height, window.width
+            pyramid.add(window.col, window.row, np.ones((*shape, 1), np.uint8), np.ones(shape, bool))
+            most = max(most, pyramid.in_hand)
+        assert most == len(pyramid.levels) - 1
+        assert pyramid.in_hand == 0, "the last window finishes all"
 
 
 def test_beyond_four_gigabytes_it_is_a_bigtiff(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ class MosaicCompose(Stage):
         resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
         sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
         memory_mb: int = param(
-            1024,
+            512,
             help="memory for what frames give to the mosaic",
             unit="MB",
             ge=64,
