@@ -76,7 +76,7 @@ def cut_seams(nearest: Ownership, parts: Sequence[Part], spread: Spread | None =
     for n, pairs in enumerate(_rounds(_meeting(parts), len(parts))):
         found = [(i, j, window) for i, j in pairs if (window := _window(parts, may, i, j)) is not None]
         jobs = [_shared(parts, may, *pair) for pair in found]
-        cuts = spread.map(f"seams {n}", cut, jobs, range(len(jobs)))
+        cuts = spread.map("cuts", cut, jobs, [(n, i, j) for i, j, _ in found])
         for (i, j, window), job, first in zip(found, jobs, cuts, strict=True):
             both = job.may[0] & job.may[1]
             for k, mine in ((i, first), (j, ~first)):
