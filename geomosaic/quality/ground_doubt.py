@@ -6,7 +6,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import erfc
 
 from geomosaic.camera.exterior import Poses
@@ -52,6 +51,8 @@ def leaning_99_px(ownership: Ownership, poses: Poses, work_frame: LocalFrame, gr
     A place moves by its height's error times the tangent of the angle at which its frame looks at it. NaN
     where the ground's deviations aren't known, or no frame gives anything.
     """
+    from scipy.optimize import brentq
+
     if ground.sd_m is None:
         return float("nan")
     sd_px = leaning_sd_px(ownership, poses, work_frame, ground)
