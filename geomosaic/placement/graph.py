@@ -65,10 +65,11 @@ def overlapping_pairs(
     shared = shapely.area(shapely.intersection(outlines_a[left], outlines_a[right])) / smaller
     near = shapely.area(shapely.intersection(grown_a[left], grown_a[right])) / smaller
     score = shared + 0.01 * near
+    frame, pair = np.concatenate([left, right]), np.tile(np.arange(left.size), 2)
+    order = np.lexsort((pair, -score[pair], frame))
+    nth = np.arange(order.size) - np.searchsorted(frame[order], frame[order], side="left")
     asked = np.zeros(left.size, dtype=bool)
-    for i in range(len(outlines)):
-        mine = np.flatnonzero((left == i) | (right == i))
-        asked[mine[np.argsort(-score[mine], kind="stable")[:most]]] = True
+    asked[pair[order[nth < most]]] = True
     wanted = np.flatnonzero(asked & ((shared > 0.0) | (near > least)))
     wanted = wanted[np.argsort(-score[wanted], kind="stable")]
     return tuple((int(left[k]), int(right[k])) for k in wanted)

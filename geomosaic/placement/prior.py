@@ -89,8 +89,10 @@ def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
     has none, or they lie where it does."""
     n = len(positions_m)
     course = np.full(n, np.nan)
-    for line in sorted(set(lines)):
-        at = [i for i in range(n) if lines[i] == line]
+    frames: dict[int, list[int]] = {}
+    for i, line in enumerate(lines):
+        frames.setdefault(line, []).append(i)
+    for at in frames.values():
         if len(at) < 2:
             continue
         for k, i in enumerate(at):
