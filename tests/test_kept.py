@@ -107,6 +107,35 @@ def test_new_frames_bring_only_their_own_keypoints_and_pairs(workers: int, fligh
     assert len(flight.lasting) == 7 and all(path.is_file() for path in flight.lasting)
 
 
+def test_large_results_are_left_on_the_disk_by_who_made_them(flight: Flight) -> None:
+    """100 MB of each frame went home through a pipe to be written there."""
+    flight.put(2, 3, 7)
+    home: list[object] = []
+    with Workers(2) as team:
+        result = team.result
+        team.result = lambda future: home.append(result(future)) or home[-1]  # type: ignore[method-assign, func-returns-value]
+        flight.run("one", team)
+    left = [path for path in home if isinstance(path, Path)]
+    assert len(left) == 3 and not any(path.exists() for path in left)
+    assert all(path.parent.parent.name == "items" for path in left)
+
+
+def test_a_file_that_changes_meanwhile_leaves_no_result(flight: Flight) -> None:
+    flight.put(2)
+
+    def change(done: int, *_: object) -> None:
+        flight.put(2)
+        (flight.frames / "02.jpg").write_text("23")
+
+    hashes = FileHashes()
+    hashes.manifest(flight.frames)
+    with Workers(2) as team:
+        context = Context(flight.folder / "run", key="one", workers=team, hashes=hashes, on_progress=change)
+        with pytest.raises(FileError, match="was changed while the run read it"):
+            context.stored("keypoints", keypoints, [str(flight.frames / "02.jpg")])
+    assert not [path for path in context.work_folder.rglob("*") if path.is_file()]
+
+
 def test_what_lies_beside_a_file_and_counts_names_its_results_too(flight: Flight) -> None:
     """A mask or an overview of its name changes what is read of a frame."""
     flight.put(2, 3)

@@ -23,7 +23,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import IO, Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -70,15 +70,20 @@ def content_of(value: Any) -> tuple[str, set[str]]:
 
 def encode(artefact: Any) -> bytes:
     """The artefact as bytes. Raises `TypeError` where it holds what has no plain form."""
+    out = io.BytesIO()
+    write(artefact, out)
+    return out.getvalue()
+
+
+def write(artefact: Any, out: IO[bytes]) -> None:
+    """Writes what `encode` gives to a file."""
     content = _Content()
     tree = _tree(artefact, content, type(artefact).__name__)
-    out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:
         text = json.dumps(tree, separators=(",", ":"), allow_nan=False)
         file.writestr(zipfile.ZipInfo(_TREE, _TIMELESS), text)
         for i, member in enumerate(content.members):
             file.writestr(zipfile.ZipInfo(str(i), _TIMELESS), member)
-    return out.getvalue()
 
 
 @dataclasses.dataclass

@@ -22,7 +22,7 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import content_of
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.kept import Encoding, Kept, Lent, left_on_disk
+from geomosaic.pipeline.kept import Encoding, Kept, Leaving, Lent, left_on_disk
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
@@ -272,7 +272,7 @@ class Context:
         a file, counts for the item's by its own name without being read, and the function calls `recall`,
         which reads it once in each worker as long as it is wanted again soon.
         """
-        return self._mapped(name, function, items, None, left_on_disk)
+        return self._mapped(name, function, items, None, left_on_disk, stay=True)
 
     @contextmanager
     def spooled(
@@ -282,7 +282,7 @@ class Context:
 
         They are there until the block ends; if it fails, the next run finds them.
         """
-        kept = self._mapped(name, function, items, keys, left_on_disk)
+        kept = self._mapped(name, function, items, keys, left_on_disk, stay=True)
         yield kept
         for one in kept:
             one.forget()
@@ -294,7 +294,10 @@ class Context:
         items: Iterable[Item],
         keys: Sequence[Any] | None,
         take: Callable[[Kept[Result]], Taken],
+        *,
+        stay: bool = False,
     ) -> list[Taken]:
+        """What is taken of each result. stay: other processes leave results on the disk themselves."""
         if keys is None:
             items = list(items)
         returns = _returns(function)
@@ -303,7 +306,10 @@ class Context:
         for i, place in enumerate(places):
             if place.path is not None and os.path.lexists(place.path):
                 try:
-                    done[i] = take(Kept(returns, place.mark, place.path))
+                    found = Kept[Result](returns, place.mark, place.path)
+                    if stay:
+                        found.load()  # whole, or made again
+                    done[i] = take(found)
                 except (OSError, FileError):
                     files.remove(place.path)
         if done:
@@ -315,7 +321,11 @@ class Context:
                 self.progress(len(done), len(places), name)
                 most = 2 * self._workers.workers if self._workers.elsewhere else 1
                 for i, item in itertools.islice(waiting, max(0, most - len(running))):
-                    running[self._workers.submit(work, item)] = i
+                    path = places[i].path
+                    if stay and path is not None and self._workers.elsewhere:
+                        running[self._workers.submit(Leaving(work), (item, path))] = i
+                    else:
+                        running[self._workers.submit(Encoding(work), item)] = i
                 if not running:
                     break
                 finished = wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done
@@ -323,20 +333,30 @@ class Context:
                     self._workers.check()
                 for future in finished:
                     i = running.pop(future)
-                    place, data = places[i], self._workers.result(future)
-                    if place.path is not None:
-                        self._hashes.check_unchanged(place.files)
-                        files.write_bytes(place.path, data)
-                    done[i] = take(Kept(returns, place.mark, place.path, data))
+                    done[i] = take(self._kept(returns, places[i], self._workers.result(future)))
         return [done[i] for i in range(len(places))]
+
+    def _kept(self, returns: Any, place: _Place, made: bytes | Path) -> Kept[Any]:
+        """A result in its place, as its bytes come or where it was left, if nothing changed meanwhile."""
+        try:
+            if place.path is not None:
+                self._hashes.check_unchanged(place.files)
+                if isinstance(made, Path):
+                    made.replace(place.path)
+                else:
+                    files.write_bytes(place.path, made)
+        finally:
+            if isinstance(made, Path):
+                files.remove(made)
+        return Kept(returns, place.mark, place.path, made if isinstance(made, bytes) else None)
 
     @contextmanager
     def _for_workers(
-        self, name: str, function: Callable[[Item], Any], wanted: bool
-    ) -> Iterator[Callable[[Item], bytes]]:
+        self, name: str, function: Callable[[Item], Result], wanted: bool
+    ) -> Iterator[Callable[[Item], Result]]:
         """The function as workers get it: with what it shares for all items sent to each of them once."""
         if not (wanted and self._workers.elsewhere):
-            yield Encoding(function)
+            yield function
             return
         path = self.work_folder / f".{name}.{os.getpid()}.geomosaic.part"
         try:

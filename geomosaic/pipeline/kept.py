@@ -6,7 +6,9 @@ reads it there, and keeps what it needed lately.
 
 from __future__ import annotations
 
+import os
 import pickle
+import secrets
 import socket
 import threading
 import typing
@@ -19,7 +21,7 @@ from typing import Annotated, Any, Generic, TypeVar
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import Reference, decode, encode
+from geomosaic.pipeline.artefacts import Reference, decode, encode, write
 from geomosaic.recording.fingerprints import fingerprint_of_bytes
 
 Result = TypeVar("Result")
@@ -119,15 +121,13 @@ class Kept(Reference, Generic[Result]):
 
 
 def left_on_disk(kept: Kept[Result]) -> Kept[Result]:
-    """Without its bytes in memory, if they are on the disk. Raises: as `load`."""
-    if kept.data is None:
-        kept.load()
+    """Without its bytes in memory, if they are on the disk."""
     return Kept(kept.returns, kept.mark, kept.path, None if kept.path is not None else kept.data)
 
 
 @dataclass(frozen=True)
-class Lent(Generic[Item]):
-    """A function with large arguments, written once for all workers; its result as an artefact's bytes.
+class Lent(Generic[Item, Result]):
+    """A function with large arguments, written once for all workers.
 
     Pickled, so that its numbers keep their types; it is taken only if its bytes have the mark that came
     with the task.
@@ -137,17 +137,17 @@ class Lent(Generic[Item]):
     mark: str
 
     @classmethod
-    def of(cls, function: Callable[[Item], Any], path: Path) -> Callable[[Item], bytes]:
+    def of(cls, function: Callable[[Item], Result], path: Path) -> Callable[[Item], Result]:
         """The function as it goes to the workers: itself, or what lies at `path` where it is large."""
         data = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL)
         if len(data) <= _LENT_BYTES:
-            return Encoding(function)
+            return function
         files.write_bytes(path, data)
         return cls(path, fingerprint_of_bytes(data))
 
-    def __call__(self, item: Item) -> bytes:
-        function: Callable[[Item], Any] = _memory.get(self.mark, self._read)
-        return encode(function(item))
+    def __call__(self, item: Item) -> Result:
+        function: Callable[[Item], Result] = _memory.get(self.mark, self._read)
+        return function(item)
 
     def _read(self) -> tuple[Any, int]:
         data = _read(self.path, lambda file: file.read())
@@ -158,12 +158,34 @@ class Lent(Generic[Item]):
 
 @dataclass(frozen=True)
 class Encoding(Generic[Item]):
-    """A function whose result is wanted as an artefact's bytes."""
+    """A function whose result comes home as an artefact's bytes."""
 
     function: Callable[[Item], Any]
 
     def __call__(self, item: Item) -> bytes:
         return encode(self.function(item))
+
+
+@dataclass(frozen=True)
+class Leaving(Generic[Item]):
+    """A function whose result is left on the disk by who made it, beside the place it is to take; the name of
+    the file comes home. A task that is done twice leaves two."""
+
+    function: Callable[[Item], Any]
+
+    def __call__(self, given: tuple[Item, Path]) -> Path:
+        item, place = given
+        result = self.function(item)
+        path = place.with_name(f".{place.name}-{secrets.token_hex(4)}.{os.getpid()}.geomosaic.part")
+        try:
+            with files.refusals_named(place):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with path.open("wb") as file:
+                    write(result, file)
+        except BaseException:
+            files.remove(path)
+            raise
+        return path
 
 
 def _read(path: Path, read: Callable[[typing.BinaryIO], Result]) -> Result:
