@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from geomosaic.adjustment import collinearity
 from geomosaic.adjustment.beliefs import interior_deviations
-from geomosaic.adjustment.bundle_equations import in_own_rows, strayed_principal_points
+from geomosaic.adjustment.bundle_equations import in_own_rows, seen_px, strayed_principal_points
 from geomosaic.adjustment.bundle_model import Priors, State, stepped
 from geomosaic.adjustment.collinearity import (
     image_from_ground,
@@ -162,7 +162,9 @@ def test_errors_of_keypoints_do_not_stretch_frames() -> None:
 
     def seen(image_px: np.ndarray) -> tuple[np.ndarray, ...]:
         tracks = Tracks(np.zeros(m, np.intp), np.arange(m), image_px)
-        return project(*in_own_rows(tracks, np.zeros(1, np.intp), priors, state))
+        camera_of = np.zeros(1, np.intp)
+        seen = seen_px(tracks, camera_of, priors, state)
+        return project(*in_own_rows(tracks, camera_of, priors, state, seen))
 
     image, *derivatives = seen(exact + errors)
     assert (exact > 0.0).all() and (exact < [800.0, 600.0]).all()

@@ -7,6 +7,7 @@ import pytest
 
 from geomosaic.adjustment.collinearity import image_from_ground, project, readout_of
 from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
+from geomosaic.adjustment.sightings import Sightings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError
@@ -27,12 +28,10 @@ def random_normals(
     m, fd, ck = len(frame), d * frames, numbers * cameras
     parts = rng.normal(0, 1, (m, 2, d)), rng.normal(0, 1, (m, 2, numbers)), rng.normal(0, 1, (m, 2, 3))
     residual, weight = rng.normal(0, 1, (m, 2)), rng.uniform(0.5, 2.0, m)
-    counts = (frames, cameras, numbers, points)
     n = build_normals(
-        frame,
-        point,
+        Sightings.of(frame, point, frames, points),
         camera_of,
-        counts,
+        (cameras, numbers),
         lambda which: (residual[which], weight[which], *(a[which] for a in parts)),
         d,
     )

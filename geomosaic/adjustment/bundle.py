@@ -16,8 +16,8 @@ from geomosaic.adjustment.bundle_equations import (
     image_sd_px,
     lengths_px,
     normals_of,
-    observed,
     pose_sd,
+    seen_px,
     share_shown,
     shared_miss,
     strayed_principal_points,
@@ -32,7 +32,7 @@ from geomosaic.adjustment.bundle_model import (
     stepped,
     with_interior,
 )
-from geomosaic.adjustment.collinearity import INTERIOR, image_from_ground, interior_of
+from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import student_weight
@@ -416,8 +416,7 @@ def _finish(
     covariance, shared = reduced.covariance()
     covariance = covariance[:, :6, :6]
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    image = image_from_ground(*observed(tracks, camera_of, priors, state))
-    residual = tracks.image_px - image
+    residual = tracks.image_px - seen_px(tracks, camera_of, priors, state)
     standardised = np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors)
     standardised /= np.sqrt(share_shown(tracks, priors))
     cameras, mounting = state.interior.size, state.mounting.size

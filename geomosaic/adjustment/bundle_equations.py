@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_model import READOUT, Factors, Priors, State
 from geomosaic.adjustment.collinearity import (
     INTERIOR,
-    Readout,
     image_from_ground,
     interior_of,
     kinds_of,
@@ -21,8 +20,9 @@ from geomosaic.adjustment.collinearity import (
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
 from geomosaic.adjustment.robust import INFORMATION, student_cost, student_weight
+from geomosaic.adjustment.sightings import AT_ONCE
 from geomosaic.adjustment.terrain import add_terrain, terrain_cost
-from geomosaic.adjustment.tracks import Tracks
+from geomosaic.adjustment.tracks import Tracks, part_of
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.plausible import OFF_CENTRE
 
@@ -66,22 +66,24 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
 def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Normals:
     """Those of Fisher's scoring: weights are what image errors are expected to contribute."""
     sd_px, shown = image_sd_px(tracks, priors, factors), share_shown(tracks, priors)
+    seen = seen_px(tracks, camera_of, priors, state)
 
     def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        some = Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
-        image, by_pose, by_interior, by_point = project(*in_own_rows(some, camera_of, priors, state))
+        some = part_of(tracks, which)
+        here = in_own_rows(some, camera_of, priors, state, seen[which])
+        image, by_pose, by_interior, by_point = project(*here)
         residual, sd = some.image_px - image, sd_px[which]
-        seen = np.isfinite(residual).all(axis=1) & has_say(some, priors)
+        counts = np.isfinite(residual).all(axis=1) & has_say(some, priors)
         length = np.linalg.norm(residual, axis=1) / (sd * np.sqrt(shown[which]))
-        weight = np.where(seen, student_weight(length) / sd**2, 0.0)
+        weight = np.where(counts, student_weight(length) / sd**2, 0.0)
         residual /= INFORMATION
         for a in (residual, by_pose, by_interior, by_point):
-            a[~seen] = 0.0
+            a[~counts] = 0.0
         return residual, weight, by_pose, by_interior, by_point
 
-    counts = (len(state.positions), *state.interior.shape, len(state.points))
+    sightings = tracks.sightings(len(state.positions), len(state.points))
     d = 6 if state.swing is None else 6 + state.swing[0].size
-    n = build_normals(tracks.frame, tracks.point, camera_of, counts, linearised, d)
+    n = build_normals(sightings, camera_of, state.interior.shape, linearised, d)
     n = _with_priors(n, camera_of, priors, state, factors)
     if priors.terrain is None:
         return replace(n, level=1.0)
@@ -163,38 +165,50 @@ def trust_of(priors: Priors) -> Floats:
     return np.ones((len(priors.poses), 6)) if priors.trust is None else priors.trust
 
 
-def in_own_rows(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
-    """`observed` with rolling shutters at the points' own rows, see `Readout`."""
-    seen = observed(tracks, camera_of, priors, state)
-    positions, _, interior, points, read, kind = seen
-    if read is None:
-        return seen
-    rows = np.clip(image_from_ground(*seen)[:, 1], 0.0, read.heights_px)
-    rows = np.where(np.isnan(rows), read.rows_px, rows)
-    read = _readout(tracks, priors, state, rows, read.heights_px, interior[:, READOUT])
-    return positions, read.rotations, interior, points, read, kind
+def in_own_rows(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, seen_at_px: Floats
+) -> tuple[Any, ...]:
+    """`observed` with rolling shutters at the points' own rows, see `Readout`; seen_at_px (m, 2): where the
+    points are seen while the measured rows are read."""
+    if not _reads_rows(priors, state):
+        return observed(tracks, camera_of, priors, state)
+    heights = np.array([c.height_px for c in priors.cameras])[camera_of[tracks.frame]]
+    rows = np.clip(seen_at_px[:, 1], 0.0, heights)
+    return observed(tracks, camera_of, priors, state, np.where(np.isnan(rows), tracks.image_px[:, 1], rows))
 
 
-def observed(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> tuple[Any, ...]:
-    """What `project` and `image_from_ground` take, a row an observation; shutters at the measured rows."""
-    camera, frame, poses = camera_of[tracks.frame], tracks.frame, priors.poses
+def seen_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Floats:
+    """Where the points are seen while the measured rows are read, (m, 2); NaN behind the camera. The state
+    keeps them: cost, equations and variance components all ask."""
+    if state.seen_px is None:
+        parts = np.array_split(np.arange(len(tracks.frame)), max(len(tracks.frame) // AT_ONCE, 1))
+        state.seen_px = np.concatenate(
+            [image_from_ground(*observed(part_of(tracks, i), camera_of, priors, state)) for i in parts]
+        )
+    return state.seen_px
+
+
+def observed(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, rows_px: Floats | None = None
+) -> tuple[Any, ...]:
+    """What `project` and `image_from_ground` take, a row an observation; shutters at rows_px (m,), or the
+    measured rows."""
+    camera, frame = camera_of[tracks.frame], tracks.frame
     interior, kinds = state.interior[camera], kinds_of(priors.cameras)
     seen = state.positions[frame], state.rotations[frame], interior, state.points[tracks.point]
     kind = None if kinds is None else kinds[camera]
-    moving = poses.velocities_m_per_s is not None or poses.turns is not None
-    if not _rolls(priors) or not (moving or state.swing is not None):
+    if not _reads_rows(priors, state):
         return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
-    read = _readout(tracks, priors, state, tracks.image_px[:, 1], heights, interior[:, READOUT])
+    rows = tracks.image_px[:, 1] if rows_px is None else rows_px
+    read = readout_of(priors.poses, state.rotations, state.swing, frame, rows, heights, interior[:, READOUT])
     return seen[0], read.rotations, *seen[2:], read, kind
 
 
-def _readout(
-    tracks: Tracks, priors: Priors, state: State, rows_px: Floats, heights_px: Floats, readouts_s: Floats
-) -> Readout:
-    return readout_of(
-        priors.poses, state.rotations, state.swing, tracks.frame, rows_px, heights_px, readouts_s
-    )
+def _reads_rows(priors: Priors, state: State) -> bool:
+    """Whether rows make a difference."""
+    moving = priors.poses.velocities_m_per_s is not None or priors.poses.turns is not None
+    return _rolls(priors) and (moving or state.swing is not None)
 
 
 def _rolls(priors: Priors) -> bool:
@@ -204,8 +218,8 @@ def _rolls(priors: Priors) -> bool:
 
 def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Floats:
     """Lengths of the image residuals, (m,); NaN behind the camera."""
-    image = image_from_ground(*observed(tracks, camera_of, priors, state))
-    return np.asarray(np.linalg.norm(tracks.image_px - image, axis=1))
+    away = tracks.image_px - seen_px(tracks, camera_of, priors, state)
+    return np.asarray(np.hypot(away[:, 0], away[:, 1]))
 
 
 def image_sd_px(tracks: Tracks, priors: Priors, factors: Factors) -> Floats:
@@ -227,7 +241,7 @@ def share_shown(tracks: Tracks, priors: Priors) -> Floats:
     errors, and stand out as such only (Baarda 1968, section 4). Those of a point seen twice have one
     direction, across the plane of both rays, and half of the square in it.
     """
-    views = np.bincount(tracks.point, minlength=len(priors.control))[tracks.point]
+    views = tracks.lengths[tracks.point]
     return np.where(priors.control[tracks.point], 1.0, 1.0 - 1.5 / np.maximum(views, 3))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -149,6 +149,8 @@ class Bundle:
 
 @dataclass
 class State:
+    """Present values of the unknowns; seen_px (m, 2): see `bundle_equations.seen_px`, which sets it."""
+
     positions: Floats
     rotations: Floats
     interior: Floats
@@ -156,6 +158,7 @@ class State:
     mounting: Floats
     level: float = 0.0
     swing: Floats | None = None
+    seen_px: Floats | None = field(default=None, init=False)
 
 
 def stepped(state: State, share: float, *step: Any) -> State:

@@ -14,7 +14,7 @@ from geomosaic.adjustment.bundle_model import READOUT, Bundle
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.adjustment.swing import MOST_GUSTS
-from geomosaic.adjustment.tracks import Tracks, chosen_tracks, nearest_to_rays, thin_tracks
+from geomosaic.adjustment.tracks import Tracks, chosen_tracks, frame_by_frame, nearest_to_rays, thin_tracks
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
@@ -390,8 +390,7 @@ def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> Floats:
     near = np.broadcast_to(centre, (tracks.points, 3))
     points = nearest_to_rays(tracks, solved.poses, cameras, near)
     seen = np.empty_like(tracks.image_px)
-    for i in np.unique(tracks.frame):
-        mine = np.flatnonzero(tracks.frame == i)
+    for i, mine in frame_by_frame(tracks.frame):
         seen[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
     length = np.linalg.norm(tracks.image_px - seen, axis=1)
     squares = np.bincount(tracks.point, np.nan_to_num(length, nan=_NOT_SEEN_PX) ** 2, tracks.points)

@@ -13,7 +13,6 @@ from geomosaic.adjustment.swing import recorded_share, terms_at
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS, Lens
-from geomosaic.camera.rotation import exp_turn
 from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
@@ -69,23 +68,24 @@ class Readout:
 
     @property
     def shares(self) -> Floats:
-        """Of the image's height, from its middle row on, (m, 1)."""
-        return (self.rows_px / self.heights_px - 0.5)[:, None]
-
-    @property
-    def passed_m_per_s(self) -> Floats:
-        """By what the projection centre has moved for each second of readout, (m, 3)."""
-        return self.velocities_m_per_s * self.shares
-
-    @property
-    def turned_rad_per_s(self) -> Floats:
-        """By what the camera has turned for each second of readout, (m, 3)."""
-        return self.rates_rad_per_s * self.shares
+        """Of the image's height, from its middle row on, (m,)."""
+        return self.rows_px / self.heights_px - 0.5
 
     def seen_px(self, image_px: Floats, by_row: Floats) -> Floats:
-        """Where points are seen (m, 2) that would be at image_px while these rows are read."""
-        rows = (image_px[:, 1] - self.rows_px) / (1.0 - by_row[:, 1])
-        return np.stack([image_px[:, 0] + by_row[:, 0] * rows, self.rows_px + rows], axis=1)
+        """Where points are seen (2, m) that would be at image_px while these rows are read; by_row (2, m): by
+        how much they move for each row."""
+        rows = (image_px[1] - self.rows_px) / (1.0 - by_row[1])
+        return np.stack([image_px[0] + by_row[0] * rows, self.rows_px + rows])
+
+
+def by_component(values: Floats) -> Floats:
+    """(m, ...) as (..., m), each component in one piece: what is done to all m goes through it at once."""
+    return np.ascontiguousarray(values.transpose(*range(1, values.ndim), 0))
+
+
+def _by_number(components: Floats) -> Floats:
+    """(..., m) as (m, ...), as it lies."""
+    return components.transpose(-1, *range(components.ndim - 1))
 
 
 def readout_of(
@@ -104,20 +104,47 @@ def readout_of(
     turns: `R(row) = exp(swing(row)) R exp(turn(row))`.
     """
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
-    at_row, rates, terms, swinging = rotations[frame], none, None, none
+    at_row, rates, terms, swinging = by_component(rotations[frame]), none.T, None, none.T
     velocities = none if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frame]
     if poses.turns is not None:
         turn, rate = poses.turns.at(share * readouts_s, frame)
-        at_row = at_row @ exp_turn(turn)
-        rates = np.einsum("mij,mj->mi", at_row, rate - 0.5 * np.cross(turn, rate))
+        at_row = _product(at_row, _turned(by_component(turn)))
+        rates = _turn(at_row, by_component(rate - 0.5 * np.cross(turn, rate)))
     if swing is not None:
         recorded = recorded_share(poses.turns, frame, readouts_s)
         terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
-        more = exp_turn(np.einsum("mt,mtj->mj", terms, swing[frame]))
-        swinging = np.einsum("mt,mtj->mj", slopes, swing[frame])
-        at_row = more @ at_row
-        rates = np.einsum("mij,mj->mi", more, rates)
-    return Readout(rows_px, heights_px, at_row, velocities, rates, terms, swinging)
+        of_frame = by_component(swing[frame])
+        more = _turned(np.einsum("mt,tjm->jm", terms, of_frame))
+        swinging = np.einsum("mt,tjm->jm", slopes, of_frame)
+        at_row, rates = _product(more, at_row), _turn(more, rates)
+    return Readout(
+        rows_px, heights_px, _by_number(at_row), velocities, _by_number(rates), terms, _by_number(swinging)
+    )
+
+
+def _turned(turn_rad: Floats) -> Floats:
+    """Rotation matrices (3, 3, m) of rotation vectors (3, m), as `exp_turn` gives them."""
+    angle = np.sqrt((turn_rad**2).sum(axis=0))
+    x, y, z = turn_rad / np.maximum(angle, 1e-12)
+    sine, versine = np.sin(angle), 1.0 - np.cos(angle)
+    out = np.empty((3, 3, len(angle)))
+    out[0, 0], out[1, 1], out[2, 2] = (
+        1.0 - versine * (a * a + b * b) for a, b in ((y, z), (x, z), (x, y))
+    )  # fmt: skip
+    for i, j, a, b, c in ((0, 1, x, y, z), (2, 0, z, x, y), (1, 2, y, z, x)):
+        even, odd = versine * (a * b), sine * c
+        out[i, j], out[j, i] = even - odd, even + odd
+    return out
+
+
+def _product(left: Floats, right: Floats) -> Floats:
+    """Matrices (3, 3, m) times matrices (3, 3, m)."""
+    return np.asarray(np.einsum("ijm,jkm->ikm", left, right))
+
+
+def _turn(matrices: Floats, vectors: Floats) -> Floats:
+    """Matrices (3, 3, m) times vectors (3, m)."""
+    return np.asarray(np.einsum("ijm,jm->im", matrices, vectors))
 
 
 def image_from_ground(
@@ -129,13 +156,13 @@ def image_from_ground(
     kinds: Ints | None = None,
 ) -> Floats:
     """Image coordinates (m, 2) as `project` gives them, without derivatives."""
-    d, u, v, z = _directions(positions_m, rotations, interior, points_m, read)
-    bent, slopes = _bends(u, v, interior, kinds, slopes=read is not None)
-    image = (bent * interior[:, 0]).T + interior[:, 1:3]
+    turned, numbers = by_component(rotations), by_component(interior)
+    d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
+    bent, slopes = _bends(u, v, numbers, kinds, slopes=read is not None)
+    image = bent * numbers[0] + numbers[1:3]
     if read is not None:
-        by_row = _by_row(read, rotations, interior, d, u, v, z, slopes)
-        image = read.seen_px(image, by_row)
-    return image
+        image = read.seen_px(image, _by_row(read, turned, numbers, d, u, v, z, slopes))
+    return _by_number(image)
 
 
 def project(
@@ -158,55 +185,53 @@ def project(
     Returns: image_px (m, 2); by_pose (m, 2, 6 + 3 t): position, turn in rad, and the frame's swing;
         by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
     """
-    d, u, v, z = _directions(positions_m, rotations, interior, points_m, read)
-    f, terms = interior[:, 0], None if read is None else read.terms
-    bent, slopes = _bends(u, v, interior, kinds, slopes=True)
-    image = (bent * f).T + interior[:, 1:3]
-    by_interior = np.zeros((len(u), 2, len(INTERIOR)))
+    turned, numbers = by_component(rotations), by_component(interior)
+    d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
+    f, terms = numbers[0], None if read is None else read.terms
+    bent, slopes = _bends(u, v, numbers, kinds, slopes=True)
+    image = bent * f + numbers[1:3]
+    by_interior = np.zeros((2, len(INTERIOR), len(u)))
     for lens, which in _lenses(kinds):
         x, y = u[which], v[which]
-        for column, (across, down) in enumerate(lens.by_terms(x, y, x * x + y * y), 3):
-            by_interior[which, 0, column] = f[which] * across
-            by_interior[which, 1, column] = f[which] * down
-    by_u, by_v = slopes[:2], slopes[1:]
-    by_camera = np.empty((len(u), 2, 3))
-    for axis in range(2):
-        by_camera[:, axis, 0] = -by_u[axis]
-        by_camera[:, axis, 1] = by_v[axis]
-        by_camera[:, axis, 2] = -(by_u[axis] * u + by_v[axis] * v)
-    by_camera *= (f / z)[:, None, None]
-    by_point = by_camera @ np.swapaxes(rotations, 1, 2)
-    by_pose = np.empty((len(u), 2, 6 + 3 * (0 if terms is None else terms.shape[1])))
-    np.negative(by_point, out=by_pose[:, :, :3])
+        for column, both in enumerate(lens.by_terms(x, y, x * x + y * y), 3):
+            for axis in range(2):
+                by_interior[axis, column, which] = f[which] * both[axis]
+    by_u, by_v, scale = slopes[:2], slopes[1:], f / z
+    by_camera = np.stack([-by_u, by_v, -(by_u * u + by_v * v)], axis=1) * scale
+    by_point = np.einsum("ajm,ijm->aim", by_camera, turned)
+    by_pose = np.empty((2, 6 + 3 * (0 if terms is None else terms.shape[1]), len(u)))
+    np.negative(by_point, out=by_pose[:, :3])
     for axis in range(3):
         one, two = (axis + 1) % 3, (axis + 2) % 3
-        by_pose[:, :, 3 + axis] = (
-            by_point[:, :, one] * d[:, two, None] - by_point[:, :, two] * d[:, one, None]
-        )
-    by_interior[:, :, 0] = bent.T
-    by_interior[:, 0, 1] = by_interior[:, 1, 2] = 1.0
-    if read is None:
-        return image, by_pose, by_interior, by_point
-    by_interior[:, :, 8] = -np.einsum("maj,mj->ma", by_point, read.passed_m_per_s)
-    by_interior[:, :, 8] += np.einsum("maj,mj->ma", by_pose[:, :, 3:6], read.turned_rad_per_s)
-    by_row = _by_row(read, rotations, interior, d, u, v, z, slopes)
-    for derivatives in (by_pose[:, :, :6], by_interior, by_point):
-        _in_own_row(derivatives, by_row)
+        by_pose[:, 3 + axis] = by_point[:, one] * d[two] - by_point[:, two] * d[one]
+    by_interior[:, 0] = bent
+    by_interior[0, 1] = by_interior[1, 2] = 1.0
+    if read is not None:
+        shares = read.shares
+        by_interior[:, 8] = np.einsum("ajm,jm->am", by_pose[:, 3:6], read.rates_rad_per_s.T * shares)
+        by_interior[:, 8] -= np.einsum("ajm,jm->am", by_point, read.velocities_m_per_s.T * shares)
+        by_row = _by_row(read, turned, numbers, d, u, v, z, slopes)
+        for derivatives in (by_pose[:, :6], by_interior, by_point):
+            _in_own_row(derivatives, by_row)
+        image = read.seen_px(image, by_row)
     if terms is not None:
-        swung = terms[:, None, :, None] * by_pose[:, :, None, 3:6]
-        by_pose[:, :, 6:] = swung.reshape(len(u), 2, -1)
-    return read.seen_px(image, by_row), by_pose, by_interior, by_point
+        swung = by_component(terms)[None, :, None] * by_pose[:, None, 3:6]
+        by_pose[:, 6:] = swung.reshape(2, -1, len(u))
+    return _by_number(image), _by_number(by_pose), _by_number(by_interior), _by_number(by_point)
 
 
 def _directions(
     positions_m: Floats, rotations: Floats, interior: Floats, points_m: Floats, read: Readout | None
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Point minus projection centre (m, 3); to the right and down in the image over the distance along the
-    view, without distortion, (m,) each; and the camera's own z (m,), NaN behind the camera."""
-    d = points_m - positions_m
+    """Point minus projection centre (3, m); to the right and down in the image over the distance along the
+    view, without distortion, (m,) each; and the camera's own z (m,), NaN behind the camera.
+
+    Args: rotations (3, 3, m), interior (9, m).
+    """
+    d = by_component(points_m - positions_m)
     if read is not None:
-        d = d - interior[:, 8:] * read.passed_m_per_s
-    x, y, z = np.einsum("mij,mi->jm", rotations, d)
+        d -= read.velocities_m_per_s.T * (interior[8] * read.shares)
+    x, y, z = np.einsum("ijm,im->jm", rotations, d)
     z = np.where(z < 0.0, z, np.nan)
     return d, -x / z, y / z, z
 
@@ -218,7 +243,7 @@ def _bends(
     bent, slope = np.empty((2, len(u))), np.empty((3, len(u) if slopes else 0))
     for lens, which in _lenses(kinds):
         x, y = u[which], v[which]
-        r_sq, bends = x * x + y * y, interior[which, 3:8].T
+        r_sq, bends = x * x + y * y, interior[3:8, which]
         bent[:, which] = lens.bent(bends, x, y, r_sq)
         if slopes:
             slope[:, which] = lens.slopes(bends, x, y, r_sq)
@@ -235,21 +260,22 @@ def _by_row(
     z: Floats,
     slopes: Floats,
 ) -> Floats:
-    """By how much points' images move while one row after the other is read, (m, 2) px a row."""
-    readout_s = interior[:, 8:]
-    turning = readout_s * read.rates_rad_per_s + read.swinging_rad
-    moving = -readout_s * read.velocities_m_per_s - np.cross(turning, d)
-    x, y, along = np.einsum("mij,mi->jm", rotations, moving)
+    """By how much points' images move while one row after the other is read, (2, m) px a row."""
+    readout_s = interior[8]
+    a, b, c = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
+    moving = -readout_s * read.velocities_m_per_s.T
+    moving -= np.stack([b * d[2] - c * d[1], c * d[0] - a * d[2], a * d[1] - b * d[0]])
+    x, y, along = np.einsum("ijm,im->jm", rotations, moving)
     du, dv = -(x + u * along) / z, (y - v * along) / z
-    moved = np.stack([slopes[0] * du + slopes[1] * dv, slopes[1] * du + slopes[2] * dv], axis=1)
-    moved *= (interior[:, 0] / read.heights_px)[:, None]
+    moved = np.stack([slopes[0] * du + slopes[1] * dv, slopes[1] * du + slopes[2] * dv])
+    moved *= interior[0] / read.heights_px
     return np.asarray(np.clip(moved, -_MOST_BY_ROW, _MOST_BY_ROW))
 
 
 def _in_own_row(derivatives: Floats, by_row: Floats) -> None:
-    """Derivatives (m, 2, k) by which the row itself moves, in place."""
-    derivatives[:, 1] /= (1.0 - by_row[:, 1])[:, None]
-    derivatives[:, 0] += by_row[:, :1] * derivatives[:, 1]
+    """Derivatives (2, k, m) by which the row itself moves, in place."""
+    derivatives[1] /= 1.0 - by_row[1]
+    derivatives[0] += by_row[0] * derivatives[1]
 
 
 def kinds_of(cameras: Sequence[Camera]) -> Ints | None:

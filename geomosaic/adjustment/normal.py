@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.sparse import bsr_matrix, csr_matrix
+from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.adjustment.dissected import Dissected
+from geomosaic.adjustment.sightings import Sightings
+from geomosaic.constants import Because
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_BATCH: Annotated[
-    int,
-    Because(
-        "image observations",
-        "linearised at once, whole frames of them: their derivatives (2 to 4 MB) stay in the processor's "
-        "cache; fewer mean more calls, more go through the memory",
-        CHOSEN,
-    ),
-] = 8192
-
 _LEAST_OF_POINTS: Annotated[
     float,
     Because(
@@ -44,11 +36,10 @@ class Normals:
     """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and
     what all frames share: the ground's level and q unknowns of the mounting, which meet the poses alone.
 
-    The m observations' own blocks (point by frame) are kept, in order of points, for the reduction.
+    The m observations' own blocks (point by frame) are kept, in order of frames, for the reduction.
     """
 
-    frame: Ints
-    point: Ints
+    sightings: Sightings
     camera_of: Ints
     pose: Floats
     """(f, d, d)"""
@@ -59,7 +50,7 @@ class Normals:
     pose_interior: Floats
     """(f, d, k), each frame with its own camera"""
     point_pose: Floats
-    """(m, 3, d), an observation each"""
+    """(m, 3, d), a sighting each"""
     interior_point: Floats
     """(c, p, k, 3)"""
     pose_side: Floats
@@ -78,10 +69,9 @@ class Normals:
 
 
 def build_normals(
-    frame: Ints,
-    point: Ints,
+    sightings: Sightings,
     camera_of: Ints,
-    counts: tuple[int, int, int, int],
+    counts: tuple[int, int],
     linearised: Callable[[Ints], tuple[Floats, Floats, Floats, Floats, Floats]],
     d: int = 6,
 ) -> Normals:
@@ -90,35 +80,33 @@ def build_normals(
 
     Derivatives are asked for some frames at a time, so that no array of all of them is ever made.
 
-    Args: frame, point (m,): in order of points; camera_of (f,); counts: frames, cameras, numbers of a
-        camera, points; d: unknowns of a frame. linearised: of some observations (n,) residuals (n, 2)
-        observed minus computed, weights (n,), and derivatives by pose, interior and point as
-        `collinearity.project` gives them.
+    Args: camera_of (f,); counts: cameras, numbers of a camera; d: unknowns of a frame. linearised: of some
+        observations (n,) residuals (n, 2) observed minus computed, weights (n,), and derivatives by pose,
+        interior and point as `collinearity.project` gives them.
     """
-    f, c, k, p = counts
-    order, ends = _sorted(frame, f)
-    point_pose = np.empty((len(order), 3, d))
-    in_frame, in_point = np.empty((f, d + k + 1, d + k + 1)), np.zeros((c * p, 3, k + 4))
-    for first, last in _batches(ends):
-        which = order[ends[first] : ends[last]]
-        residual, weight, by_pose, by_interior, by_point = linearised(which)
-        rows = np.concatenate([by_pose, by_interior, residual[:, :, None], by_point], axis=2)
-        rows *= np.sqrt(weight)[:, None, None]
-        for i in range(first, last):
-            mine = rows[ends[i] - ends[first] : ends[i + 1] - ends[first], :, :-3].reshape(-1, d + k + 1)
-            in_frame[i] = mine.T @ mine
-        by_rows = np.swapaxes(rows[:, :, -3:], 1, 2) @ rows
-        point_pose[which] = by_rows[:, :, :d]
-        met, local = np.unique(camera_of[frame[which]] * p + point[which], return_inverse=True)
-        into, starts = _sorted(local, len(met))
-        summing = csr_matrix((np.ones(len(into)), into, starts), shape=(len(met), len(into)))
-        in_point[met] += (summing @ by_rows[:, :, d:].reshape(len(into), -1)).reshape(-1, 3, k + 4)
+    (c, k), f, p = counts, sightings.frames, sightings.points
+    point_pose = np.empty((len(sightings.order), 3, d))
+    in_frame, in_point = np.empty((f, d + k + 1, d + k + 1)), np.zeros((c * p, 3 * (k + 4)))
+    for batch in sightings.batches(camera_of):
+        residual, weight, *derivatives = linearised(sightings.order[batch.span])
+        rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)
+        first = 0
+        for part in (*derivatives[:2], residual[:, :, None], derivatives[2]):
+            last = first + part.shape[2]
+            np.multiply(part.transpose(1, 2, 0), root, out=rows[:, first:last])
+            first = last
+        starts = sightings.starts[batch.first : batch.last + 1] - batch.span.start
+        for i, (here, end) in enumerate(pairwise(starts), batch.first):
+            across, down = rows[:, :-3, here:end]
+            in_frame[i] = across @ across.T + down @ down.T
+        by_rows = np.einsum("aim,ajm->ijm", rows[:, -3:], rows)
+        point_pose[batch.span] = by_rows[:, :d].transpose(2, 0, 1)
+        in_point[batch.met] += batch.summed(by_rows[:, d:].reshape(3 * (k + 4), -1))
     of_camera = np.eye(c)[camera_of].T
     by_camera = in_point.reshape(c, p, 3, k + 4)
     both = by_camera[..., k:].sum(axis=0)
     return Normals(
-        frame=frame,
-        point=point,
+        sightings=sightings,
         camera_of=camera_of,
         pose=in_frame[:, :d, :d].copy(),
         interior=np.tensordot(of_camera, in_frame[:, d:-1, d:-1], axes=1),
@@ -138,22 +126,6 @@ def build_normals(
     )
 
 
-def _sorted(number: Ints, size: int) -> tuple[Ints, Ints]:
-    """Observations in order of their numbers below `size`; where those of each begin, and the end."""
-    counts = np.bincount(number, minlength=size)
-    return np.argsort(number, kind="stable"), np.concatenate([[0], np.cumsum(counts)])
-
-
-def _batches(ends: Ints) -> Iterator[tuple[int, int]]:
-    """Runs of frames with few enough observations for their derivatives to stay in the processor's cache."""
-    first, frames = 0, len(ends) - 1
-    while first < frames:
-        last = int(np.searchsorted(ends, ends[first] + _BATCH, side="right")) - 1
-        last = max(last, first + 1)
-        yield first, last
-        first = last
-
-
 @dataclass(frozen=True)
 class Reduced:
     """The reduced system: poses (sparse), bordered by what frames share (dense), in this order: the numbers
@@ -170,8 +142,8 @@ class Reduced:
     normals: Normals
 
     @cached_property
-    def _factors(self) -> BlockTridiagonal:
-        return BlockTridiagonal(self.poses)
+    def _factors(self) -> Dissected:
+        return Dissected(self.poses, self.normals.sightings.shared_points.dissection)
 
     def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
         """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
@@ -183,7 +155,8 @@ class Reduced:
         n = self.normals
         dp = pose.reshape(len(n.pose), -1)
         dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
-        side = n.point_side - (_points_by_frames(n) @ pose).reshape(-1, 3)
+        by_pose = (n.point_pose @ dp[n.sightings.frame][:, :, None])[:, :, 0]
+        side = n.point_side - _summed(by_pose, n.sightings.point, len(n.points))
         side -= np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
         side -= level * n.level_point
         points = np.einsum("pij,pj->pi", self.points_inverse, side)
@@ -239,17 +212,22 @@ class Reduced:
 
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
-    to the diagonal."""
+    to the diagonal.
+
+    With V = L L' of a point and W its rows in the columns of the poses, W' V^-1 W is the square of L^-1 W:
+    what it takes away leaves no direction of the poses negative.
+    """
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
     pose, interior = (_damped(a, damping) for a in (n.pose, n.interior))
-    points = _damped(n.points, max(damping, _LEAST_OF_POINTS))
-    inverse: Floats = np.asarray(np.linalg.inv(points), dtype=np.float64)
-    by_camera = n.interior_point.transpose(1, 3, 0, 2).reshape(len(points), 3, c * k)
+    root = _inverse_root(_damped(n.points, max(damping, _LEAST_OF_POINTS)))
+    by_camera = n.interior_point.transpose(1, 3, 0, 2).reshape(len(root), 3, c * k)
     met = np.concatenate([by_camera, n.level_point[:, :, None], n.point_side[:, :, None]], axis=2)
-    flat = met.reshape(3 * len(points), -1)
-    less, less_beside = _met_through_points(n, inverse, flat)
-    less_shared = flat.T @ (inverse @ met).reshape(flat.shape)
-    own = bsr_matrix((pose, np.arange(f), np.arange(f + 1)), shape=(d * f, d * f), blocksize=(d, d))
+    beside = root @ met
+    own, across, less_beside = _met_through_points(n, root, beside)
+    flat = beside.reshape(3 * len(beside), -1)
+    less_shared = flat.T @ flat
+    columns, starts, order = n.sightings.shared_points.matrix
+    blocks = np.concatenate([pose - own, -across, -np.swapaxes(across, 1, 2)])[order]
     border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
     for i in range(c):
         rows = np.flatnonzero(n.camera_of == i)
@@ -260,43 +238,62 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     shared_side = np.concatenate([n.interior_side.ravel(), [n.level_side], n.mounting_side])
     shared_side[: c * k + 1] -= less_shared[:-1, -1]
     return Reduced(
-        poses=own - less,
+        poses=bsr_matrix((blocks, columns, starts), shape=(d * f, d * f)),
         border=border,
         shared=corner,
         pose_side=n.pose_side.ravel() - less_beside[:, -1],
         shared_side=shared_side,
-        points_inverse=inverse,
+        points_inverse=np.swapaxes(root, 1, 2) @ root,
         normals=n,
     )
 
 
-def _points_by_frames(n: Normals) -> bsr_matrix:
-    """The points' rows of the normal equations in the columns of the poses, (3p, d f)."""
-    starts = np.searchsorted(n.point, np.arange(len(n.points) + 1))
-    shape = (3 * len(n.points), n.pose_side.size)
-    return bsr_matrix((n.point_pose, n.frame, starts), shape=shape, blocksize=(3, n.pose.shape[1]))
+def _inverse_root(points: Floats) -> Floats:
+    """L^-1 of points' blocks L L', (p, 3, 3)."""
+    v = np.ascontiguousarray(np.moveaxis(points, 0, -1))
+    out = np.zeros_like(v)
+    a = 1.0 / np.sqrt(v[0, 0])
+    p, q = v[1, 0] * a, v[2, 0] * a
+    b = 1.0 / np.sqrt(v[1, 1] - p * p)
+    r = (v[2, 1] - p * q) * b
+    c = 1.0 / np.sqrt(v[2, 2] - q * q - r * r)
+    out[0, 0], out[1, 1], out[2, 2] = a, b, c
+    out[1, 0], out[2, 1] = -p * a * b, -r * b * c
+    out[2, 0] = (p * r * b - q) * a * c
+    return np.ascontiguousarray(np.moveaxis(out, -1, 0))
 
 
-def _met_through_points(n: Normals, inverse: Floats, beside: Floats) -> tuple[bsr_matrix, Floats]:
-    """W V^-1 W' and W V^-1 times beside (3p, r), with W the poses' rows in the columns of the points and V
-    the points' own blocks."""
-    by_frames, (f, d) = _points_by_frames(n), n.pose_side.shape
-    order, ends = _sorted(n.frame, f)
-    products, others = [], []
-    for first, last in _batches(ends):
-        which = order[ends[first] : ends[last]]
-        blocks = np.swapaxes(n.point_pose[which], 1, 2) @ inverse[n.point[which]]
-        starts, shape = ends[first : last + 1] - ends[first], (d * (last - first), len(beside))
-        scaled = bsr_matrix((blocks, n.point[which], starts), shape=shape, blocksize=(d, 3))
-        products.append(scaled @ by_frames)
-        others.append(scaled @ beside)
-    counts = np.concatenate([np.diff(a.indptr) for a in products])
-    together = (
-        np.concatenate([a.data for a in products]),
-        np.concatenate([a.indices for a in products]),
-        np.concatenate([[0], np.cumsum(counts)]),
-    )
-    return bsr_matrix(together, shape=(d * f, d * f), blocksize=(d, d)), np.concatenate(others)
+def _met_through_points(n: Normals, root: Floats, beside: Floats) -> tuple[Floats, Floats, Floats]:
+    """W V^-1 W' and W V^-1 times what lies beside, with W the poses' rows in the columns of the points and V
+    the points' own blocks: of each frame (f, d, d), of each pair that shares points (k, d, d), and (d f, r).
+
+    Args: root (p, 3, 3): of the inverse; beside (p, 3, r), multiplied with it.
+    """
+    s, (f, d) = n.sightings, n.pose_side.shape
+    shared = s.shared_points
+    own, others = np.empty((f, d, d)), np.empty((f, d, beside.shape[2]))
+    across = np.empty((len(shared.left), d, d))
+    scaled = np.empty((len(s.point), 3 * d))
+    for first, last in s.spans():
+        for i in range(first, last):
+            span = slice(s.starts[i], s.starts[i + 1])
+            point = s.point[span]
+            mine = (root[point] @ n.point_pose[span]).reshape(-1, d)
+            scaled[span] = mine.reshape(len(point), 3 * d)
+            own[i] = mine.T @ mine
+            others[i] = mine.T @ beside[point].reshape(len(mine), beside.shape[2])
+    for first, last in shared.spans():
+        begin, end = shared.starts[first], shared.starts[last]
+        one, other = (scaled.take(a[begin:end], axis=0).reshape(-1, d) for a in (shared.one, shared.other))
+        starts = 3 * (shared.starts[first : last + 1] - begin)
+        for i, (here, there) in enumerate(pairwise(starts), first):
+            across[i] = one[here:there].T @ other[here:there]
+    return own, across, others.reshape(d * f, -1)
+
+
+def _summed(values: Floats, point: Ints, points: int) -> Floats:
+    """Values (m, 3) added up by their point, (points, 3)."""
+    return np.stack([np.bincount(point, values[:, a], points) for a in range(values.shape[1])], axis=1)
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:

@@ -59,11 +59,10 @@ def shape_sd_m(bundle: Bundle, ties: int) -> float:
     by_pose = np.zeros((f, d, 2 * len(chosen)))
     by_shared = np.zeros((len(bundle.reduced.shared), 2 * len(chosen)))
     c, k = n.interior_side.shape
-    starts = np.searchsorted(n.point, np.arange(len(n.points) + 1))
     for j, p in enumerate(chosen):
         inverse, columns = bundle.reduced.points_inverse[p][:2], slice(2 * j, 2 * j + 2)
-        for o in range(starts[p], starts[p + 1]):
-            by_pose[n.frame[o], :, columns] -= (inverse @ n.point_pose[o]).T
+        for o in np.flatnonzero(n.sightings.point == p):
+            by_pose[n.sightings.frame[o], :, columns] -= (inverse @ n.point_pose[o]).T
         by_shared[: c * k, columns] = -np.einsum("ai,cki->cka", inverse, n.interior_point[:, p]).reshape(
             -1, 2
         )

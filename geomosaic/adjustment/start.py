@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from geomosaic.adjustment.block_tridiagonal import BlockTridiagonal
+from geomosaic.adjustment.dissected import Dissected
 from geomosaic.adjustment.laying import Beliefs, Fixes, laid
 from geomosaic.adjustment.misalignment import OffsetNet
 from geomosaic.adjustment.model import Block
@@ -127,7 +127,7 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
         nadir,
         np.where(assumed, _ANYWHERE * height, position_sd_m),
         np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
-        np.array([_scale_sd(block, i, h) for i, h in enumerate(height)]),
+        _scale_sd(block, height),
     )
     known = np.flatnonzero(~assumed)
     positions = Fixes(known, np.zeros(len(known), np.complex128), nadir[known], position_sd_m[known])
@@ -184,15 +184,12 @@ def _control_fixes(block: Block, off_m: Floats) -> Fixes:
     return Fixes(frame[order], offset[order], at[order], sd_m[order])
 
 
-def _scale_sd(block: Block, frame: int, height_m: float) -> float:
-    """How well a frame's scale on the ground is determined by its height and focal length, as a share."""
-    if position_assumed(block.poses)[frame]:
-        return _ANYWHERE
-    camera = block.cameras[frame]
-    focal = (camera.focal_length_sd_px or 0.0) / camera.focal_length_px
-    return float(
-        np.hypot(min(block.poses.positions_sd_m[frame, 2] / max(height_m, 1.0), 0.5), max(focal, 0.01))
-    )
+def _scale_sd(block: Block, height_m: Floats) -> Floats:
+    """How well frames' scales are determined by their heights and focal lengths, as shares of them, (n,)."""
+    focal = np.array([(c.focal_length_sd_px or 0.0) / c.focal_length_px for c in block.cameras])
+    height = np.minimum(block.poses.positions_sd_m[:, 2] / np.maximum(height_m, 1.0), 0.5)
+    known = np.hypot(height, np.maximum(focal, 0.01))
+    return np.where(position_assumed(block.poses), _ANYWHERE, known)
 
 
 def _part(ties: _Ties, shape: Complexes, beliefs: Beliefs, fixes: Fixes) -> tuple[Complexes, Complexes]:
@@ -250,7 +247,7 @@ def _agreed(
         total = np.zeros(4 * n)
         total[::4] = 1.0
         sides = np.column_stack([design.T @ (weight * side) + prior_weight * prior, total])
-        free, along = BlockTridiagonal(normal.tobsr(blocksize=(4, 4))).solve(sides).T
+        free, along = Dissected(normal.tobsr(blocksize=(4, 4))).solve(sides).T
         x = free - along * (total @ free) / (total @ along)
         miss = design @ x - side
         length = np.hypot(miss[:m], miss[m:])

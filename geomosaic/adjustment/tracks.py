@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from geomosaic.adjustment.sightings import Sightings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
@@ -41,16 +43,24 @@ class Tracks:
     frame: Ints
     point: Ints
     image_px: Floats
+    _sightings: dict[tuple[int, int], Sightings] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def points(self) -> int:
         """How many ground points there are."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
-    @property
+    @cached_property
     def lengths(self) -> Ints:
         """In how many frames each point is seen, (p,)."""
         return np.bincount(self.point, minlength=self.points)
+
+    def sightings(self, frames: int, points: int) -> Sightings:
+        """The observations in order of frames, of so many frames and points."""
+        key = frames, points
+        if key not in self._sightings:
+            self._sightings[key] = Sightings.of(self.frame, self.point, frames, points)
+        return self._sightings[key]
 
 
 def join_tracks(ties: TiePoints) -> Tracks:
@@ -74,6 +84,18 @@ def join_tracks(ties: TiePoints) -> Tracks:
     good = ~np.isin(label, label[1:][twice])
     _, point = np.unique(label[good], return_inverse=True)
     return Tracks(frame[good].astype(np.intp), point.astype(np.intp), image_px[good])
+
+
+def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
+    """Each frame that occurs among observations (m,), and which ones are its."""
+    order = np.argsort(frame, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1) if len(frame) else []:
+        yield int(frame[mine[0]]), mine
+
+
+def part_of(tracks: Tracks, which: Ints) -> Tracks:
+    """Some of the observations, with their points' numbers."""
+    return Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
 
 
 def chosen_tracks(tracks: Tracks, chosen: NDArray[np.bool_]) -> Tracks:
@@ -107,8 +129,7 @@ def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], nea
     """Points (p, 3) with the least squared distances to their rays; where these are all but parallel (to
     within half a degree), held along them by near_m (p, 3)."""
     centre, ray = np.empty((len(tracks.frame), 3)), np.empty((len(tracks.frame), 3))
-    for i in np.unique(tracks.frame):
-        mine = np.flatnonzero(tracks.frame == i)
+    for i, mine in frame_by_frame(tracks.frame):
         centre[mine] = poses[i].centre_at(cameras[i], tracks.image_px[mine])
         ray[mine] = poses[i].ray_from_image(cameras[i], tracks.image_px[mine])
     ray /= np.linalg.norm(ray, axis=1)[:, None]

@@ -1,0 +1,201 @@
+"""Symmetric positive definite systems of frames that meet only their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf
+from scipy.sparse import bsr_matrix, csr_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import NotSolvableError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_LEAST_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "that are not cut any further: below, a dense matrix is as fast",
+        CHOSEN,
+    ),
+] = 32
+_MIDDLE: Annotated[
+    tuple[float, float],
+    Because(
+        "share of the frames",
+        "between which those from one rim on are cut off: where least frames part them, but not so far out "
+        "that the cuts hardly make parts smaller",
+        CHOSEN,
+    ),
+] = (0.3, 0.7)
+_UNDETERMINED = "the block does not determine the poses of its frames"
+
+
+@dataclass(frozen=True)
+class _Front:
+    """Frames that are eliminated together, and those beyond that they, or any eliminated for them, meet.
+
+    blocks: those of the matrix that belong here, with rows and columns as places among own and beyond. parts:
+    the fronts that come right before, each with the places of what lies beyond it.
+    """
+
+    own: Ints
+    beyond: Ints
+    blocks: tuple[Ints, Ints, Ints]
+    parts: tuple[tuple[int, Ints], ...]
+
+
+@dataclass(frozen=True)
+class Dissection:
+    """In which order frames are eliminated: those that part the others from each other after these, and so on
+    within each part (nested dissection; George and Liu 1981, chapter 8)."""
+
+    fronts: tuple[_Front, ...]
+
+    @classmethod
+    def of(cls, columns: Ints, starts: Ints) -> Dissection:
+        """For a matrix whose blocks have these columns, those of each row from its start on."""
+        f = len(starts) - 1
+        graph = csr_matrix((np.ones(len(columns)), columns, starts), shape=(f, f))
+        owns: list[Ints] = []
+        parts: list[list[int]] = []
+        _cut(graph, np.arange(f), owns, parts)
+        rank = np.empty(f, dtype=np.intp)
+        rank[np.concatenate(owns)] = np.arange(f)
+        front_of = np.repeat(np.arange(len(owns)), [len(own) for own in owns])[rank]
+        row = np.repeat(np.arange(f), np.diff(starts))
+        lower = np.flatnonzero(rank[row] >= rank[columns])
+        lower = lower[np.argsort(front_of[columns[lower]], kind="stable")]
+        ends = np.searchsorted(front_of[columns[lower]], np.arange(len(owns) + 1))
+        place = np.empty(f, dtype=np.intp)
+        fronts: list[_Front] = []
+        for k, own in enumerate(owns):
+            mine = lower[ends[k] : ends[k + 1]]
+            met = np.unique(np.concatenate([row[mine], *(fronts[part].beyond for part in parts[k])]))
+            beyond = met[front_of[met] > k]
+            beyond = beyond[np.argsort(rank[beyond])]
+            place[own], place[beyond] = np.arange(len(own)), len(own) + np.arange(len(beyond))
+            blocks = mine, place[row[mine]], place[columns[mine]]
+            fronts.append(_Front(own, beyond, blocks, tuple((p, place[fronts[p].beyond]) for p in parts[k])))
+        return cls(tuple(fronts))
+
+
+def _cut(graph: csr_matrix, frames: Ints, owns: list[Ints], parts: list[list[int]]) -> list[int]:
+    """Adds the fronts of some frames; the last ones of each part that hangs together."""
+    last = []
+    count, part = connected_components(graph, directed=False)
+    order = np.argsort(part, kind="stable")
+    for mine in np.split(order, np.cumsum(np.bincount(part, minlength=count))[:-1]):
+        within = graph[mine][:, mine] if count > 1 else graph
+        between = _between(within) if len(mine) > _LEAST_FRAMES else np.arange(len(mine))
+        rest = np.setdiff1d(np.arange(len(mine)), between)
+        before = _cut(within[rest][:, rest], frames[mine[rest]], owns, parts) if len(rest) else []
+        owns.append(frames[mine[between]])
+        parts.append(before)
+        last.append(len(owns) - 1)
+    return last
+
+
+def _between(graph: csr_matrix) -> Ints:
+    """Frames that part the others, or all of them if none do."""
+    far = 0
+    for _ in range(2):
+        far = int(breadth_first_order(graph, far, directed=False, return_predecessors=False)[-1])
+    steps = dijkstra(graph, directed=False, indices=far, unweighted=True).astype(np.intp)
+    sizes = np.bincount(steps)
+    before = np.cumsum(sizes) - sizes
+    least, most = (share * len(steps) for share in _MIDDLE)
+    inside = np.flatnonzero((before + sizes >= least) & (before <= most) & (np.arange(len(sizes)) > 0))
+    inside = inside[inside < len(sizes) - 1]
+    if not len(inside):
+        return np.arange(len(steps))
+    at = inside[sizes[inside].argmin()]
+    behind = graph @ (steps > at).astype(np.float64) > 0.0
+    return np.flatnonzero((steps == at) & behind)
+
+
+class Dissected:
+    """Cholesky factors of a sparse matrix of f x f blocks (b, b), both triangles given, front by front
+    (multifrontal; Duff and Reid 1983): inside a front all is dense, and a block whose frames all meet is one.
+
+    Raises: NotSolvableError, which names the frame where it shows, if the matrix is not positive definite.
+    """
+
+    def __init__(self, matrix: bsr_matrix, dissection: Dissection | None = None) -> None:
+        self._fronts = (dissection or Dissection.of(matrix.indices, matrix.indptr)).fronts
+        self._block = b = matrix.blocksize[0]
+        self._own: list[Floats] = []
+        self._below: list[Floats] = []
+        left: dict[int, Floats] = {}
+        for k, front in enumerate(self._fronts):
+            size, frames = b * len(front.own), len(front.own) + len(front.beyond)
+            dense = np.zeros((b * frames, b * frames))
+            which, row, column = front.blocks
+            dense.reshape(frames, b, frames, b)[row, :, column, :] = matrix.data[which]
+            for part, place in front.parts:
+                at = self._unknowns(place)
+                dense[at[:, None], at] += left.pop(part)
+            own = self._cholesky(dense[:size, :size], front)
+            below = solve_triangular(own, dense[size:, :size].T, lower=True, check_finite=False).T
+            if len(front.beyond):
+                left[k] = dense[size:, size:] - below @ below.T
+            self._own.append(own)
+            self._below.append(below)
+
+    def _cholesky(self, matrix: Floats, front: _Front) -> Floats:
+        factor, broken = dpotrf(matrix, lower=1, clean=1)
+        good = np.diag(factor) > 0.0
+        if broken or not good.all():
+            first = broken - 1 if broken else int(good.argmin())
+            raise NotSolvableError(_UNDETERMINED, frames=(int(front.own[first // self._block]),))
+        return np.asarray(factor)
+
+    def _unknowns(self, frames: Ints) -> Ints:
+        out: Ints = self._block * frames[:, None] + np.arange(self._block)
+        return out.ravel()
+
+    def solve(self, side: Floats) -> Floats:
+        """Solutions (f b, r) for right sides (f b, r)."""
+        x = side.copy()
+        fronts = list(zip(self._fronts, self._own, self._below, strict=True))
+        for front, factor, below in fronts:
+            own, beyond = self._unknowns(front.own), self._unknowns(front.beyond)
+            x[own] = solve_triangular(factor, x[own], lower=True, check_finite=False)
+            x[beyond] -= below @ x[own]
+        for front, factor, below in reversed(fronts):
+            own, beyond = self._unknowns(front.own), self._unknowns(front.beyond)
+            rest = x[own] - below.T @ x[beyond]
+            x[own] = solve_triangular(factor, rest, lower=True, trans="T", check_finite=False)
+        return x
+
+    def inverse_blocks(self) -> Floats:
+        """The inverse's diagonal blocks (f, b, b), by the recursion of Takahashi et al. (1973), from the last
+        front to the first."""
+        b = self._block
+        out = np.empty((sum(len(front.own) for front in self._fronts), b, b))
+        beyond: dict[int, Floats] = {}
+        for k in reversed(range(len(self._fronts))):
+            front, factor, size = self._fronts[k], self._own[k], len(self._own[k])
+            turned = solve_triangular(factor, np.eye(size), lower=True, check_finite=False)
+            inverse = np.empty((size + len(self._below[k]),) * 2)
+            inverse[:size, :size] = turned.T @ turned
+            if len(front.beyond):
+                carried, outer = self._below[k] @ turned, beyond.pop(k)
+                inverse[size:, size:] = outer
+                inverse[size:, :size] = -outer @ carried
+                inverse[:size, size:] = inverse[size:, :size].T
+                inverse[:size, :size] -= carried.T @ inverse[size:, :size]
+            for part, place in front.parts:
+                at = self._unknowns(place)
+                if len(at):
+                    beyond[part] = inverse[at[:, None], at]
+            frames = np.arange(len(front.own))
+            blocks = inverse[:size, :size].reshape(len(frames), b, len(frames), b)
+            out[front.own] = blocks[frames, :, frames, :]
+        return out
