@@ -253,8 +253,11 @@ def _search(
 
 def _filled(part: Image, valid: Mask) -> Image | None:
     """The part with its invalid pixels at the mean of the others; None if flat or mostly invalid."""
-    if not valid.all():
-        if valid.mean() < 0.3:
+    mask = valid.view(np.uint8)
+    seen = cv2.countNonZero(mask)
+    if seen < valid.size:
+        if seen < 0.3 * valid.size:
             return None
-        part = np.where(valid, part, part[valid].mean(dtype=np.float64)).astype(np.float32)
-    return part if part.max() - part.min() > 1e-3 else None
+        part = np.where(valid, part, np.float32(cv2.mean(part, mask)[0]))
+    least, most, _, _ = cv2.minMaxLoc(part)
+    return part if most - least > 1e-3 else None

@@ -16,6 +16,7 @@ import numpy as np
 import rasterio
 
 from geomosaic.ccd.layout import SceneLayout
+from geomosaic.ccd.parallel import opencv_alone
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.doors.raster import READ_CACHE_MB, STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
@@ -78,6 +79,7 @@ def compose_strips(
     height, width = layout.height_px, layout.width_px
     with (
         unreferenced_is_fine(),
+        opencv_alone(),
         rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB),
         ExitStack() as files,
         ThreadPoolExecutor(threads) as pool,
