@@ -178,7 +178,7 @@ def test_a_killed_run_is_readable_and_resumes_where_it_was(killed: Path, survey:
     assert summary["cached_stages"] == ["survey.read", "projection.ground", "placement.pos"]
     assert summary["frames"]["total"] == 8 and read_recording(killed / "run.mcap").whole
     after = items(killed)
-    assert len(after) == 8 and after.items() <= before.items()
+    assert before.items() <= after.items(), "what was finished is there, untouched"
     assert files_of(killed) == [
         "layers.gpkg", "mosaic.tif", "positions.csv", "report.html",
         "run.json", "run.mcap", "sources.tif", "work",

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.matching.features import Features, grey, reduction_for, sift_features
-from geomosaic.matching.match import PairJob, PairMatch, match_pair
+from geomosaic.matching.features import Features, grey, reduction_for, shrunk, sift_features
+from geomosaic.matching.match import Matching, PairMatch, match_pair
+from geomosaic.matching.planes import Guess, nothing_believed
 from geomosaic.matching.search import CHECKS, mutual_nearest, root_sift, search
 from geomosaic.matching.turned import righted, turn_costs_m, turned_frames
-
-D_M = 0.1
 
 
 def country(seed: int, rows: int = 900, cols: int = 1200) -> np.ndarray:
@@ -31,7 +30,7 @@ def country(seed: int, rows: int = 900, cols: int = 1200) -> np.ndarray:
 
 
 def features(image: np.ndarray, reduction: int = 1, most: int = 2000) -> Features:
-    return sift_features(image, None, reduction, most)
+    return sift_features(image, None, (reduction, reduction), most)
 
 
 def nearest(left: Features, right: Features) -> tuple[np.ndarray, np.ndarray]:
@@ -78,16 +77,28 @@ def test_keypoints_cover_the_frame_and_the_strongest_come_first() -> None:
     assert 0.4 < (found.image_px[:, 0] > 600).mean() < 0.6
 
 
+def test_a_shrunk_image_keeps_its_places_and_what_is_wholly_valid() -> None:
+    image, valid = country(7)[:601, :803], np.full((601, 803), 255, np.uint8)
+    valid[:, :101] = 0
+    small, seen = shrunk(image, valid, 400)
+    assert small.shape == seen.shape == (299, 400)
+    assert not seen[:, :51].any() and seen[:, 52:].all() and set(np.unique(seen)) == {0, 255}
+    assert shrunk(image, None, 803)[0] is image
+    a, b = nearest(features(image), sift_features(small, None, (803 / 400, 601 / 299), 2000))
+    off = (b - a)[np.linalg.norm(b - a, axis=1) < 3.0]
+    assert len(off) > 60 and np.abs(np.median(off, axis=0)).max() < 0.1
+
+
 def test_invalid_pixels_and_their_border_give_no_keypoints() -> None:
     image, valid = country(4), np.full((900, 1200), 255, np.uint8)
     valid[200:500, 300:900] = 0
     image[valid == 0] = 0
-    found = sift_features(image, valid, 1, 4000)
+    found = sift_features(image, valid, (1, 1), 4000)
     col, row = found.image_px.T
     assert len(found) > 500
     assert not ((col > 297) & (col < 903) & (row > 197) & (row < 503)).any()
-    assert len(sift_features(image, np.zeros_like(valid), 1)) == 0
-    assert len(sift_features(np.zeros_like(image), None, 1)) == 0
+    assert len(sift_features(image, np.zeros_like(valid), (1, 1))) == 0
+    assert len(sift_features(np.zeros_like(image), None, (1, 1))) == 0
 
 
 def test_sixteen_bits_and_haze_see_as_much_as_eight_clear_bits() -> None:
@@ -120,23 +131,30 @@ def test_grey_takes_the_band_asked_for_and_stretches_valid_pixels_only() -> None
     assert not grey(dim, np.zeros_like(valid)).any()
 
 
-def job(left: Features, right: Features, right_off_m: tuple[float, float], radius_m: float) -> PairJob:
-    """Ground coordinates are pixels times D_M, the row counted downward; the right frame truly lies 300
-    px to the right of the left one and 140 px below it, and is believed to be right_off_m away."""
-    there = (right.image_px + np.array([300.0, 140.0])) * D_M + right_off_m
-    return PairJob(left, right, left.image_px * D_M, there, radius_m, 2.0, 0.8, "auto", 16)
+SIZE = (800, 700)
+AUTO = Matching(0.8, "auto", 2.0, 16)
+
+
+def believed(off_px: tuple[float, float], radius_px: float) -> Guess:
+    """The right frame truly lies 300 px to the right of the left one and 140 px below it; it is believed to
+    be off_px from there."""
+    corners = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 700.0], [0.0, 700.0]])
+    return Guess(SIZE, tuple(map(tuple, (corners - [300.0, 140.0] + off_px).tolist())), radius_px)
 
 
 def tied(found: PairMatch, left: Features, right: Features) -> np.ndarray:
     return left.image_px[found.left] - right.image_px[found.right]
 
 
-@pytest.mark.parametrize("off_m", [(0.0, 0.0), (21.0, -21.0), (-29.5, 3.0)])
-def test_the_papers_coarse_misplacement_is_within_the_search(off_m: tuple[float, float]) -> None:
-    """Up to 300 px, which are 30 m at 0.1 m: the guided search finds the overlap without going free."""
+@pytest.mark.parametrize("search", ["coarse", "near", "all"])
+@pytest.mark.parametrize("off_px", [(0.0, 0.0), (210.0, -210.0), (-295.0, 30.0)])
+def test_the_papers_coarse_misplacement_is_within_the_search(
+    off_px: tuple[float, float], search: str
+) -> None:
+    """Up to 300 px: the guided search finds the overlap without going free."""
     land = country(6)
     left, right = features(land[:700, :800]), features(land[140:840, 300:1100])
-    found = match_pair(job(left, right, off_m, 30.0))
+    found = match_pair(replace(AUTO, search=search), left, right, believed(off_px, 300.0), 1.0)
     assert not found.free and len(found.left) > 300
     assert np.abs(tied(found, left, right) - [300.0, 140.0]).max() < 3.0
 
@@ -144,7 +162,9 @@ def test_the_papers_coarse_misplacement_is_within_the_search(off_m: tuple[float,
 def test_beyond_the_radius_only_the_free_search_finds_the_overlap() -> None:
     land = country(6)
     left, right = features(land[:700, :800]), features(land[140:840, 300:1100])
-    found = match_pair(job(left, right, (70.0, 0.0), 30.0))
+    guess = believed((700.0, 0.0), 300.0)
+    assert not len(match_pair(replace(AUTO, search="near"), left, right, guess, 1.0).left)
+    found = match_pair(AUTO, left, right, guess, 1.0)
     assert found.free and len(found.left) > 300
     assert np.median(tied(found, left, right), axis=0) == pytest.approx([300.0, 140.0], abs=0.1)
 
@@ -167,8 +187,11 @@ def test_different_ground_is_never_tied() -> None:
     pairs = list(itertools.combinations(range(5), 2))
     for check in CHECKS:
         for a, b in pairs:
-            found = match_pair(replace(job(lands[a], lands[b], (0.0, 0.0), 30.0), check=check))
-            assert not len(found.left), (check, a, b)
+            for way in ("coarse", "all"):
+                how = replace(AUTO, check=check, search=way)
+                for guess in (believed((0.0, 0.0), 300.0), nothing_believed(SIZE)):
+                    found = match_pair(how, lands[a], lands[b], guess, 1.0)
+                    assert not len(found.left), (check, way, a, b)
 
 
 def test_wrong_matches_among_good_ones_are_thrown_out() -> None:

@@ -162,7 +162,7 @@ def matched_points(overlap: Overlap, geometry: StripGeometry, settings: Settings
         else:
             full = 2.0**geometry.bit_depth - 1
             eight = np.clip(np.rint(image * (255.0 / full)), 0, 255).astype(np.uint8)
-        found.append(sift_features(eight, both, 1))
+        found.append(sift_features(eight, both, (1.0, 1.0)))
     left, right = found
     if len(left) < 2 or len(right) < 2:
         return none

@@ -58,13 +58,28 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
     return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
 
 
+def shrunk(image: Bytes, valid: Bytes | None, longest_px: int) -> tuple[Bytes, Bytes | None]:
+    """An 8 bit image of which no side is longer, and its valid pixels: those of which all is valid."""
+    share = longest_px / max(image.shape)
+    if share >= 1.0:
+        return image, valid
+    rows, cols = (max(1, round(side * share)) for side in image.shape)
+    small = np.asarray(cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
+    if valid is None:
+        return small, None
+    kept = np.asarray(cv2.resize(valid, (cols, rows), interpolation=cv2.INTER_AREA))
+    return small, np.where(kept == 255, 255, 0).astype(np.uint8)
+
+
 def coarsest(features: Features, most: int) -> NDArray[np.intp]:
     """Numbers of the largest keypoints, as an image of a fraction of the size would have."""
     return np.sort(np.argsort(-features.size_px, kind="stable")[:most])
 
 
-def sift_features(image: Bytes, valid: Bytes | None, reduction: int, most: int = 6000) -> Features:
-    """SIFT (Lowe 2004) on an 8 bit image that was reduced by `reduction`.
+def sift_features(
+    image: Bytes, valid: Bytes | None, pixel_px: tuple[float, float], most: int = 6000
+) -> Features:
+    """SIFT (Lowe 2004) on an 8 bit image, one pixel of which is pixel_px columns and rows of the frame.
 
     The strongest are taken cell by cell of a grid of about 24 x 24 cells, so that they cover the
     frame evenly; keypoints beside invalid pixels are left out.
@@ -86,7 +101,7 @@ def sift_features(image: Bytes, valid: Bytes | None, reduction: int, most: int =
     chosen = np.sort(chosen)
     keypoints, descriptors = sift.compute(image, [found[i] for i in chosen])
     return Features(
-        image_px=(np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2) + 0.5) * reduction,
-        size_px=np.array([k.size for k in keypoints], dtype=np.float32) * np.float32(reduction),
+        image_px=(np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2) + 0.5) * pixel_px,
+        size_px=np.array([k.size for k in keypoints], dtype=np.float32) * np.float32(max(pixel_px)),
         descriptors=np.asarray(descriptors).astype(np.uint8).reshape(-1, 128),
     )

@@ -1,19 +1,21 @@
-"""One pair of frames: guided by the predicted geometry first, free where that fails."""
+"""One pair of frames: about where it is believed to match first, over all of both images where that fails."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.features import Features, coarsest
+from geomosaic.matching.planes import Guess, plane_through, through
 from geomosaic.matching.search import CHECKS, root_sift, search
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 _FREE_LEAST: Annotated[
     float,
     Because(
@@ -54,72 +56,95 @@ _SPREAD: Annotated[
 
 
 @dataclass(frozen=True)
-class PairJob:
-    """What matching a pair needs. Ground: (n, 2) east and north where each keypoint is believed to be; with
-    an infinite radius nothing is believed."""
+class Matching:
+    """How pairs are matched.
 
-    left: Features
-    right: Features
-    left_ground_m: Floats
-    right_ground_m: Floats
-    radius_m: float
-    tolerance_px: float
+    ratio: Lowe's. check: one of CHECKS, with its tolerance in pixels of the images that keypoints are of.
+    least: fewest tie points of a pair. search: `coarse`, the coarsest keypoints first, about the guess, then
+    everywhere, and all about what they say; `near`, all about the guess; `all`, that and all everywhere, a
+    quarter of a second a pair.
+    """
+
     ratio: float
     check: str
+    tolerance_px: float
     least: int
+    search: Literal["coarse", "near", "all"] = "coarse"
 
 
 @dataclass(frozen=True)
 class PairMatch:
     """Keypoint numbers of the tie points; empty if the pair doesn't hold together. `free`: found
-    against the prediction, over the whole of both frames."""
+    against the guess, over the whole of both frames."""
 
     left: NDArray[np.int32]
     right: NDArray[np.int32]
     free: bool
 
 
-def match_pair(job: PairJob) -> PairMatch:
+def match_pair(how: Matching, left: Features, right: Features, guess: Guess, pixel_px: float) -> PairMatch:
     """Tie points of a pair: search, one-to-one, geometric check, at least `least` of them.
 
     A free search, which nothing but the image supports, must bring half as many again.
+
+    Args: pixel_px: of the images that keypoints are of, in pixels of the frames.
     """
-    left, right = root_sift(job.left.descriptors), root_sift(job.right.descriptors)
-    guided = [] if np.isinf(job.radius_m) else [(job.radius_m, job.least)]
-    for radius_m, least in (*guided, (np.inf, int(_FREE_LEAST * job.least))):
-        i, j = _candidates(job, left, right, radius_m)
-        good = CHECKS[job.check](job.left.image_px[i], job.right.image_px[j], job.tolerance_px)
-        i, j = _once_per_place(job, i[good], j[good])
-        if len(i) >= least:
-            return PairMatch(i.astype(np.int32), j.astype(np.int32), bool(np.isinf(radius_m)))
+    pair = _Pair(how, left, right, how.tolerance_px * pixel_px)
+    for way, free in _WAYS[how.search]:
+        if free or np.isfinite(guess.radius_px):
+            at, radius_px = (
+                (left.image_px, np.inf) if free else (through(guess.plane, left.image_px), guess.radius_px)
+            )
+            i, j = pair.agreeing(*way(pair, at, radius_px))
+            i, j = _once_per_place(left.image_px[i], right.image_px[j], i, j)
+            if len(i) >= int((_FREE_LEAST if free else 1.0) * how.least):
+                return PairMatch(i.astype(np.int32), j.astype(np.int32), free)
     nothing = np.zeros(0, np.int32)
     return PairMatch(nothing, nothing, False)
 
 
-def _candidates(
-    job: PairJob, left: NDArray[np.float32], right: NDArray[np.float32], radius_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Candidate tie points: the coarsest keypoints say where in the right image the left one lies, and the
-    rest is compared about there; all within the radius on the ground where the coarsest don't say it."""
-    few_i, few_j = coarsest(job.left, _FEW), coarsest(job.right, _FEW)
-    here_m, there_m = job.left_ground_m[:, :2], job.right_ground_m[:, :2]
-    i, j = search(left[few_i], right[few_j], here_m[few_i], there_m[few_j], radius_m, job.ratio)
-    i, j = few_i[i], few_j[j]
-    good = CHECKS[job.check](job.left.image_px[i], job.right.image_px[j], job.tolerance_px)
-    if good.sum() >= job.least:
-        seen, there = job.left.image_px[i[good]], job.right.image_px[j[good]]
-        plane, _ = cv2.findHomography(seen, there, 0)
-        if plane is not None:
-            at = np.asarray(cv2.perspectiveTransform(job.left.image_px[:, None], plane)[:, 0], np.float64)
-            off_px = np.linalg.norm(at[i[good]] - there, axis=1)
-            radius_px = max(_TOLERANCES * job.tolerance_px, _SPREAD * float(np.quantile(off_px, 0.9)))
-            return search(left, right, at, job.right.image_px, radius_px, job.ratio)
-    return search(left, right, here_m, there_m, radius_m, job.ratio)
+class _Pair:
+    """Two frames' keypoints and what they look like."""
+
+    def __init__(self, how: Matching, left: Features, right: Features, tolerance_px: float) -> None:
+        self.how, self.tolerance_px = how, tolerance_px
+        self.left_px, self.right_px = left.image_px, right.image_px
+        self.looks = root_sift(left.descriptors), root_sift(right.descriptors)
+        self.few = coarsest(left, _FEW), coarsest(right, _FEW)
+
+    def searched(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
+        """All keypoints, each about where it is believed to be in the right image."""
+        return search(*self.looks, at, self.right_px, radius_px, self.how.ratio)
+
+    def agreeing(self, i: Ints, j: Ints) -> tuple[Ints, Ints]:
+        """Those that pass the geometric check together."""
+        good = CHECKS[self.how.check](self.left_px[i], self.right_px[j], self.tolerance_px)
+        return i[good], j[good]
+
+    def coarse_to_fine(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
+        """The coarsest keypoints say where in the right image the left one lies, and the rest is compared
+        about there; nothing where they don't say it."""
+        (few_i, few_j), (left, right) = self.few, self.looks
+        i, j = search(left[few_i], right[few_j], at[few_i], self.right_px[few_j], radius_px, self.how.ratio)
+        i, j = self.agreeing(few_i[i], few_j[j])
+        plane = plane_through(self.left_px[i], self.right_px[j]) if len(i) >= self.how.least else None
+        if plane is None:
+            return few_i[:0], few_j[:0]
+        at = through(plane, self.left_px)
+        off_px = np.linalg.norm(at[i] - self.right_px[j], axis=1)
+        radius_px = max(_TOLERANCES * self.tolerance_px, _SPREAD * float(np.quantile(off_px, 0.9)))
+        return self.searched(at, radius_px)
 
 
-def _once_per_place(job: PairJob, i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+_WAYS: dict[str, tuple[tuple[Callable[[_Pair, Floats, float], tuple[Ints, Ints]], bool], ...]] = {
+    "coarse": ((_Pair.coarse_to_fine, False), (_Pair.coarse_to_fine, True)),
+    "near": ((_Pair.searched, False),),
+    "all": ((_Pair.searched, False), (_Pair.searched, True)),
+}
+
+
+def _once_per_place(left_px: Floats, right_px: Floats, i: Ints, j: Ints) -> tuple[Ints, Ints]:
     """SIFT gives one place several orientations; count it once."""
-    places = np.concatenate([job.left.image_px[i], job.right.image_px[j]], axis=1).round(1)
-    _, first = np.unique(places, axis=0, return_index=True)
+    _, first = np.unique(np.concatenate([left_px, right_px], axis=1).round(1), axis=0, return_index=True)
     first.sort()
     return i[first], j[first]

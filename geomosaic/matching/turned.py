@@ -11,11 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.matching.model import TiePair
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, courses_deg, heading_assumed
+from geomosaic.projection.footprint import ground_from_images
+from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -39,6 +43,14 @@ _TOLERANCE_RAD: Annotated[
         CHOSEN,
     ),
 ] = np.radians(30.0)
+_SEEN: Annotated[
+    int,
+    Because(
+        "tie points of a pair",
+        "laid on the ground to judge turns by their median, good to a tenth of their scatter; more cost time",
+        CHOSEN,
+    ),
+] = 100
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 
@@ -50,6 +62,31 @@ class Seen:
     right: int
     left_m: Floats
     right_m: Floats
+
+
+def seen_pairs(
+    pairs: Sequence[TiePair],
+    poses: Poses,
+    cameras: Sequence[Camera],
+    ground: GroundSurface,
+    located: Sequence[bool],
+) -> list[Seen]:
+    """Where both frames of each pair place their tie points, if both have a position and see ground; of a
+    pair as many as a median asks for."""
+    known = [t for t in pairs if located[t.left] and located[t.right]]
+    if not known:
+        return []
+    some = [np.linspace(0, len(t) - 1, min(len(t), _SEEN)).astype(np.intp) for t in known]
+    frame = np.concatenate([np.repeat([t.left, t.right], len(s)) for t, s in zip(known, some, strict=True)])
+    px = np.concatenate([p[s] for t, s in zip(known, some, strict=True) for p in (t.left_px, t.right_px)])
+    places_m = ground_from_images(frame, px, poses, cameras, ground)[:, :2]
+    out = []
+    for t, both in zip(known, np.split(places_m, np.cumsum([2 * len(s) for s in some])[:-1]), strict=True):
+        here, there = np.split(both, 2)
+        hit = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+        if hit.any():
+            out.append(Seen(t.left, t.right, here[hit], there[hit]))
+    return out
 
 
 def found_turned(

@@ -12,7 +12,7 @@ from geomosaic.matching.features import reduction_for
 from geomosaic.matching.flying_height import flying_height_m
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.heights import FlyingHeight, height_is_unknown, neighbours
-from geomosaic.stages.keypoints import frame_features
+from geomosaic.stages.keypoints import Sight, frame_features
 from geomosaic.survey.model import Survey
 
 _PAIRS = 16
@@ -35,7 +35,7 @@ class MatchingFlyingHeight(Stage):
         frames = survey.frames
         pairs = neighbours(frames, _PAIRS) if height_is_unknown(survey) else []
         used = sorted({i for pair in pairs for i in pair[:2]})
-        take = partial(frame_features, longest_px=_LONGEST_PX, most=3000, band=None)
+        take = partial(frame_features, Sight(_LONGEST_PX), _LONGEST_PX, 3000)
         found = context.map("keypoints for the flying height", take, [frames[i] for i in used])
         features = dict(zip(used, found, strict=True))
         heights_m = []

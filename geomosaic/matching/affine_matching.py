@@ -1,0 +1,224 @@
+"""Least-squares matching of small windows between frames: where another image shows what one image shows.
+
+Keypoints are places to a fraction of their own size; windows about them, laid over each other in the pixels,
+agree several times better. `least_squares_matching` compares whole mosaics by shifts alone; frames are turned
+against each other, scaled and seen aslant, so that a window's shape has to be found with its place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Bools = NDArray[np.bool_]
+_HALF_PX: Annotated[
+    int,
+    Because(
+        "px of the images that are compared",
+        "from a window's middle to its edge: with 7 real tie points agree a sixth less well and a third more "
+        "are given up; 14 take twice the time for a tenth, and bend where there is relief",
+        "docs/results.md, tie points in the pixels",
+    ),
+] = 10
+_BLUR_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "both images are smoothed by: without, noise of single pixels and reading between them tell; with 1 "
+        "px real tie points agree a sixth less well",
+        "docs/results.md, tie points in the pixels",
+    ),
+] = 0.6
+_ROUNDS: Annotated[
+    int,
+    Because("rounds", "most windows settle in five; one that hasn't in ten swings and is given up", CHOSEN),
+] = 10
+_SETTLED_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "a window is done when it steps by less: a third of what windows are good to, and steps shrink by "
+        "more than half; a smaller one takes rounds, a larger one shows",
+        CHOSEN,
+    ),
+] = 0.03
+_FARTHEST_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "from the keypoint, per axis: keypoints of an image a quarter of the size are off by 1 px here, "
+        "hardly one by more than four; a window that went farther shows other texture",
+        CHOSEN,
+    ),
+] = 4.0
+_LEAST_LIKENESS: Annotated[
+    float,
+    Because(
+        "correlation",
+        "below which two windows don't show the same: tie points that are right have 0.96 in the median, in "
+        "leaves in the wind 0.85; with less, wrong ones pass, with more, trees tie nothing",
+        CHOSEN,
+    ),
+] = 0.8
+_STRETCH_SD: Annotated[
+    float,
+    Because(
+        "1",
+        "how far windows are believed to be stretched or slanted against the plane of the pair: slopes "
+        "of 20 degrees do so; more lets windows of little texture run away, less holds those on roofs",
+        CHOSEN,
+    ),
+] = 0.1
+_NOISE: Annotated[
+    float,
+    Because(
+        "grey levels",
+        "of a pixel's difference, against which that belief is weighed: noise, JPEG, reading between pixels",
+        CHOSEN,
+    ),
+] = 4.0
+_LEAST_GAIN: Annotated[
+    float,
+    Because(
+        "1",
+        "contrast over the template's below which there is no such texture; steps are divided by no less",
+        CHOSEN,
+    ),
+] = 0.1
+_AT_ONCE: Annotated[
+    int,
+    Because(
+        "windows",
+        "worked on together: their derivatives take 3 MB and stay in the processor's cache; fewer cost calls",
+        CHOSEN,
+    ),
+] = 256
+_NEAR_SHARE: Annotated[
+    float,
+    Because(
+        "of a window's half side",
+        "deviation of the bell by which pixels near the middle count more, since a window is a place and not "
+        "an area: a narrower one throws pixels away, a wider one feels the ground beside",
+        CHOSEN,
+    ),
+] = 0.7
+_SIDE: Final = 2 * _HALF_PX + 1
+TEMPLATE_PX: Final = _SIDE + 2
+"""A window with the pixels about it, for its slopes."""
+_ALONG = np.arange(-_HALF_PX, _HALF_PX + 1, dtype=np.float32)
+_COL, _ROW = (axis.ravel() for axis in np.meshgrid(_ALONG, _ALONG))
+_NEAR = np.exp(-0.5 * (_COL**2 + _ROW**2) / (_NEAR_SHARE * _HALF_PX) ** 2).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Found:
+    """image_px (n, 2) where the image shows the templates' middles; sure (n,) whether it shows them."""
+
+    image_px: Floats
+    sure: Bools
+
+
+def templates(image: Bytes, at_px: Floats) -> Bytes:
+    """Windows (n, TEMPLATE_PX, TEMPLATE_PX) about places (n, 2) of an image, corner origin."""
+    along = np.arange(TEMPLATE_PX, dtype=np.float32) - np.float32(TEMPLATE_PX // 2)
+    col, row = (axis.ravel() for axis in np.meshgrid(along, along))
+    smooth = _smooth(image)
+    out = np.empty((len(at_px), TEMPLATE_PX, TEMPLATE_PX), np.uint8)
+    for first in range(0, len(at_px), _AT_ONCE):
+        at = at_px[first : first + _AT_ONCE].astype(np.float32) - np.float32(0.5)
+        read = _read(smooth, at[:, :1] + col, at[:, 1:] + row)
+        out[first : first + _AT_ONCE] = np.rint(read).reshape(-1, TEMPLATE_PX, TEMPLATE_PX)
+    return out
+
+
+def find(windows: Bytes, image: Bytes, near_px: Floats, shapes: Floats) -> Found:
+    """Where an image shows windows of other images, from about where they lie.
+
+    Affine least-squares matching with gain and offset (Gruen 1985) by inverse composition (Baker and Matthews
+    2004, section 3.2): derivatives are the template's and stay. The affine part is held by a belief of
+    _STRETCH_SD about the shapes given.
+
+    Args: windows as `templates` gives them; near_px (n, 2) corner origin; shapes (n, 2, 2): columns and rows
+        of the image over those of each window.
+    """
+    smooth = _smooth(image)
+    parts = [
+        _find_some(windows[i : i + _AT_ONCE], smooth, near_px[i : i + _AT_ONCE], shapes[i : i + _AT_ONCE])
+        for i in range(0, len(windows), _AT_ONCE)
+    ]
+    if not parts:
+        return Found(np.zeros((0, 2)), np.zeros(0, np.bool_))
+    return Found(np.concatenate([p.image_px for p in parts]), np.concatenate([p.sure for p in parts]))
+
+
+def _find_some(windows: Bytes, smooth: Floats32, near_px: Floats, shapes: Floats) -> Found:
+    slopes, weighted, inverse = _derivatives(windows.astype(np.float32))
+    own = slopes[:, 6]
+    power = (own * own) @ _NEAR
+    n = len(windows)
+    at, shape = near_px.astype(np.float64), shapes.astype(np.float64)
+    sure = np.zeros(n, np.bool_)
+    left = np.arange(n)
+    for _ in range(_ROUNDS):
+        turn = shape[left].astype(np.float32)
+        middle = (at[left] - 0.5).astype(np.float32)
+        seen = _read(
+            smooth,
+            middle[:, :1] + turn[:, 0, :1] * _COL + turn[:, 0, 1:] * _ROW,
+            middle[:, 1:] + turn[:, 1, :1] * _COL + turn[:, 1, 1:] * _ROW,
+        )
+        seen -= ((seen @ _NEAR) / _NEAR.sum())[:, None]
+        right = (weighted[left] @ seen[:, :, None])[:, :, 0]
+        answer = (inverse[left] @ right[:, :, None])[:, :, 0]
+        gain = answer[:, 6]
+        likeness = right[:, 6] / np.sqrt(np.maximum((seen * seen) @ _NEAR * power[left], 1e-9))
+        step = (answer[:, :6] / np.maximum(gain, _LEAST_GAIN)[:, None]).astype(np.float64)
+        moved = np.clip(step[:, :2], -1.0, 1.0)
+        back = np.eye(2) - step[:, 2:].reshape(-1, 2, 2) / _HALF_PX
+        at[left] -= (shape[left] @ moved[:, :, None])[:, :, 0]
+        shape[left] = shape[left] @ back
+        lost = (gain < _LEAST_GAIN) | (np.abs(at[left] - near_px[left]).max(axis=1) > _FARTHEST_PX)
+        settled = np.abs(moved).max(axis=1) < _SETTLED_PX
+        sure[left] = settled & ~lost & (likeness >= _LEAST_LIKENESS)
+        left = left[~(settled | lost)]
+        if not len(left):
+            break
+    return Found(at, sure)
+
+
+def _derivatives(windows: Floats32) -> tuple[Floats32, Floats32, Floats32]:
+    """Of each window (n, 7, pixels) by place, shape and gain, less their means, which an offset takes; the
+    same times the weights of pixels; and the inverse normal matrices (n, 7, 7)."""
+    n, inner = len(windows), slice(1, -1)
+    out = np.empty((n, 7, _SIDE * _SIDE), np.float32)
+    across = (windows[:, inner, 2:] - windows[:, inner, :-2]).reshape(n, -1) * np.float32(0.5)
+    down = (windows[:, 2:, inner] - windows[:, :-2, inner]).reshape(n, -1) * np.float32(0.5)
+    out[:, 0], out[:, 1] = across, down
+    for k, slope in ((2, across), (4, down)):
+        out[:, k] = slope * (_COL / _HALF_PX)
+        out[:, k + 1] = slope * (_ROW / _HALF_PX)
+    out[:, 6] = windows[:, inner, inner].reshape(n, -1)
+    out -= ((out @ _NEAR) / _NEAR.sum())[:, :, None]
+    weighted = out * _NEAR
+    normal = (weighted @ out.transpose(0, 2, 1)).astype(np.float64)
+    held = np.array([0.0, 0.0, *[(_NOISE / (_STRETCH_SD * _HALF_PX)) ** 2] * 4, 0.0]) + 1e-6
+    normal[:, range(7), range(7)] += held
+    return out, weighted, np.linalg.inv(normal).astype(np.float32)
+
+
+def _smooth(image: Bytes) -> Floats32:
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX), np.float32)
+
+
+def _read(smooth: Floats32, col: Floats32, row: Floats32) -> Floats32:
+    """Between pixels, centre origin."""
+    return np.asarray(cv2.remap(smooth, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT))

@@ -1,0 +1,58 @@
+"""Where pairs are believed to match, by position and attitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.matching.planes import Guess, guessed, plane_through
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+_NODES: Annotated[
+    int,
+    Because(
+        "nodes along each side of a frame",
+        "that are laid on the ground and into the other frame, to find a plane between the two: more show "
+        "relief that a plane can't follow anyway, fewer are lost where a frame sees past the ground",
+        CHOSEN,
+    ),
+] = 6
+
+
+@dataclass(frozen=True)
+class Believed:
+    """Poses as told, and places (frames, k, 3) on the ground of a lattice of each frame's places (k, 2)."""
+
+    poses: Poses
+    cameras: Sequence[Camera]
+    image_px: Sequence[Floats]
+    ground_m: Sequence[Floats]
+
+    @classmethod
+    def of(cls, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface) -> Believed:
+        """What poses say of frames over a ground."""
+        image_px = [_lattice(c) for c in cameras]
+        found = [ground_from_image(poses[i], cameras[i], ground, px) for i, px in enumerate(image_px)]
+        return cls(poses, cameras, image_px, found)
+
+    def guess(self, a: int, b: int, radius_px: float) -> Guess:
+        """Where frame b is believed to show what frame a shows, to within a radius."""
+        camera = self.cameras[a]
+        there = self.poses[b].image_from_ground(self.cameras[b], self.ground_m[a])
+        plane = plane_through(self.image_px[a], there) if np.isfinite(radius_px) else None
+        return guessed((camera.width_px, camera.height_px), plane, radius_px)
+
+
+def _lattice(camera: Camera) -> Floats:
+    cols = (np.arange(_NODES) + 0.5) / _NODES * camera.width_px
+    rows = (np.arange(_NODES) + 0.5) / _NODES * camera.height_px
+    return np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)

@@ -1,0 +1,138 @@
+"""How two images of a pair lie to each other as a whole: by a plane, believed or seen."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+
+Floats = NDArray[np.float64]
+Size = tuple[int, int]
+Pair = tuple[int, int]
+_GRAIN_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "what believed places are rounded to: little beside any radius, but enough that another frame in "
+        "the survey, which shifts the work frame by a hair, changes no pair's guess",
+        CHOSEN,
+    ),
+] = 16.0
+_BY_NEIGHBOUR: Annotated[
+    float,
+    Because(
+        "share of an image's longer side",
+        "how far off a place may be that is foretold through a common neighbour: two planes through relief "
+        "of a tenth of the height miss by so much; a larger radius takes the time of a search without one",
+        CHOSEN,
+    ),
+] = 0.05
+_FEWEST: Annotated[
+    int,
+    Because("points", "from which a plane follows with some of its errors seen: four give any", CHOSEN),
+] = 6
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Where the right image is believed to show what the left one shows, to within a radius.
+
+    size_px: width and height of the left image. corners_px: where its corners (top left, top right, bottom
+    right, bottom left) lie in the right one, col and row each; not used where the radius is infinite.
+    """
+
+    size_px: Size
+    corners_px: tuple[tuple[float, float], ...]
+    radius_px: float
+
+    @property
+    def plane(self) -> Floats:
+        """The right image's places from the left one's, a homography (3, 3)."""
+        there = np.array(self.corners_px, np.float32)
+        return np.asarray(cv2.getPerspectiveTransform(_corners(self.size_px).astype(np.float32), there))
+
+
+def nothing_believed(size_px: Size) -> Guess:
+    """A guess that holds for any pair."""
+    return Guess(size_px, ((0.0, 0.0),) * 4, float("inf"))
+
+
+def guessed(size_px: Size, plane: Floats | None, radius_px: float) -> Guess:
+    """A guess by a plane, rounded; nothing where there is none, or where corners lie beyond the horizon."""
+    if plane is None or not np.isfinite(plane).all():
+        return nothing_believed(size_px)
+    corners = _corners(size_px)
+    depth = corners @ plane[2, :2] + plane[2, 2]
+    if (depth * depth[0] <= 0.0).any():
+        return nothing_believed(size_px)
+    there = np.round(through(plane, corners) / _GRAIN_PX) * _GRAIN_PX
+    radius_px = float(np.ceil(radius_px / _GRAIN_PX) * _GRAIN_PX)
+    return Guess(size_px, tuple((float(c), float(r)) for c, r in there), radius_px)
+
+
+def plane_through(left_px: Floats, right_px: Floats) -> Floats | None:
+    """The homography with the least squared misses; None where too few points, or no finite ones, say it."""
+    good = np.isfinite(left_px).all(axis=1) & np.isfinite(right_px).all(axis=1)
+    if good.sum() < _FEWEST:
+        return None
+    plane, _ = cv2.findHomography(left_px[good], right_px[good], 0)
+    return None if plane is None else np.asarray(plane, np.float64)
+
+
+def through(plane: Floats, px: Floats) -> Floats:
+    """Where a plane takes places (n, 2)."""
+    return np.asarray(cv2.perspectiveTransform(px[:, None].astype(np.float64), plane)[:, 0], np.float64)
+
+
+def stretched(plane: Floats, px: Floats) -> Floats:
+    """How a plane turns and stretches about places (n, 2): derivatives (n, 2, 2), [right axis, left axis]."""
+    depth = px @ plane[2, :2] + plane[2, 2]
+    there = (px @ plane[:2, :2].T + plane[:2, 2]) / depth[:, None]
+    return np.asarray((plane[None, :2, :2] - there[:, :, None] * plane[2, None, :2]) / depth[:, None, None])
+
+
+class SeenPlanes:
+    """The planes of tied pairs, and through one common neighbour those of others."""
+
+    def __init__(self) -> None:
+        self._planes: dict[Pair, Floats] = {}
+        self._ties: dict[int, dict[int, int]] = defaultdict(dict)
+
+    def add(self, a: int, b: int, left_px: Floats, right_px: Floats) -> None:
+        """A tied pair's frames and its tie points (k, 2) in the left and the right image."""
+        plane = plane_through(left_px, right_px)
+        if plane is not None and abs(np.linalg.det(plane)) > 0.0:
+            self._planes[a, b], self._planes[b, a] = plane, np.asarray(np.linalg.inv(plane), np.float64)
+            self._ties[a][b] = self._ties[b][a] = len(left_px)
+
+    def between(self, a: int, b: int) -> Floats | None:
+        """The plane that takes places of frame a to frame b; None if neither ties nor a neighbour say it."""
+        if (a, b) in self._planes:
+            return self._planes[a, b]
+        common = self._ties[a].keys() & self._ties[b].keys()
+        if not common:
+            return None
+        best = max(common, key=lambda c: (min(self._ties[a][c], self._ties[b][c]), -c))
+        return np.asarray(self._planes[best, b] @ self._planes[a, best])
+
+    def guess(self, a: int, b: int, sizes_px: Sequence[Size]) -> Guess | None:
+        """What a neighbour lets expect of a pair; None where none does, or they show no ground in common."""
+        radius_px = _BY_NEIGHBOUR * max(sizes_px[b])
+        guess = guessed(sizes_px[a], self.between(a, b), radius_px)
+        if np.isinf(guess.radius_px):
+            return None
+        there = shapely.Polygon(guess.corners_px).buffer(radius_px)
+        return guess if there.intersects(shapely.box(0.0, 0.0, *sizes_px[b])) else None
+
+
+def _corners(size_px: Size) -> Floats:
+    width, height = size_px
+    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])

@@ -1,0 +1,96 @@
+"""Tie points told by keypoints, moved to where the pixels agree.
+
+Each track has one frame that stands for the place on the ground; what that frame shows there is sought in the
+track's other frames. Keypoints move, not pairs: so a track stays one place however many pairs see it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.matching.model import TiePair
+from geomosaic.matching.planes import SeenPlanes, stretched
+from geomosaic.matching.tracks import Joined, join, references
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class SoughtIn:
+    """What of one frame is sought in another: rows (n,) of that frame's windows, the keypoints (n,) to
+    be moved, and how the plane between both frames turns and stretches windows about them (n, 2, 2)."""
+
+    of: int
+    rows: Ints
+    keypoints: Ints
+    shapes: Floats
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What is to be looked for where.
+
+    shown: of each frame the keypoints whose surroundings stand for their tracks. sought: of each frame what
+    is looked for in it, frame by frame.
+    """
+
+    joined: Joined
+    shown: tuple[Ints, ...]
+    sought: tuple[tuple[SoughtIn, ...], ...]
+
+    @classmethod
+    def of(cls, pairs: Sequence[TiePair], sizes_px: Sequence[tuple[int, int]]) -> Refinement:
+        """Args: pairs, in any order; sizes_px: width and height of each frame."""
+        joined, n = join(pairs), len(sizes_px)
+        standing = references(joined, np.array(sizes_px, np.float64))
+        planes = SeenPlanes()
+        for t in pairs:
+            planes.add(t.left, t.right, t.left_px, t.right_px)
+        own = np.arange(len(standing))
+        stands = (standing == own) & joined.once
+        shown = tuple(np.flatnonzero(stands & (joined.frame == i)) for i in range(n))
+        row = np.zeros(len(standing), np.intp)
+        for keypoints in shown:
+            row[keypoints] = np.arange(len(keypoints))
+        moved = np.flatnonzero((standing != own) & joined.once)
+        here, there = joined.frame[moved], joined.frame[standing[moved]]
+        order = np.lexsort((moved, there, here))
+        changes = np.flatnonzero((np.diff(here[order]) != 0) | (np.diff(there[order]) != 0)) + 1
+        sought: list[list[SoughtIn]] = [[] for _ in range(n)]
+        for some in np.split(order, changes) if len(order) else ():
+            a, b = int(there[some[0]]), int(here[some[0]])
+            plane = planes.between(a, b)
+            if plane is not None:
+                keypoints = moved[some]
+                middles = joined.image_px[standing[keypoints]]
+                sought[b].append(SoughtIn(a, row[standing[keypoints]], keypoints, stretched(plane, middles)))
+        return cls(joined, shown, tuple(map(tuple, sought)))
+
+    def applied(
+        self, pairs: Sequence[TiePair], found: Mapping[int, tuple[Floats, NDArray[np.bool_]]], least: int
+    ) -> list[TiePair]:
+        """The tie points where pixels agree; a pair that would keep fewer than `least` keeps all it had,
+        where they were.
+
+        Args: pairs as they were given; found: by frame, places and whether they are sure, as in `sought`.
+        """
+        px = self.joined.image_px.copy()
+        sure = np.zeros(len(px), np.bool_)
+        sure[np.concatenate(self.shown)] = True
+        for frame, (places, good) in found.items():
+            keypoints = np.concatenate([s.keypoints for s in self.sought[frame]])
+            px[keypoints[good]] = places[good]
+            sure[keypoints[good]] = True
+        out = []
+        for pair, (left, right) in zip(pairs, self.joined.ends, strict=True):
+            kept = sure[left] & sure[right]
+            if kept.sum() < least:
+                kept[:] = True
+            i, j = pair.left_feature[kept], pair.right_feature[kept]
+            out.append(TiePair(pair.left, pair.right, px[left[kept]], px[right[kept]], i, j))
+        return out

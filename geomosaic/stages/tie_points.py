@@ -1,0 +1,138 @@
+"""Pairs of frames matched in rounds, and their tie points moved: what matching spreads over the workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.matching.features import Features
+from geomosaic.matching.match import Matching
+from geomosaic.matching.model import TiePair
+from geomosaic.matching.planes import Guess, SeenPlanes
+from geomosaic.matching.refinement import Refinement
+from geomosaic.pipeline.kept import Kept
+from geomosaic.pipeline.stage import Context
+from geomosaic.placement.graph import connected_parts, flown_beside
+from geomosaic.stages.keypoints import (
+    PairItem,
+    Search,
+    Shown,
+    Sight,
+    Sought,
+    frame_places,
+    frame_windows,
+    pair_match,
+)
+from geomosaic.survey.model import Frame
+
+Pair = tuple[int, int]
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class Pairing:
+    """The pairs of a survey, matched where it costs least first.
+
+    believed: where a pair is believed to match. pixel_px: of each frame, its pixels in one of the image
+    that keypoints are of. sequence: frames in order of flight.
+    """
+
+    context: Context
+    how: Matching
+    features: Sequence[Kept[Features]]
+    sizes_px: Sequence[Pair]
+    pixel_px: Sequence[float]
+    believed: Callable[[int, int], Guess]
+    sequence: Sequence[int]
+    tried: dict[Pair, TiePair | None] = field(default_factory=dict)
+    _planes: SeenPlanes = field(default_factory=SeenPlanes)
+    _places: dict[int, Floats] = field(default_factory=dict)
+
+    def match(self, pairs: Iterable[Pair]) -> list[TiePair]:
+        """The pairs that hold together: about where they are believed to match; then, where their neighbours
+        show that they should; last, all keypoints of frames that hang together with no one else's."""
+        pairs = list(pairs)
+        self._round("pairs", self.how, [(p, self.believed(*p)) for p in pairs])
+        self._by_neighbours()
+        apart = self._apart()
+        if apart:
+            said = [(p, self.believed(*p)) for p in apart]
+            self._round("pairs of lonely frames", replace(self.how, search="all"), said)
+            self._by_neighbours()
+        return [found for found in self.tried.values() if found is not None]
+
+    @property
+    def untied(self) -> list[Pair]:
+        """Pairs that were tried in vain."""
+        return [pair for pair, found in self.tried.items() if found is None]
+
+    def _by_neighbours(self) -> None:
+        """Untied pairs of which common neighbours say where they match, as long as that brings more."""
+        asked: set[Pair] = set()
+        while True:
+            waiting = [pair for pair in self.untied if pair not in asked]
+            guesses = [(pair, self._planes.guess(*pair, self.sizes_px)) for pair in waiting]
+            said = [(pair, guess) for pair, guess in guesses if guess is not None]
+            asked |= {pair for pair, _ in said}
+            if not said or not self._round("pairs by neighbours", replace(self.how, search="near"), said):
+                return
+
+    def _apart(self) -> list[Pair]:
+        """Untied pairs of frames that don't hang together, and of lonely frames those flown beside them."""
+        tied = [pair for pair, found in self.tried.items() if found is not None]
+        part: dict[int, int] = {}
+        for k, members in enumerate(connected_parts(len(self.features), tied)):
+            part |= dict.fromkeys(members, k)
+        lonely = set(range(len(self.features))) - {i for pair in tied for i in pair}
+        return [
+            *[(a, b) for a, b in self.untied if part[a] != part[b]],
+            *flown_beside(lonely, self.sequence, list(self.tried)),
+        ]
+
+    def _round(self, name: str, how: Matching, pairs: Sequence[tuple[Pair, Guess]]) -> int:
+        """How many of some pairs hold together now."""
+        items = [
+            PairItem(self.features[a], self.features[b], guess, max(self.pixel_px[a], self.pixel_px[b]))
+            for (a, b), guess in pairs
+        ]
+        found = self.context.map(name, partial(pair_match, how), items)
+        tied = 0
+        for ((a, b), _), match in zip(pairs, found, strict=True):
+            self.tried[a, b] = None
+            if len(match.left):
+                left_px, right_px = self._places_of(a)[match.left], self._places_of(b)[match.right]
+                self.tried[a, b] = TiePair(a, b, left_px, right_px, match.left, match.right)
+                self._planes.add(a, b, left_px, right_px)
+                tied += 1
+        return tied
+
+    def _places_of(self, frame: int) -> Floats:
+        if frame not in self._places:
+            self._places[frame] = self.features[frame].load().image_px
+        return self._places[frame]
+
+
+def refined(
+    context: Context, sight: Sight, frames: Sequence[Frame], pairs: Sequence[TiePair], least: int
+) -> list[TiePair]:
+    """Tie points moved to where windows about them agree in the pixels; two passes over the frames: what each
+    shows to others, and where it shows what others do."""
+    todo = Refinement.of(pairs, [(f.width_px, f.height_px) for f in frames])
+    px = todo.joined.image_px
+    shown = [Shown(frame, px[keypoints]) for frame, keypoints in zip(frames, todo.shown, strict=True)]
+    windows = context.stored("surroundings of tie points", partial(frame_windows, sight), shown)
+    searches = {}
+    for i, sought in enumerate(todo.sought):
+        parts = [
+            Sought(windows[s.of], sight.reduction(frames[s.of]), s.rows, px[s.keypoints], s.shapes)
+            for s in sought
+        ]
+        if parts:
+            searches[i] = Search(frames[i], tuple(parts))
+    places = context.map("tie points in the pixels", partial(frame_places, sight), searches.values())
+    found = {i: (p.image_px, p.sure) for i, p in zip(searches, places, strict=True)}
+    return todo.applied(pairs, found, least)
