@@ -176,11 +176,17 @@ def turned_frames(
     capped = [(a, b, np.minimum(c, cap_m) + never[a][:, None] + never[b][None, :]) for a, b, c in costs_m]
     turn = _descent(n, capped, _votes(n, capped), cap_m / 4.0)
     links = [(a, b) for a, b, _ in capped if turn[a] and turn[b]]
+    of: dict[int, list[tuple[int, int, Floats]]] = {}
+    for pair in capped:
+        of.setdefault(pair[0], []).append(pair)
+        of.setdefault(pair[1], []).append(pair)
     for group in connected_parts(n, links):
-        back = turn.copy()
-        back[group] = 0
-        if _total(capped, back, cap_m / 4.0) < _total(capped, turn, cap_m / 4.0):
-            turn = back
+        if turn[group].any():
+            own = list({(a, b): (a, b, c) for i in group for a, b, c in of.get(i, [])}.values())
+            back = turn.copy()
+            back[group] = 0
+            if _total(own, back, cap_m / 4.0) < _total(own, turn, cap_m / 4.0):
+                turn = back
     turn = _descent(n, capped, turn, cap_m / 4.0)
     return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
 
