@@ -65,7 +65,7 @@ def recipe(survey: SimulatedSurvey) -> Recipe:
     return recipe_of("mosaic", "", stages, given, 0, ())
 
 
-@pytest.mark.parametrize("at", ["pairs", "frames on the map"])
+@pytest.mark.parametrize("at", ["pairs", "windows"])
 def test_a_worker_that_is_killed_leaves_the_pixels_as_they_are(
     at: str, team: Team, survey: SimulatedSurvey, local: Path, tmp_path: Path
 ) -> None:

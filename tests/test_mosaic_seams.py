@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from geomosaic.errors import PluginError
 from geomosaic.mosaic import seam_cut
 from geomosaic.mosaic.blends import BLENDS, Blend, Piece
 from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.driver import InMemory
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, frame_cells, nearest_nadir
@@ -283,26 +281,6 @@ def test_windows_cover_the_grid_once_and_walk_from_neighbour_to_neighbour():
     assert (seen == 1).all()
     steps = [abs(a.col - b.col) + abs(a.row - b.row) for a, b in itertools.pairwise(walk)]
     assert np.mean([s == 128 for s in steps]) > 0.85
-
-
-def loads(plan: list[list[int]], room: int) -> list[int]:
-    """What is loaded, in its order."""
-    order: list[int] = []
-    with ThreadPoolExecutor(1) as pool:
-        parts = InMemory(plan, dict.fromkeys(range(9), 10), 10 * room, pool, order.append)
-        for step, needed in enumerate(plan):
-            assert set(parts.for_step(step)) == set(needed)
-    return order
-
-
-def test_the_frame_needed_last_is_forgotten_first():
-    """With room for two: at frame 2's turn, 1 is needed later than 0, so 0 stays."""
-    assert loads([[0], [1], [2], [0], [1]], room=2) == [0, 1, 2, 1]
-    assert loads([[0], [1], [2], [0], [1]], room=3) == [0, 1, 2]
-
-
-def test_a_step_larger_than_the_memory_still_gets_its_frames():
-    assert sorted(loads([[0, 1, 2], [3], [0, 1, 2]], room=1)) == [0, 0, 1, 1, 2, 2, 3]
 
 
 def test_other_distributions_bring_blends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

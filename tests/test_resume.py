@@ -86,10 +86,10 @@ def assert_same(one: Path, other: Path) -> None:
 
 
 def test_a_killed_run_goes_on_where_it_was(survey: SimulatedSurvey, fresh: Path, tmp_path: Path) -> None:
-    """Three times in a row; nothing that was finished is made again, and the result is a fresh run's."""
+    """Four times in a row; nothing that was finished is made again, and the result is a fresh run's."""
     given = (survey.frames, survey.camera)
-    told = []
-    for at in ("keypoints", "pairs", "frames on the map"):
+    told, moments = [], ("keypoints", "pairs", "frames on the map", "windows")
+    for at in moments:
         code = "import sys; from test_resume import die; die(*sys.argv[1:])"
         words = [str(word) for word in (*given, tmp_path / "run", at, tmp_path / at)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
@@ -98,8 +98,9 @@ def test_a_killed_run_goes_on_where_it_was(survey: SimulatedSurvey, fresh: Path,
         told.append(json.loads((tmp_path / at).read_text()))
     counting = Counting()
     run(recipe(*given), tmp_path / "run", fixed_time=True, reporter=counting)
-    for (_, done), (found, _) in itertools.pairwise([*told, [counting.found, counting.done]]):
-        at = list(done)[-1]
+    runs = itertools.pairwise([*told, [counting.found, counting.done]])
+    for moment, ((_, done), (found, _)) in zip(moments, runs, strict=True):
+        (at,) = (name for name in done if name.endswith(f": {moment}"))
         assert 0 < done[at] == found[at][0] < found[at][1]
         begun = (done.keys() & found.keys()) - {": reading inputs"}  # the others' stages are finished
         assert {name: found[name][0] for name in begun} == {name: done[name] for name in begun}

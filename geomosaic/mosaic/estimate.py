@@ -76,8 +76,7 @@ _WINDOW_BYTES: Annotated[
     float,
     Because(
         "bytes",
-        "of the windows at work in a thread that composes: with less, the memory of many threads is stated "
-        "too low",
+        "of the window at work in a process that composes: with less, the memory of many is stated too low",
         CHOSEN,
     ),
 ] = 100e6
@@ -205,11 +204,11 @@ def estimate_scene(
 
 
 def before_composing(
-    sizes_px: list[tuple[int, int]], pairs: int, workers: int, memory_bytes: float, threads: int
+    sizes_px: list[tuple[int, int]], pairs: int, workers: int, memory_bytes: float
 ) -> tuple[Range, float]:
     """Seconds that matching and adjusting take, least and most, and bytes of memory of the whole run.
 
-    Args: sizes_px: of all frames; memory_bytes: that composing may take for what frames give.
+    Args: sizes_px: of all frames; memory_bytes: that composing takes beside the windows at work.
     """
     matched = np.array([float(w) * h for w, h in sizes_px])
     longest = np.array([max(size) for size in sizes_px])
@@ -222,7 +221,7 @@ def before_composing(
     ]  # fmt: skip
     matching = (workers if workers > 1 else 0) * _PROGRAM_BYTES
     matching += workers * _SIFT_BYTES_PER_PX * float(matched.max(initial=0.0))
-    return (s[0], s[1]), _PROGRAM_BYTES + matching + memory_bytes + threads * _WINDOW_BYTES
+    return (s[0], s[1]), _PROGRAM_BYTES + matching + memory_bytes + workers * _WINDOW_BYTES
 
 
 def room(range_gb: Range) -> str:

@@ -13,9 +13,9 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.frames import Decoded, decode
 from geomosaic.mosaic.scene import Scene, margin_px
 from geomosaic.mosaic.sight import FrameOnMap
-from geomosaic.mosaic.tones import Tones
+from geomosaic.mosaic.tones import Tones, evened
 from geomosaic.mosaic.views import FrameView
-from geomosaic.mosaic.window import Shown, Window, as_type, scaled
+from geomosaic.mosaic.window import Shown, Window, as_type
 from geomosaic.projection.lattice import Seen
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
 
@@ -176,7 +176,7 @@ def _evened(pixels: NDArray[Any], seen: Seen, view: FrameView, how: Warping) -> 
     gone = bool(np.isnan(nodes[0]).any())  # a node past the lens's end says nothing of pixels before it
     where = (seen.cols, seen.rows) if gone else nodes
     darker = np.exp(-tones.brighter(view.frame, view.camera, *where))
-    return scaled(pixels, darker if gone else seen.between(darker), how.dtype)
+    return evened(pixels, darker if gone else seen.between(darker), tones.white, how.dtype)
 
 
 def tile_of(row: int, col: int) -> Window:

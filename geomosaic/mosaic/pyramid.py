@@ -68,6 +68,16 @@ class TileKind:
         effort = _EFFORT if self.masked else zlib.Z_DEFAULT_COMPRESSION
         return _deflated(_less_neighbours(_full(pixels)), effort)
 
+    def tile(self, pixels: NDArray[Any], valid: Flags, *, first: bool = True) -> Tile | None:
+        """A whole tile's pixels (h, w, bands), 0 where not valid (h, w); None where none is. first: of the
+        raster itself, not of an overview."""
+        if not valid.any():
+            return None
+        if not self.masked:
+            return Tile(self.packed(pixels), b"", None, None, None)
+        figures = _figures(pixels, valid) if first else None
+        return Tile(self.packed(pixels), packed_mask(valid), figures, *halved(pixels, valid))
+
     def empty(self) -> tuple[bytes, bytes]:
         """A tile without a valid pixel, and its mask's; none without one."""
         pixels = np.zeros((TILE_PX, TILE_PX * self.bands), self.dtype)
@@ -105,6 +115,18 @@ def _deflated(values: NDArray[Any], effort: int) -> bytes:
     packer = zlib.compressobj(effort, zlib.DEFLATED, zlib.MAX_WBITS, _WORKING_MEMORY)
     little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return packer.compress(little.data.cast("B")) + packer.flush()
+
+
+@dataclass(frozen=True)
+class Tile:
+    """What is left of a tile that shows something: its bytes and its mask's, packed; of an image's its
+    figures, where it is none of an overview, and its part of the next overview: pixels and valid ones."""
+
+    packed: bytes
+    mask: bytes
+    figures: NDArray[np.float64] | None
+    half: NDArray[Any] | None
+    half_valid: Flags | None
 
 
 @dataclass
@@ -224,26 +246,25 @@ class Pyramid:
         self._whole(level, tile, pixels, valid)
 
     def _whole(self, level: int, tile: tuple[int, int], pixels: Any, valid: Flags | None) -> None:
+        self.put(level, tile, None if valid is None else self.kind.tile(pixels, valid, first=level == 0))
+
+    def put(self, level: int, tile: tuple[int, int], made: Tile | None) -> None:
+        """A whole tile (down, across), made elsewhere by `TileKind.tile`."""
         of, (i, j) = self.levels[level], tile
-        if valid is not None and valid.any():
-            figures = _figures(pixels, valid) if level == 0 and self.kind.masked else None
-            image = self.kind.packed(pixels)
-            mask = packed_mask(valid) if self.kind.masked else b""
+        if made is not None:
             with self._lock:
-                of.places[tile] = self._end, len(image), len(mask)
-                self.tiles.write(image)
-                self.tiles.write(mask)
-                self._end += len(image) + len(mask)
-                if figures is not None:
-                    self._figures[tile] = figures
-        else:
-            pixels = valid = None
+                of.places[tile] = self._end, len(made.packed), len(made.mask)
+                self.tiles.write(made.packed)
+                self.tiles.write(made.mask)
+                self._end += len(made.packed) + len(made.mask)
+                if made.figures is not None:
+                    self._figures[tile] = made.figures
         if level + 1 < len(self.levels):
             half = TILE_PX // 2
             height, width = min(TILE_PX, of.height - i * TILE_PX), min(TILE_PX, of.width - j * TILE_PX)
-            if valid is not None:
-                pixels, valid = halved(pixels, valid)
-            self._add(level + 1, j * half, i * half, (-(-height // 2), -(-width // 2)), pixels, valid)
+            shape = -(-height // 2), -(-width // 2)
+            pixels, valid = (None, None) if made is None else (made.half, made.half_valid)
+            self._add(level + 1, j * half, i * half, shape, pixels, valid)
 
 
 def _common(first: int, length: int, tile: int) -> slice:

@@ -18,7 +18,7 @@ from geomosaic import __version__
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
 from geomosaic.mosaic.cog_layout import Tags, directories, write_cog_of
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, TileKind
+from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, Tile, TileKind
 from geomosaic.mosaic.window import Composed, Window
 
 BLOCK_ROWS: Final = TILE_PX
@@ -48,10 +48,22 @@ class Raster:
             given = composed.source(self._sources.kind.dtype)
             self._sources.add(window.col, window.row, given[..., None], composed.valid)
 
+    def put(self, window: Window, tile: Tile | None, index: Tile | None) -> None:
+        """A window that is a whole tile, made elsewhere by the kinds of tiles; by any thread."""
+        at = window.row // TILE_PX, window.col // TILE_PX
+        self._image.put(0, at, tile)
+        if self._sources is not None:
+            self._sources.put(0, at, index)
+
     def leave_out(self, window: Window) -> None:
         """One in which nothing is shown: what it is part of need not wait for it."""
         for pyramid in filter(None, (self._image, self._sources)):
             pyramid.add_nothing(window.col, window.row, window.width, window.height)
+
+
+def index_kind(frames: int) -> TileKind:
+    """The tiles that say which of so many frames made each pixel."""
+    return TileKind(1, np.dtype("uint16" if frames < 65535 else "uint32"), masked=False)
 
 
 @contextmanager
@@ -78,7 +90,7 @@ def writing_mosaic(
         image = files.enter_context(_writing(path, grid.width_px, grid.height_px, look))
         index = None
         if sources is not None:
-            kind = TileKind(1, np.dtype("uint16" if len(frames) < 65535 else "uint32"), masked=False)
+            kind = index_kind(len(frames))
             names = {f"FRAME_{i + 1}": name for i, name in enumerate(frames)}
             told = ("index of the frame that made the pixel, from 1",)
             of = Look(kind, grid, _COLOURS[1], told, names)

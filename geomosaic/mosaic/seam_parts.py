@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.ownership import Ownership, frame_cells
 from geomosaic.mosaic.scene import Scene, bounds_window, distances_m
-from geomosaic.mosaic.tones import Tones
+from geomosaic.mosaic.tones import Tones, evened
 from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.resample import resample
 from geomosaic.survey.model import Frame
@@ -201,7 +201,8 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> P
     col, row = (np.ascontiguousarray(a / job.reduction, dtype=np.float32) for a in (cols, rows))
     values = resample(np.ascontiguousarray(pixels), col, row, "bilinear").astype(np.float32)
     if tones is not None:
-        values *= np.exp(-tones.brighter(view.frame, view.camera, cols, rows)[..., : values.shape[-1]])
+        darker = np.exp(-tones.brighter(view.frame, view.camera, cols, rows)[..., : values.shape[-1]])
+        values = evened(values, darker, tones.white, "float32")
     if valid is not None:
         may &= resample(valid[..., None], col, row, "bilinear")[..., 0] == 255
     return Part(

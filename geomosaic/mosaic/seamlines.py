@@ -13,7 +13,7 @@ from rasterio.features import shapes
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.model import Hole, Holes, OutputGrid, Seamline
-from geomosaic.mosaic.window import Composed
+from geomosaic.mosaic.window import Window
 
 _MOST_LABELS: Annotated[
     int,
@@ -57,16 +57,12 @@ class SeamLabels:
         )
         self._wanted = np.zeros(self._labels.shape, dtype=bool)
 
-    def add(self, composed: Composed) -> None:
-        """Takes over a window's sources, from the middle of each cell of n x n pixels."""
-        n = self.step_px
-        height, width = composed.label.shape
-        rows = np.minimum(np.arange(0, height, n) + n // 2, height - 1)
-        cols = np.minimum(np.arange(0, width, n) + n // 2, width - 1)
-        row, col = composed.window.row // n, composed.window.col // n
-        at = slice(row, row + rows.size), slice(col, col + cols.size)
-        self._labels[at] = composed.source(at=np.ix_(rows, cols))
-        self._wanted[at] = True if composed.wanted is None else composed.wanted[np.ix_(rows, cols)]
+    def add(self, window: Window, labels: NDArray[np.int32], wanted: NDArray[np.bool_] | None) -> None:
+        """Takes over a window's cells, see `Composed.cells`."""
+        row, col = window.row // self.step_px, window.col // self.step_px
+        at = slice(row, row + labels.shape[0]), slice(col, col + labels.shape[1])
+        self._labels[at] = labels
+        self._wanted[at] = True if wanted is None else wanted
 
     def seamlines(self) -> tuple[Seamline, ...]:
         """One for each frame that gives pixels, in the frames' order.

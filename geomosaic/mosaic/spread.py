@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Made = TypeVar("Made", covariant=True)
+_LATEST: Final = 12
+"""Frames' parts held in this process: windows along Hilbert's curve come back to few."""
 
 
 class Kept(Protocol[Made]):
     """A result that is somewhere, or can be made."""
 
     def load(self) -> Made: ...
+
+    def look(self) -> Made:
+        """As load, where it is wanted again and again, in parts."""
 
 
 class Spread(Protocol):
@@ -27,40 +33,64 @@ class Spread(Protocol):
         """Results in the items' order. keys: tell the items of a name apart."""
 
     def spooled(
-        self, name: str, function: Callable[[Item], Result], items: Sequence[Item], keys: Sequence[Any]
+        self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
     ) -> AbstractContextManager[Sequence[Kept[Result]]]:
-        """The same where results are too large to be held at once: each is loaded when it is wanted."""
+        """The same where results are too large to be held at once: each is loaded when it is wanted. Nobody
+        asks for items where all results are there from before."""
 
 
-@dataclass(frozen=True)
 class _Later(Generic[Item, Result]):
-    function: Callable[[Item], Result]
-    item: Item
+    """A result that is made when it is wanted; what was looked at lately is kept."""
+
+    def __init__(self, function: Callable[[Item], Result], item: Item, at_once: AtOnce) -> None:
+        self._function, self._item, self._at_once = function, item, at_once
+        self._lock = threading.Lock()
+        self._made: tuple[Result] | None = None
 
     def load(self) -> Result:
-        return self.function(self.item)
+        """See `Kept`."""
+        if self._at_once.check_cancelled is not None:
+            self._at_once.check_cancelled()
+        return self._function(self._item)
+
+    def look(self) -> Result:
+        """See `Kept`."""
+        with self._lock:
+            made = self._made or (self.load(),)
+            self._made = made
+        self._at_once.looked_at(self)
+        return made[0]
+
+    def forget(self) -> None:
+        """It is made again if it is wanted again."""
+        self._made = None
 
 
-@dataclass(frozen=True)
 class AtOnce:
     """In this process: spooled results are made when they are loaded, and again if they are loaded again."""
 
-    check_cancelled: Callable[[], None] | None = None
+    def __init__(self, check_cancelled: Callable[[], None] | None = None) -> None:
+        self.check_cancelled = check_cancelled
+        self._latest: OrderedDict[int, _Later[Any, Any]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def looked_at(self, one: _Later[Any, Any]) -> None:
+        """Keeps it, and forgets what wasn't looked at for longest."""
+        with self._lock:
+            self._latest[id(one)] = one
+            self._latest.move_to_end(id(one))
+            while len(self._latest) > _LATEST:
+                self._latest.popitem(last=False)[1].forget()
 
     def map(
         self, name: str, function: Callable[[Item], Result], items: Sequence[Item], keys: Sequence[Any]
     ) -> list[Result]:
         """See `Spread`."""
-        found = []
-        for item in items:
-            if self.check_cancelled is not None:
-                self.check_cancelled()
-            found.append(function(item))
-        return found
+        return [_Later(function, item, self).load() for item in items]
 
     @contextmanager
     def spooled(
-        self, name: str, function: Callable[[Item], Result], items: Sequence[Item], keys: Sequence[Any]
+        self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
     ) -> Iterator[Sequence[Kept[Result]]]:
         """See `Spread`."""
-        yield [_Later(function, item) for item in items]
+        yield [_Later(function, item, self) for item in items]

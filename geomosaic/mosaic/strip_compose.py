@@ -18,7 +18,7 @@ import rasterio
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.parallel import opencv_alone
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.doors.raster import READ_CACHE_MB, STRIP, open_raster, unreferenced_is_fine
+from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.mosaic.blends import BLENDS, STEP_PX, Blend
 from geomosaic.mosaic.driver import composed
@@ -80,7 +80,7 @@ def compose_strips(
     with (
         unreferenced_is_fine(),
         opencv_alone(),
-        rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB),
+        rasterio.Env(GDAL_CACHEMAX=READ_CACHE_BYTES),
         ExitStack() as files,
         ThreadPoolExecutor(threads) as pool,
     ):

@@ -1,4 +1,9 @@
-"""How brightly each frame shows the ground: gains, slopes and vignettes, found where frames overlap."""
+"""How brightly each frame shows the ground: gains, slopes and vignettes, found where frames overlap.
+
+A camera that writes what its sensor counted shows twice the light as twice the value; one that draws pictures
+bends values towards white, so that none is ever beyond it. Which of both a flight's frames do, they say
+themselves: by which they can be made alike.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +22,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.views import FrameView
+from geomosaic.mosaic.window import scaled
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import frame_from_map, ground_window
@@ -53,6 +59,8 @@ _TELLING: Annotated[
         CHOSEN,
     ),
 ] = (6.0, 249.0)
+_WHITES: Final = (np.inf, 256.0)
+"""Grey levels that light can't go beyond, of pictures that hold 255 at most: none, or just beyond the last."""
 _HELD: Final = "before the images speak, weakly, so that no block grows darker from end to end: "
 _GAIN_SD: Annotated[
     float, Because("natural logarithm of brightness", _HELD + "half a stop of exposure either way", CHOSEN)
@@ -103,7 +111,11 @@ _ROUNDS: Annotated[
 
 @dataclass(frozen=True)
 class Tones:
-    """Natural logarithms of how much brighter frames show the ground than all do in the mean.
+    """Natural logarithms of how much brighter frames show the ground than all do in the mean: of values v, or,
+    where these bend towards white, of their odds v / (white - v).
+
+    The logistic curve over the logarithm of light is the middle of a film's characteristic curve (Hurter and
+    Driffield 1890), which cameras draw by; more light moves odds by a factor.
 
     gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
     middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
@@ -113,6 +125,7 @@ class Tones:
     gain: Floats
     slope: Floats
     vignette: Floats
+    white: float = float("inf")
 
     def flat(self, frame: int) -> bool:
         """Whether a frame shows the ground as bright as all do."""
@@ -132,6 +145,16 @@ class Tones:
         if across.any() or along.any():
             out += right * across + below * along
         return np.asarray(out)
+
+
+def evened(pixels: NDArray[Any], darker: Floats32, white: float, dtype: str) -> NDArray[Any]:
+    """Pixels (h, w, b) as all frames would show them, rounded and cut as by `window.as_type`.
+
+    Args: darker (h, w, b): what values are multiplied by, or their odds where there is a white.
+    """
+    if np.isfinite(white):
+        darker = darker * (np.float32(white) / ((darker - np.float32(1.0)) * pixels + np.float32(white)))
+    return scaled(pixels, darker, dtype)
 
 
 @dataclass(frozen=True)
@@ -222,18 +245,33 @@ def _most(dtype: np.dtype[Any]) -> float:
     return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else np.inf
 
 
-def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> tuple[Tones, Evenness]:
+def solve_tones(
+    places: Places, values: Floats32, camera_of: Sequence[int], picture: bool = False
+) -> tuple[Tones, Evenness]:
     """Gains, slopes and vignettes by which all frames show each place alike, band by band.
+
+    Of pictures of 8 bits by the response that leaves the smaller differences in the median.
+
+    Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
+    """
+    found = [_by_response(places, values, camera_of, white) for white in _WHITES[: 2 if picture else 1]]
+    return min(found, key=lambda one: np.nan_to_num(one[1].after_median))
+
+
+def _by_response(
+    places: Places, values: Floats32, camera_of: Sequence[int], white: float
+) -> tuple[Tones, Evenness]:
+    """The solution by one response: see `Tones`.
 
     Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
     cars drive off and water shines from one side; weak priors at nothing.
-
-    Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
     """
     n, bands = len(camera_of), values.shape[1]
     known = np.isfinite(values).all(axis=1)
     place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
-    logs = np.log(values[known].astype(np.float64))
+    grey = values[known].astype(np.float64)
+    below = np.maximum(1.0 - grey / white, 1.0 / 256.0)
+    logs = np.log(grey / below)
     camera = np.asarray(camera_of, dtype=np.intp)[frame]
     seen = np.bincount(frame, minlength=n)
     share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
@@ -248,7 +286,8 @@ def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> t
     at = np.arange(len(frame))
     design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
     of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.place))).tocsr()
-    prior = np.concatenate([np.full(count, sd**-2) for _, _, count, sd in terms])
+    bent = float(np.median(1.0 / below)) if len(at) else 1.0
+    prior = np.concatenate([np.full(count, (sd * bent) ** -2) for _, _, count, sd in terms])
     found, left = np.zeros((bands, len(prior))), np.zeros_like(logs)
     for b in range(bands if len(at) else 0):
         found[b], left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
@@ -259,9 +298,10 @@ def solve_tones(places: Places, values: Floats32, camera_of: Sequence[int]) -> t
         np.where(seen_at_all, gain, 0.0),
         np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
         np.stack([second[of_frame], fourth[of_frame]], axis=-1),
+        white,
     )
     before = logs - _means(of_place, np.ones(len(at)), logs)
-    return tones, _evenness(np.exp(logs), before, left)
+    return tones, _evenness(grey * below, before, left)
 
 
 def _solved(
@@ -292,7 +332,10 @@ def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
 
 
 def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:
-    """Differences of two frames are the root of two times those to their mean."""
+    """Differences of two frames are the root of two times those to their mean.
+
+    Args: grey (m, b): how far a value moves by its logarithm, or by that of its odds.
+    """
     if not len(grey):
         return Evenness(*[float("nan")] * 4)
     figures = [

@@ -153,6 +153,15 @@ class Composed:
         number = np.array([*self.numbers, -1], dtype=np.int64) + 1
         return np.asarray(number.astype(dtype)[self.label[at]])
 
+    def cells(self, step_px: int) -> tuple[NDArray[np.int32], Bools | None]:
+        """Of the middle of each cell of n x n pixels the source, as `source` says it, and whether it was
+        asked for, None for all of them."""
+        rows, cols = (
+            np.minimum(np.arange(0, size, step_px) + step_px // 2, size - 1) for size in self.label.shape
+        )
+        at = np.ix_(rows, cols)
+        return self.source(at=at), None if self.wanted is None else self.wanted[at]
+
 
 def compose_window(manner: Manner, step: Step, materials: Mapping[int, Any]) -> Composed:
     """All the window's pixels; those no source shows are 0 and not valid."""

@@ -315,7 +315,8 @@ class Context:
         if done:
             self.inform(f"{name}: {len(done)} of {len(places)} are there from before")
         with self._for_workers(name, function, len(done) < len(places)) as work:
-            waiting = ((i, item) for i, item in enumerate(items) if i not in done)
+            left = () if len(done) == len(places) else enumerate(items)  # none is made for nothing
+            waiting = ((i, item) for i, item in left if i not in done)
             running: dict[Future[Any], int] = {}
             while True:
                 self.progress(len(done), len(places), name)

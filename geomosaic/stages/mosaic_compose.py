@@ -66,13 +66,13 @@ class MosaicCompose(Stage):
         sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
         memory_mb: int = param(
             512,
-            help="memory for what frames give to the mosaic",
+            help="without effect: windows read what frames give from the disk; older recipes have it",
             unit="MB",
             ge=64,
             le=1_000_000,
             affects_output=False,
         )
-        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+        threads: int = param(2, help="threads that plan and write", ge=1, le=256, affects_output=False)
 
     @classmethod
     def plugged(cls, params: Params) -> list[tuple[str, str]]:
@@ -108,11 +108,10 @@ class MosaicCompose(Stage):
                 feather_m=None if params.feather_m == "auto" else params.feather_m,
                 resampling=params.resampling,
                 tones=tones,
-                memory_bytes=params.memory_mb << 20,
                 sources_path=by,
                 threads=params.threads,
                 spread=context,
-                progress=lambda done, total: context.progress(done, total, "windows"),
+                progress=lambda done, total: context.progress(done, total, "writing"),
                 check_cancelled=context.check_cancelled,
             )
 

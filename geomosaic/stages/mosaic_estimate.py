@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import shapely
 
-from geomosaic.mosaic.estimate import PARTS, before_composing, estimate
+from geomosaic.mosaic.estimate import before_composing, estimate
 from geomosaic.mosaic.frames import decoded_bytes
 from geomosaic.mosaic.grid import output_grid, stretching
 from geomosaic.mosaic.views import frame_views
@@ -68,12 +68,9 @@ class MosaicEstimate(Stage):
             seen_m2 = min(seen_m2, float(extent.area.geometry.area))
         first = survey.frames[views[0].frame]
         pixel_bytes = first.bands * np.dtype(first.dtype).itemsize
-        memory = min(compose.memory_mb * 2.0**20, PARTS.most * seen_m2 / gsd_m**2 * pixel_bytes)
-        memory += context.workers * max(map(decoded_bytes, survey.frames))
+        memory = float(context.workers * max(map(decoded_bytes, survey.frames)))
         sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
-        core_s, memory = before_composing(
-            sizes_px, len(placement.pairs), context.workers, memory, compose.threads
-        )
+        core_s, memory = before_composing(sizes_px, len(placement.pairs), context.workers, memory)
         expected = estimate(
             grid.width_px,
             grid.height_px,
@@ -83,7 +80,7 @@ class MosaicEstimate(Stage):
             sources=compose.sources,
             memory_bytes=memory,
             core_s=core_s,
-            threads=compose.threads,
+            threads=context.workers,
         )
         if (far := stretching(views, gsd_m)) is not None:
             view, share = far
