@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from rasterio.env import get_gdal_config
 
 from geomosaic.ccd.image_registration import image_registration
 from geomosaic.ccd.methods import Method
@@ -238,6 +239,7 @@ def test_files_are_read_once_for_both_their_edges(tmp_path, monkeypatch):
     for method, most in ((piecewise_linear, 1036), (image_registration, 1036 + 96)):
         read.clear()
         with StripFiles(geometry) as strips:
+            assert get_gdal_config("GDAL_CACHEMAX") >= 1 << 20, "in bytes, or blocks are decoded twice"
             offsets = method(strips, Settings(), silent)
         for found, true in zip(offsets, truth, strict=True):
             lines = shared(strips, found.pair)

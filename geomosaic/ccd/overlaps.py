@@ -16,7 +16,7 @@ from rasterio.windows import Window
 
 from geomosaic.ccd.model import Floats, Overlap
 from geomosaic.ccd.object_space import ObjectSpace
-from geomosaic.doors.raster import READ_CACHE_MB, STRIP, open_raster
+from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster
 from geomosaic.errors import FileError
 from geomosaic.survey.strips import StripGeometry
 
@@ -86,7 +86,7 @@ class StripFiles(Strips):
 
     def __enter__(self) -> Self:
         with ExitStack() as files:
-            files.enter_context(rasterio.Env(GDAL_CACHEMAX=READ_CACHE_MB))
+            files.enter_context(rasterio.Env(GDAL_CACHEMAX=READ_CACHE_BYTES))
             for k, ccd in enumerate(self.geometry.ccds):
                 if ccd.path is not None:
                     self._files[k] = files.enter_context(open_raster(ccd.path, STRIP))

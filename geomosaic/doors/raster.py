@@ -29,7 +29,7 @@ gdal.UseExceptions()
 
 Raster: TypeAlias = rasterio.DatasetReader
 MOST_BANDS: Final = 128  # OpenCV's own limit; satellites with more are no frames, DEMs or strips
-READ_CACHE_MB: Final = 64  # GDAL's own is a twentieth of the memory; with much less, blocks are decoded twice
+READ_CACHE_BYTES: Final = 64 << 20  # GDAL's own is a twentieth of the memory; with less, it decodes twice
 _MOST_BLOCK_BYTES: Final = 1 << 30  # GDAL decodes whole blocks: a strip of 4,096 columns and 130,000 lines
 _BYTES: Final = {"uint8": 1, "int8": 1, "uint16": 2, "int16": 2, "uint32": 4, "int32": 4, "float32": 4}
 _AGAIN: Final = "copy it again"

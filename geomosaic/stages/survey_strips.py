@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rasterio import Env
+
 from geomosaic.ccd.parallel import each
-from geomosaic.doors.raster import STRIP, open_raster, reading, unreferenced_is_fine
+from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, reading, unreferenced_is_fine
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
@@ -60,7 +62,7 @@ class SurveyStrips(Stage):
                 text = f"has {lines} lines, the longest strip {longest}; the rest of its place stays empty"
                 context.warn("strip-short", ccd.path.name, text)
         paths = [ccd.path for ccd in geometry.ccds if ccd.path is not None]
-        with unreferenced_is_fine():
+        with unreferenced_is_fine(), Env(GDAL_CACHEMAX=READ_CACHE_BYTES):
             seen = each(_glance, paths)
         context.check_cancelled()
         for path, image in zip(paths, seen, strict=True):

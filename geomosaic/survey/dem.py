@@ -14,7 +14,7 @@ from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.doors.raster import DEM, READ_CACHE_MB, Raster, open_raster, reading
+from geomosaic.doors.raster import DEM, READ_CACHE_BYTES, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
@@ -140,7 +140,7 @@ def read_heights(
     Raises: FileError if nothing of the DEM lies inside the bounds, or it can't be read.
     """
     path = Path(elevation.path)
-    with Env(GDAL_CACHEMAX=READ_CACHE_MB), open_raster(path, DEM) as source, reading(path):
+    with Env(GDAL_CACHEMAX=READ_CACHE_BYTES), open_raster(path, DEM) as source, reading(path):
         check_grid(source, path)
         wanted = _window(source, bounds, (1, 1))
         if wanted is None:
