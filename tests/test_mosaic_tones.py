@@ -16,9 +16,8 @@ from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
-from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
+from geomosaic.mosaic.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
 from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import scaled
 from geomosaic.pipeline.stage import Context
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
@@ -101,14 +100,39 @@ def test_evened_pixels_are_those_that_all_frames_would_show() -> None:
     pixels = np.array([[[100], [60]]], dtype=np.uint8)
     cols, rows = np.array([[200.0, 400.0]], np.float32), np.array([[150.0, 300.0]], np.float32)
     brighter = tones.brighter(1, CAMERA, cols, rows)
-    found = scaled(pixels, np.exp(-brighter), "float32")
+    found = evened(pixels, np.exp(-brighter), np.inf, "float32")
     np.testing.assert_allclose(
         found[0, :, 0], [200.0, 60.0 * 2.0 * np.exp(0.3 - 0.25 * 0.8 + 0.1 * 0.6)], rtol=1e-5
     )
-    found = scaled(np.full((1, 2, 1), 200, np.uint8), np.exp(-brighter), "uint8")
+    found = evened(np.full((1, 2, 1), 200, np.uint8), np.exp(-brighter), np.inf, "uint8")
     assert (found.dtype, found.max()) == (np.uint8, 255)
     assert tones.flat(0) and not tones.flat(1)
     assert np.isfinite(tones.brighter(1, CAMERA, np.full_like(cols, np.nan), rows)).all()
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("bends", [True, False])
+def test_frames_say_whether_their_values_bend_towards_white(seed: int, bends: bool) -> None:
+    """The same light, drawn along a logistic curve or as it is; gains are those of the light."""
+    places, light, gains, _, _ = sightings(seed)
+    light = np.minimum(light, 240.0)
+    values = 256.0 * light / (90.0 + light) if bends else light
+    tones, evenness = solve_tones(places, values.astype(np.float32), [0] * 12, picture=True)
+    assert np.isfinite(tones.white) == bends
+    off = tones.gain - gains
+    assert np.abs(off - off.mean(axis=0)).max() < 0.05
+    assert evenness.after_median < 0.45 * evenness.before_median
+    assert solve_tones(places, values.astype(np.float32), [0] * 12)[0].white == np.inf, "measured values"
+
+
+def test_what_bends_towards_white_is_never_beyond_it_and_keeps_its_order() -> None:
+    grey = np.arange(256, dtype=np.uint8).reshape(1, 256, 1)
+    for darker in (0.2, 0.7, 1.0, 1.9, 6.0):
+        found = evened(grey, np.full((1, 256, 1), darker, np.float32), 256.0, "float32")[0, :, 0]
+        assert found[0] == 0.0 and found[-1] < 256.0 and (np.diff(found) > 0.0).all()
+        odds = found[1:] / (256.0 - found[1:])
+        np.testing.assert_allclose(odds, darker * np.arange(1, 256) / np.arange(255, 0, -1), rtol=1e-3)
+    assert evened(grey, np.ones((1, 256, 1), np.float32), 256.0, "uint8").ravel().tolist() == list(range(256))
 
 
 def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:

@@ -59,8 +59,15 @@ _TELLING: Annotated[
         CHOSEN,
     ),
 ] = (6.0, 249.0)
-_WHITES: Final = (np.inf, 256.0)
-"""Grey levels that light can't go beyond, of pictures that hold 255 at most: none, or just beyond the last."""
+_WHITE: Annotated[
+    float,
+    Because(
+        "grey levels of 8 bits",
+        "what pictures bend towards: at 255 white would not move at all and its odds have no end; far "
+        "beyond, bright land is cut at 255 again",
+        "the number of grey levels",
+    ),
+] = 256.0
 _HELD: Final = "before the images speak, weakly, so that no block grows darker from end to end: "
 _GAIN_SD: Annotated[
     float, Because("natural logarithm of brightness", _HELD + "half a stop of exposure either way", CHOSEN)
@@ -111,8 +118,8 @@ _ROUNDS: Annotated[
 
 @dataclass(frozen=True)
 class Tones:
-    """Natural logarithms of how much brighter frames show the ground than all do in the mean: of values v, or,
-    where these bend towards white, of their odds v / (white - v).
+    """Natural logarithms of how much brighter frames show the ground than all do in the mean: of values v,
+    or, where these bend towards white, of their odds v / (white - v).
 
     The logistic curve over the logarithm of light is the middle of a film's characteristic curve (Hurter and
     Driffield 1890), which cameras draw by; more light moves odds by a factor.
@@ -254,7 +261,10 @@ def solve_tones(
 
     Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
     """
-    found = [_by_response(places, values, camera_of, white) for white in _WHITES[: 2 if picture else 1]]
+    found = [
+        _by_response(places, values, camera_of, white)
+        for white in ((np.inf, _WHITE) if picture else (np.inf,))
+    ]
     return min(found, key=lambda one: np.nan_to_num(one[1].after_median))
 
 
@@ -270,7 +280,7 @@ def _by_response(
     known = np.isfinite(values).all(axis=1)
     place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
     grey = values[known].astype(np.float64)
-    below = np.maximum(1.0 - grey / white, 1.0 / 256.0)
+    below = np.maximum(1.0 - grey / white, 1.0 / _WHITE)
     logs = np.log(grey / below)
     camera = np.asarray(camera_of, dtype=np.intp)[frame]
     seen = np.bincount(frame, minlength=n)

@@ -25,7 +25,7 @@ class MosaicTones(Stage):
     id = "mosaic.tones"
     display_name = "Even the tones"
     group = "Mosaic"
-    version = 4
+    version = 5
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"tones": Tones}
 
@@ -45,7 +45,7 @@ class MosaicTones(Stage):
         adjusted: Adjusted = inputs["adjusted"]
         frames, ground = survey.frames, inputs["ground"]
         n, bands = len(frames), max((f.bands for f in frames), default=1)
-        none = Tones(np.zeros((n, bands)), *[np.zeros((n, bands, 2))] * 2)
+        none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)), np.zeros((n, bands, 2)))
         if survey.other_bands and params.even == "always":
             raise InputError(
                 "a rig's bands are measured values, and each would need tones of its own",
@@ -62,8 +62,9 @@ class MosaicTones(Stage):
         places = lattice(views, survey.map_crs, survey.work_frame, ground)
         values = self._values(survey, places, bands, context)
         number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
-        tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras])
+        tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images)
         context.metric("tones.difference_grey", asdict(evenness))
+        context.metric("tones.bend_towards_white", bool(np.isfinite(tones.white)))
         context.metric("tones.gain_sd", float(tones.gain.std()))
         return {"tones": tones}
 
