@@ -182,6 +182,7 @@ def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> tuple[dict[s
     figures = {
         "floor": floor,
         "stages_s": told["timings_s"],
+        "sum_of_own_peaks_mb": told["peak_memory_mb"],
         "programs": [asdict(r) for r in (ours, *others)],
     }
     return figures, not missed([*lines, *beside])
