@@ -9,14 +9,14 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix
 
 from geomosaic.adjustment.sightings import Sightings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import join
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -65,25 +65,11 @@ class Tracks:
 
 def join_tracks(ties: TiePoints) -> Tracks:
     """Connected keypoints become tracks; a track that meets a frame twice is dropped as contradictory."""
-    pairs = [t for t in ties.pairs if len(t)]
-    if not pairs:
-        return Tracks(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)))
-    frames = np.concatenate([np.repeat([[t.left], [t.right]], len(t), axis=1) for t in pairs], axis=1)
-    features = np.concatenate([np.stack([t.left_feature, t.right_feature]) for t in pairs], axis=1)
-    px = np.concatenate([np.stack([t.left_px, t.right_px]) for t in pairs], axis=1)
-    keys = frames.astype(np.int64) * (int(features.max()) + 1) + features
-    names, first, number = np.unique(keys.ravel(), return_index=True, return_inverse=True)
-    number = number.reshape(keys.shape)
-    n = len(names)
-    graph = coo_matrix((np.ones(number.shape[1], np.int8), (number[0], number[1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    frame, image_px = frames.ravel()[first], px.reshape(-1, 2)[first]
-    order = np.lexsort((frame, label))
-    label, frame, image_px = label[order], frame[order], image_px[order]
-    twice = (np.diff(label) == 0) & (np.diff(frame) == 0)
-    good = ~np.isin(label, label[1:][twice])
-    _, point = np.unique(label[good], return_inverse=True)
-    return Tracks(frame[good].astype(np.intp), point.astype(np.intp), image_px[good])
+    joined = join(ties.pairs)
+    order = np.lexsort((joined.frame, joined.track))
+    good = order[joined.once[order]]
+    _, point = np.unique(joined.track[good], return_inverse=True)
+    return Tracks(joined.frame[good], point.astype(np.intp), joined.image_px[good])
 
 
 def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
