@@ -516,7 +516,7 @@ def test_items_that_name_what_they_read_outlive_other_changes(toys: Toys) -> Non
 
     def doubled(key: str) -> list[int]:
         context = Context(toys.run_folder, stage_id="toy.x", key=key)
-        return context.map("double", double, paths, reads=lambda p: [p])
+        return context.map("double", double, paths)
 
     assert doubled("one") == [2, 4, 6]
     assert toys.done() == ["item a", "item b", "item c"]

@@ -120,6 +120,7 @@ def test_new_frames_bring_their_own_work_alone(survey: SimulatedSurvey, fresh: P
     run(recipe(frames, survey.camera), tmp_path / "run", fixed_time=True, reporter=counting)
     for name in ("Read the survey: looking for damage", "Match frames with SIFT: keypoints"):
         assert counting.found[name] == (4, 6)
+    assert counting.found["Match frames with SIFT: pairs"] == (6, 15)
     assert_same(tmp_path / "run", fresh)
 
 

@@ -1,8 +1,9 @@
 """Hits runs at random moments, runs the same command again, and asks for the result of a run left in peace.
 
-Blows: kill -9, Ctrl-C, TERM, a full disk, a dead worker, inputs changed or removed, one to three in a row;
-frames and strips; one worker, two, and Dask. After them the command runs undisturbed over the inputs as they
-then are: its result must be that of a fresh run over these, or a refusal in one line.
+Blows: kill -9, Ctrl-C, TERM, a full disk, a dead worker, inputs changed, removed or added, one to three in a
+row; frames and strips; one worker, two, and Dask. After them the command runs undisturbed over the inputs as
+they then are: its result must be that of a fresh run over these, or a refusal in one line, and nothing that
+was finished of single frames, pairs and tiles may have been made again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from random import Random
 sys.path.insert(0, str(Path(__file__).parent))
 
 from chaos_changes import CHANGES, change
-from chaos_world import Ended, Running, Trial, World, result_of
+from chaos_world import Ended, Running, Trial, World, items_of, result_of
 from trial_box import changes, snapshot
 from trial_tables import write_tables
 
@@ -125,7 +126,7 @@ def one_trial(world: World, number: int, methods: tuple[str, ...], dask: bool) -
         _put_own_files(world.run, mine)
     state = "; ".join(done) + "".join(f" {n}" for n in snapshot_marks(world.inputs, done))
     code, wanted, refusal = world.reference(trial, state)
-    given = snapshot(world.inputs)
+    given, kept = snapshot(world.inputs), items_of(world.run)
     running = Running(world.command(trial, world.run), world.folder / "run.log")
     ended = running.end(time.monotonic())
     trial.ended = f"exit {ended.code}, wanted {code}"
@@ -142,6 +143,10 @@ def one_trial(world: World, number: int, methods: tuple[str, ...], dask: bool) -
         trial.words += f"[end] {ended.last} / fresh: {refusal}\n"
     else:
         trial.ended = "refused"
+    left = items_of(world.run)
+    if again := [path for path, mark in kept.items() if left.get(path, mark) != mark]:
+        trial.problems.append("done twice")
+        trial.words += f"[done twice] {len(again)} of {len(kept)}, {again[0]}\n"
     if lost := [p.name for p, data in mine.items() if not p.is_file() or p.read_bytes() != data]:
         trial.problems.append("people's files lost")
         trial.words += f"[people's] {', '.join(lost)}\n"

@@ -11,6 +11,9 @@ import cv2
 import numpy as np
 import rasterio
 
+LATER = "later"
+"""Where frames lie that are to come."""
+
 
 def _kept_time(path: Path, keep: bool, write: Callable[[], object]) -> None:
     """Writes; if asked, the time of change is put back."""
@@ -87,6 +90,14 @@ def change(inputs: Path, name: str, rng: Random) -> str:
             text = (inputs / "geometry.yaml").read_text()
             new = text.replace("ground_pixel_m: 2.0", "ground_pixel_m: 2.1")
             _kept_time(inputs / "geometry.yaml", keep, lambda: (inputs / "geometry.yaml").write_text(new))
+        case "added":
+            for file in sorted((inputs / LATER).glob("*.jpg")):
+                file.rename(inputs / "frames" / file.name)
+            rows = inputs / LATER / "rows.csv"
+            if rows.exists():
+                with (inputs / "pos.csv").open("a") as pos:
+                    pos.write(rows.read_text())
+                rows.unlink()
         case "removed":
             files = sorted([*inputs.glob("frames/*.jpg"), *inputs.glob("ccd*.tif"), *inputs.glob("pos.csv")])
             gone = rng.choice(files)
@@ -95,7 +106,19 @@ def change(inputs: Path, name: str, rng: Random) -> str:
     return told
 
 
+def hold_back(inputs: Path) -> None:
+    """The last two frames and their rows come later, if at all."""
+    (inputs / LATER).mkdir()
+    names = sorted(path.name for path in (inputs / "frames").glob("*.jpg"))[-2:]
+    for name in names:
+        (inputs / "frames" / name).rename(inputs / LATER / name)
+    lines = (inputs / "pos.csv").read_text().splitlines(keepends=True)
+    later = [line for line in lines if line.startswith(tuple(names))]
+    (inputs / LATER / "rows.csv").write_text("".join(later))
+    (inputs / "pos.csv").write_text("".join(line for line in lines if line not in later))
+
+
 CHANGES = {
-    "frames": ("pixels", "pixels", "positions", "camera", "mask", "removed"),
+    "frames": ("pixels", "pixels", "positions", "camera", "mask", "removed", "added", "added"),
     "strips": ("strip", "attitude", "geometry", "removed"),
 }

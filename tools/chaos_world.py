@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import rasterio
+from chaos_changes import hold_back
 from fuzz_base import make_base
 
 DISK_MB = 256
@@ -155,6 +156,12 @@ def result_of(run: Path) -> dict[str, str]:
     return found
 
 
+def items_of(run: Path) -> dict[Path, tuple[int, int]]:
+    """What single frames, pairs and tiles gave, with what shows whether it was made again."""
+    found = [path for path in run.glob("work/*/items/*/*") if not path.name.startswith(".")]
+    return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in found}
+
+
 def _parts(name: str, value: Any, depth: int = 3) -> dict[str, str]:
     """The parts of a tree by name, so that a difference says where it is."""
     if isinstance(value, dict) and depth:
@@ -212,6 +219,8 @@ class World:
         """The inputs as they were at first; nothing on the disk."""
         shutil.rmtree(self.inputs, ignore_errors=True)
         shutil.copytree(self.folder / "base" / {"frames": "survey"}.get(what, what), self.inputs)
+        if what == "frames":
+            hold_back(self.inputs)
         self.disk.clear()
 
     def command(self, trial: Trial, run: Path) -> list[str]:

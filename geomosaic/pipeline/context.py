@@ -242,8 +242,6 @@ class Context:
         function: Callable[[Item], Result],
         items: Iterable[Item],
         keys: Sequence[Any] | None = None,
-        *,
-        reads: Callable[[Item], Iterable[str | Path]] | None = None,
     ) -> list[Result]:
         """`[function(item) for item in items]`, spread over the workers, each result kept on disk.
 
