@@ -97,6 +97,14 @@ _MASK_BYTES: Annotated[
         "one bit a pixel",
     ),
 ] = 1.0 / 8.0
+_HALVES: Annotated[
+    float,
+    Because(
+        "share of the pixels' bytes",
+        "beside each packed window, until the mosaic is written: with less, the room is stated too low",
+        "of 2 x 2 pixels one in the next overview",
+    ),
+] = 1.0 / 4.0
 _SOURCE_BYTES: Annotated[
     float,
     Because(
@@ -158,7 +166,7 @@ def estimate(
     pixels = float(width_px) * float(height_px)
     filled = filled_share * pixels
     raw_gb = filled * pixel_bytes / 1e9
-    scratch = filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
+    scratch = _HALVES * raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
     memory = (memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
     return Estimate(
         width_px=width_px,

@@ -6,13 +6,22 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Annotated, Any, Generic, Protocol, TypeVar
+
+from geomosaic.constants import CHOSEN, Because
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Made = TypeVar("Made", covariant=True)
-_LATEST: Final = 12
-"""Frames' parts held in this process: windows along Hilbert's curve come back to few."""
+_LATEST: Annotated[
+    int,
+    Because(
+        "results",
+        "held in this process where nothing is on the disk: fewer are made again, though windows along "
+        "Hilbert's curve come back to few; more are memory",
+        CHOSEN,
+    ),
+] = 12
 
 
 class Kept(Protocol[Made]):
