@@ -2,15 +2,17 @@
 
 Steps: a seam is where a mosaic is brighter or of another colour on one side than on the other though no
 frame shows it so. Mosaic and frames are averaged over cells of 64 px of the ground pixel, frames by the
-poses, cameras and ground of one solved run, the same for all. Between two neighbouring cells a and b stands
-the contrast (a - b) / (a + b) of each colour, which no gain changes; a step is the least difference, over all
-frames that see both cells, of the mosaic's contrast and the frame's (root mean square of the colours), times
-the mosaic's mean grey. Where a mosaic goes on as some frame does there is none. Seams cross a few cells in a
-hundred: their figure is the quantile of 99 %, in grey levels. What blends hide over many cells is no step.
+poses, cameras and ground of one solved run, the same for all. From one cell to its neighbour the mosaic and a
+frame differ by so many grey levels (root mean square of the colours) once the frame is changed by one offset,
+one gain, or one factor of its odds v / (255 - v): programs even tones in one of these ways, and none is a
+seam. The step is the least of the three and over all frames that see both cells: where a mosaic goes on as
+some frame does there is none. Seams cross a few cells in a hundred, so the figure is the quantile of 99 %.
+What blends hide over many cells is no step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -234,23 +236,33 @@ def cells(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> Floats32:
     return np.where(full[..., None], mean, np.float32(np.nan))
 
 
+TONES: tuple[tuple[Callable[[Floats32], Floats32], Callable[[Floats32], Floats32]], ...] = (
+    (lambda v: v, np.ones_like),
+    (np.log, lambda v: v),
+    (lambda v: np.log(v / (255.0 - v)), lambda v: v * (255.0 - v) / 255.0),
+)
+"""Scales on which an offset, a gain, a factor of the odds adds the same to all greys v; and how many greys
+one of the scale is worth there."""
+
+
 def steps_of(mosaic: Floats32, frames: Floats32) -> Floats:
     """Steps (k,) between neighbouring cells of a mosaic (rows, cols, 3), by frames (n, rows, cols, 3)."""
+    shown, seen = (np.clip(values, np.float32(1.0), np.float32(254.0)) for values in (mosaic, frames))
     found = []
     for axis in (0, 1):
-        contrast, mean = _contrast(mosaic, axis)
-        of_frames, _ = _contrast(frames, axis + 1)
-        off = np.sqrt(np.mean((contrast - of_frames) ** 2, axis=-1))
-        least = np.min(np.where(np.isnan(off), np.inf, off), axis=0)
-        seen = np.isfinite(least)
-        found.append(least[seen] * mean.mean(axis=-1)[seen])
+        least = np.full(1, np.inf, dtype=np.float32)
+        first, second = (np.take(shown, k, axis) for k in _neighbours(shown.shape[axis]))
+        for scale, worth in TONES:
+            off = np.diff(scale(shown), axis=axis) - np.diff(scale(seen), axis=axis + 1)
+            off *= worth((first + second) / np.float32(2.0))
+            length = np.sqrt(np.mean(off**2, axis=-1))
+            least = np.minimum(least, np.where(np.isnan(length), np.inf, length).min(axis=0))
+        found.append(least[np.isfinite(least)])
     return np.concatenate(found).astype(np.float64)
 
 
-def _contrast(cells: Floats32, axis: int) -> tuple[Floats32, Floats32]:
-    """(a - b) / (a + b) of neighbours along an axis, and their mean."""
-    a, b = (np.take(cells, k, axis) for k in (range(cells.shape[axis] - 1), range(1, cells.shape[axis])))
-    return (a - b) / np.maximum(a + b, np.float32(1.0)), (a + b) / np.float32(2.0)
+def _neighbours(cells: int) -> tuple[range, range]:
+    return range(cells - 1), range(1, cells)
 
 
 def steps_figure(steps: Floats) -> float:
