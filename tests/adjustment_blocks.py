@@ -65,9 +65,10 @@ def fly(
     gusts_px: float = 0.0,
     lens: Camera | None = None,
     aslant_deg: Mapping[int, float] | None = None,
+    low_m: Mapping[int, float] | None = None,
 ) -> Flown:
     """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise. While they are read, frames turn at a
-    rate of their own, or shake; some look forward by so many degrees. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
+    rate of their own, or shake; some look forward by so many degrees, some fly only so high. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
     n = lines * per_line
     camera = lens or Camera("plain", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=readout_s)
@@ -75,6 +76,8 @@ def fly(
     heading = np.pi * back + np.pi / 2.0 * ((np.arange(n) // per_line % 2 == 1) & crossed)
     velocities = 15.0 * np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(n)])
     at = np.array([[40.0 * (i // per_line), 18.0 * (i % per_line), 100.0] for i in range(n)])
+    for i, up in (low_m or {}).items():
+        at[i, 2] = up
     truth = Poses(
         at + rng.normal(0, [1.0, 1.0, 0.5], (n, 3)),
         about_z(heading)

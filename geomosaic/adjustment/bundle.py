@@ -32,6 +32,7 @@ from geomosaic.adjustment.bundle_model import (
     stepped,
     with_interior,
 )
+from geomosaic.adjustment.clearance import clearances_m, too_near
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
@@ -240,7 +241,8 @@ def _solve(
         swing=_first_swing(priors, again),
     )
     factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
-    priors = replace(priors, unrest=again.unrest if again else None)
+    clearance_m = clearances_m(tracks, state.positions, state.points)
+    priors = replace(priors, unrest=again.unrest if again else None, clearance_m=clearance_m)
     held = again.held if again else np.full(shared_miss(priors, state).size, lens_held)
     strayed = np.zeros_like(held)
     iterations, may_free, shown = 0, again is not None, np.zeros(len(priors.cameras))
@@ -379,7 +381,7 @@ def _converge(
                 damping = max(10.0 * damping, _DAMPING)
                 continue
             for share in _SHARES:
-                trial = stepped(state, share, *step)
+                trial = _kept_away(tracks, priors, state, stepped(state, share, *step))
                 trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
                 if trial_cost < cost:
                     break
@@ -393,6 +395,18 @@ def _converge(
         if gain <= stop.gain * max(cost, 1.0) and moved <= stop.move:
             return state, iteration
     return state, most
+
+
+def _kept_away(tracks: Tracks, priors: Priors, before: State, after: State) -> State:
+    """The state after a step, but that points which would come too near to a camera stay where they were."""
+    if priors.clearance_m is None:
+        return after
+    held = too_near(tracks, priors.clearance_m, after.positions, after.points)
+    if not len(held):
+        return after
+    points = after.points.copy()
+    points[held] = before.points[held]
+    return replace(after, points=points)
 
 
 def _share_moved(step: Step, sd_m: Floats) -> float:

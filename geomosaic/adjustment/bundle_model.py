@@ -82,8 +82,8 @@ class Priors:
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
     determine them; left_out (f,): frames whose images have no say, since they made the system unsolvable;
-    unrest (p,): how many times the image's deviation tie points have, 1 where None, see `unrest`; all four
-    set by the solver.
+    unrest (p,): how many times the image's deviation tie points have, 1 where None, see `unrest`;
+    clearance_m (f,): see `clearance`; all five set by the solver.
     """
 
     poses: Poses
@@ -103,6 +103,7 @@ class Priors:
     held: Bools | None = None
     left_out: Bools | None = None
     unrest: Floats | None = None
+    clearance_m: Floats | None = None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from geomosaic.adjustment.chosen_ground import (
     off_ground_m,
     surface_of,
 )
+from geomosaic.adjustment.clearance import clearances_m, too_near
 from geomosaic.adjustment.control import control_residuals, with_control
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.tracks import Tracks, nearest_to_rays
@@ -109,7 +110,7 @@ def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: Solutio
     points, kept = points_on_ground(poses, lenses, few.ground, tracks)
     surface = few.ground.kind == "tie_surface"
     if surface:
-        points = nearest_to_rays(kept, poses, lenses, points)
+        points = _nearest_to_rays(kept, poses, lenses, points)
     terrain = None if surface else few.priors.terrain
     priors = replace(priors_of(block, settings, block.lenses, points, terrain), poses=few.priors.poses)
     seen, priors = with_control(kept, priors, block.control)
@@ -118,6 +119,15 @@ def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: Solutio
     solved = solve_bundle(seen, block.lens_of, priors, poses, again=again)
     ground = few.ground if surface else levelled(few.ground, _of_ties(solved, kept))
     return Solution(kept, seen, priors, solved, ground, few.relief_px)
+
+
+def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], ground_m: Floats) -> Floats:
+    """`nearest_to_rays`, but for those that come too near to a camera: they begin on the ground."""
+    points = nearest_to_rays(tracks, poses, lenses, ground_m)
+    clearance_m = clearances_m(tracks, poses.positions_m, ground_m)
+    near = too_near(tracks, clearance_m, poses.positions_m, points)
+    points[near] = ground_m[near]
+    return points
 
 
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
