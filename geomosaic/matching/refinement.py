@@ -52,8 +52,8 @@ class Refinement:
         for t in pairs:
             planes.add(t.left, t.right, t.left_px, t.right_px)
         own = np.arange(len(standing))
-        stands = (standing == own) & joined.once
-        shown = tuple(np.flatnonzero(stands & (joined.frame == i)) for i in range(n))
+        stand = np.flatnonzero((standing == own) & joined.once)
+        shown = np.split(stand, np.searchsorted(joined.frame[stand], np.arange(1, n)))
         row = np.zeros(len(standing), np.intp)
         for keypoints in shown:
             row[keypoints] = np.arange(len(keypoints))
@@ -69,7 +69,7 @@ class Refinement:
                 keypoints = moved[some]
                 middles = joined.image_px[standing[keypoints]]
                 sought[b].append(SoughtIn(a, row[standing[keypoints]], keypoints, stretched(plane, middles)))
-        return cls(joined, shown, tuple(map(tuple, sought)))
+        return cls(joined, tuple(shown), tuple(map(tuple, sought)))
 
     def applied(
         self, pairs: Sequence[TiePair], found: Mapping[int, tuple[Floats, NDArray[np.bool_]]], least: int

@@ -18,7 +18,7 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Joined:
-    """The n keypoints of all tie points, by frame and keypoint number.
+    """The n keypoints of all tie points, in the order of frames and keypoint numbers.
 
     frame, track: (n,) indices. image_px: (n, 2). ends: for each pair of frames, (2, k) numbers of its tie
     points' keypoints among the n, left and right. once: (n,) whether its track sees no frame twice.
