@@ -61,9 +61,15 @@ class Running:
         return True
 
     def children(self) -> list[int]:
-        """Its worker processes; not Python's own keeper of semaphores, which works at nothing."""
-        mine = [pid for pid, parent, _ in processes() if parent == self.process.pid]
-        return [pid for pid in mine if b"resource_tracker" not in _command(pid)]
+        """Its worker processes; not Python's own keeper of semaphores, which works at nothing, nor the
+        process that workers are forked from."""
+        alive = list(processes())
+        mine = [pid for pid, parent, _ in alive if parent == self.process.pid]
+        servers = [pid for pid in mine if b"forkserver" in _command(pid)]
+        forked = [pid for pid, parent, _ in alive if parent in servers]
+        return [
+            pid for pid in mine if pid not in servers and b"resource_tracker" not in _command(pid)
+        ] + forked
 
     def end(self, struck: float) -> Ended:
         """Waits for the end; a run that has none is ended."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -107,6 +107,7 @@ def mosaic(
     overwrite: Overwrite = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
+    prepare(STAGES, workers, dask)
     given: dict[str, dict[str, Any]] = {
         "survey.read": {
             "frames": frames,
@@ -170,6 +171,7 @@ def run(
         checked = load_recipe(recipe, installed(), overrides)
     if seed is not None:
         checked = replace(checked, seed=seed)
+    prepare([step.stage.id for step in checked.steps], workers, dask)
     execute(checked, output, workers, dask, fixed_time, overwrite)
 
 
@@ -202,6 +204,15 @@ def recipe_of(
     ]
     plain = {"name": name, "description": description, "seed": seed or 0, "stages": steps}
     return recipe_from(plain, installed(), sets or ())
+
+
+def prepare(stages: Iterable[str], workers: int | None, dask: str | None) -> None:
+    """Has workers made ready, if there are to be some on this machine, while the recipe is read."""
+    from geomosaic.pipeline.executor import prepare_workers
+    from geomosaic.pipeline.registry import installed
+
+    if dask is None and (workers or cores()) > 1:
+        prepare_workers(installed().modules(stages))
 
 
 def execute(

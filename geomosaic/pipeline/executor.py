@@ -16,12 +16,13 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing import forkserver
 from multiprocessing.context import SpawnContext
-from typing import Any
+from typing import Any, Final
 
 from geomosaic import __version__
 from geomosaic.errors import GeomosaicError, InputError
@@ -96,15 +97,28 @@ def _start_worker() -> None:
         threading.Thread(target=follow, daemon=True).start()
 
 
+_FORKS: Final = "forkserver" in multiprocessing.get_all_start_methods()
+
+
+def prepare_workers(modules: Iterable[str]) -> None:
+    """Starts the process that workers are forked from, where the system can: it imports what they need while
+    this one goes on, and they have it from there, in the same memory. Later calls do nothing."""
+    if _FORKS:
+        multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
+        with _without_interrupts(), _one_thread_each():
+            forkserver.ensure_running()
+
+
 class _Processes(SpawnContext):
-    """Spawned processes, remembered so that they can be ended."""
+    """Processes with nothing of this one's state, remembered so that they can be ended."""
 
     def __init__(self) -> None:
         super().__init__()
         self.started: list[Any] = []
 
     def Process(self, *args: Any, **kwargs: Any) -> Any:  # type: ignore[override]  # noqa: N802
-        process = multiprocessing.get_context("spawn").Process(*args, **kwargs)
+        context: Any = multiprocessing.get_context("forkserver" if _FORKS else "spawn")
+        process = context.Process(*args, **kwargs)
         self.started.append(process)
         return process
 

@@ -117,6 +117,10 @@ class Registry:
         self._stages[id] = check_stage(stage, id=id)
         return self._stages[id]
 
+    def modules(self, ids: Iterable[str]) -> list[str]:
+        """The modules of installed stages, none of them imported for it."""
+        return sorted({entry.module for id in ids for entry in self._entries.get(id, ())})
+
     def all(self) -> tuple[list[type[Stage]], dict[str, str]]:
         """Every stage that works, and why each of the others doesn't, by id."""
         working, broken = [], {}
