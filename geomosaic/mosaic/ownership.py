@@ -209,8 +209,9 @@ def within(ownership: Ownership, area: Area) -> Ownership:
     return replace(ownership, owner=np.where(about, ownership.owner, np.int32(0)), area=area)
 
 
-def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]) -> list[Bools]:
-    """Of each view, in which of the window's planning cells it may own pixels."""
+def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]) -> Bools:
+    """Of each view, in which of the window's planning cells it may own pixels, (views, h, w): those that meet
+    its own cells or the ones beside them."""
     row, col, around = ownership.around(window)
     side = ownership.cell_px
     first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
@@ -218,11 +219,19 @@ def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]
     last_row, last_col = first_row + CELL_PX - 1, first_col + CELL_PX - 1
     rows = [np.minimum(a // side - row, around.shape[0] - 1) for a in (first_row, last_row)]
     cols = [np.minimum(a // side - col, around.shape[1] - 1) for a in (first_col, last_col)]
-    found = []
-    for view in views:
-        near = cv2.dilate((around == view.frame + 1).astype(np.uint8), np.ones((3, 3), np.uint8))
-        found.append(np.any([near[np.ix_(r, c)] > 0 for r in rows for c in cols], axis=0))
-    return found
+    near = around == np.array([view.frame + 1 for view in views])[:, None, None]
+    near = _with_next(_with_next(near, 1), 2)
+    near = near[:, rows[0]] | near[:, rows[1]]
+    return near[:, :, cols[0]] | near[:, :, cols[1]]
+
+
+def _with_next(cells: Bools, axis: int) -> Bools:
+    """Cells, and those beside them along an axis."""
+    along = np.moveaxis(cells, axis, 0)
+    wider = along.copy()
+    wider[1:] |= along[:-1]
+    wider[:-1] |= along[1:]
+    return np.moveaxis(wider, 0, axis)
 
 
 def owner_share(ownership: Ownership, window: Window, rows: slice, cols: slice, frame: int) -> Floats32:

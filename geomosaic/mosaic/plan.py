@@ -142,9 +142,11 @@ def _given(sources: Sequence[FrameSource], somewhere: Bools, everywhere: Bools, 
     what is certain of each cell, so that it never leaves out a pixel.
     """
     grid = sources[0].grid
-    distance = np.stack([distances_m(grid, window, s.view, CELL_PX) for s in sources])
-    own = np.stack(owned_cells(sources[0].ownership, window, [s.view for s in sources]))
+    own = owned_cells(sources[0].ownership, window, [s.view for s in sources])
     sure = own.any(axis=0) & (everywhere | ~own).all(axis=0)
+    if sure.all():
+        return np.asarray(somewhere & own)
+    distance = np.stack([distances_m(grid, window, s.view, CELL_PX) for s in sources])
     reach_m = np.sqrt(2.0) * CELL_PX * grid.gsd_m
     surely = np.where(everywhere, distance, np.inf).min(axis=0)
     nearest = somewhere & (distance <= surely + reach_m) & ~sure
