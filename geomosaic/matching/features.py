@@ -42,8 +42,8 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
 
     Args: pixels (rows, cols, bands). band counts from 1.
     """
-    if band is not None:
-        one = pixels[..., band - 1]
+    if band is not None or pixels.shape[-1] == 1:
+        one = pixels[..., (band or 1) - 1]
     elif pixels.shape[-1] in (3, 4) and pixels.dtype == np.uint8:
         one = cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2GRAY)
     else:
@@ -53,7 +53,7 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
         return np.zeros(one.shape, np.uint8)
     low, high = np.percentile(inside[:: max(1, inside.size // 200_000)].astype(np.float32), [0.5, 99.5])
     if pixels.dtype == np.uint8 and high - low >= 85.0:
-        return np.ascontiguousarray(np.rint(one).astype(np.uint8))
+        return np.ascontiguousarray(one if one.dtype == np.uint8 else np.rint(one).astype(np.uint8))
     scaled = (one.astype(np.float32) - low) * (255.0 / max(high - low, 1e-6))
     return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
 

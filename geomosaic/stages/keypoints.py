@@ -27,7 +27,7 @@ class Sight:
 
     def grey(self, frame: Frame) -> tuple[Bytes, Bytes | None]:
         """The frame's brightness, and which pixels are valid."""
-        pixels, valid = read_pixels(frame, self.reduction(frame))
+        pixels, valid = read_pixels(frame, self.reduction(frame), luma=self.band is None)
         return grey(pixels, valid, self.band), valid
 
     def reduction(self, frame: Frame) -> int:

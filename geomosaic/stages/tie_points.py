@@ -121,6 +121,8 @@ def refined(
 ) -> list[TiePair]:
     """Tie points moved to where windows about them agree in the pixels; two passes over the frames: what each
     shows to others, and where it shows what others do."""
+    if not pairs:
+        return []
     todo = Refinement.of(pairs, [(f.width_px, f.height_px) for f in frames])
     px = todo.joined.image_px
     shown = [Shown(frame, px[keypoints]) for frame, keypoints in zip(frames, todo.shown, strict=True)]
