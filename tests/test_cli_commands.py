@@ -205,7 +205,7 @@ def test_a_fault_is_one_line_exit_1_and_has_a_traceback_on_demand(desk: Desk) ->
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_ctrl_c_ends_quickly_with_130_and_the_work_is_kept(workers: str, desk: Desk) -> None:
     desk.folder.joinpath("numbers.txt").write_text(" ".join(str(i) for i in range(200, 240)))
-    arguments = ["run", "toy.yaml", "-o", "run", "--set", "toy.power.delay_s=0.4", "--workers", workers]
+    arguments = ["run", "toy.yaml", "-o", "run", "--set", "toy.power.delay_s=0.2", "--workers", workers]
     process = desk.start(*arguments)
     desk.wait_for("item 203")
     started = time.monotonic()
@@ -219,7 +219,7 @@ def test_ctrl_c_ends_quickly_with_130_and_the_work_is_kept(workers: str, desk: D
     recording = read_recording(desk.folder / "run" / "run.mcap")
     assert recording.whole and recording.warnings[-1].text == "stopped by the user"
     before = desk.done()
-    assert desk.run("run", "toy.yaml", "-o", "run", "--workers", workers)[0] == 0
+    assert desk.run(*arguments)[0] == 0
     after = desk.done()
     assert "read" in before and "read" not in after
     assert "item 200" in before and "item 200" not in after

@@ -40,7 +40,7 @@ class HazeSum(Stage):
             raise InputError("is empty", file=params.file)
 
     def run(self, inputs, params, context):
-        keep = context.map("number", number, params.file.read_text().split(), reads=lambda _: [params.file])
+        keep = context.map("number", number, params.file.read_text().split())
         return {"haze": Total(total(keep))}
 
 
