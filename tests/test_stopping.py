@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -137,3 +138,31 @@ def test_a_signal_that_is_ignored_stays_so() -> None:
         "with s.stoppable(): print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "True\n"
+
+
+@pytest.mark.parametrize("after_s", [0.3, 0.5, 0.7, 0.9, 1.2])
+def test_workers_that_are_being_prepared_hear_no_interrupt(after_s: float, tmp_path: Path) -> None:
+    """Ctrl-C goes to the whole group: the process that workers are forked from is then among its imports."""
+    for i in range(3):
+        cv2.imwrite(str(tmp_path / f"{i}.jpg"), np.full((300, 400, 3), 90 + i, np.uint8))
+    program = "import sys; from geomosaic.cli.main import main; sys.exit(main())"
+    command = [
+        sys.executable,
+        "-c",
+        program,
+        "mosaic",
+        str(tmp_path),
+        "-o",
+        str(tmp_path / "run"),
+        "--workers",
+        "2",
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+    time.sleep(after_s)
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode in (-signal.SIGINT, 130, 2)  # before Python listens; stopped; nothing to mosaic
+    assert "forkserver" not in said and (process.returncode != 130 or "Traceback" not in said), said

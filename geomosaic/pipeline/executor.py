@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import SpawnContext
 from typing import Any, Final
 
@@ -105,6 +105,7 @@ def prepare_workers(modules: Iterable[str]) -> None:
     this one goes on, and they have it from there, in the same memory. Later calls do nothing."""
     if _FORKS:
         multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
+        resource_tracker.ensure_running()  # its start lets interrupts through again
         with _without_interrupts(), _one_thread_each():
             forkserver.ensure_running()
 
@@ -224,6 +225,8 @@ class Workers:
 
     def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         """A future of what `result` understands."""
+        if self._pool is None and self._dask is None and self.workers > 1:
+            resource_tracker.ensure_running()  # its start lets interrupts through again
         try:
             with _without_interrupts(), _one_thread_each():
                 return self._executor().submit(_guarded, __version__, function, item)
