@@ -34,6 +34,10 @@ class Sight:
         """Pixels of the frame in one of the image, along each side."""
         return reduction_for(frame.width_px, frame.height_px, self.longest_px)
 
+    def pixel_px(self, frame: Frame, keypoints_px: int) -> float:
+        """Pixels of the frame in one of the image that its keypoints are of: no larger than keypoints_px."""
+        return max(float(self.reduction(frame)), max(frame.width_px, frame.height_px) / keypoints_px)
+
 
 def frame_features(sight: Sight, keypoints_px: int, most: int, frame: Frame) -> Features:
     """Decodes a frame once and takes its keypoints, of an image with no side longer than keypoints_px."""

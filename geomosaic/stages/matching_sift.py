@@ -42,7 +42,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 9
+    version = 10
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
     }  # fmt: skip
@@ -103,7 +103,7 @@ class MatchingSift(Stage):
             Matching(params.ratio, params.check, params.tolerance_px, params.least),
             features,
             sizes,
-            [max(1.0, max(size) / params.keypoints_px) for size in sizes],
+            [sight.pixel_px(f, params.keypoints_px) for f in survey.frames],
             self._believed(params, placement, cameras, ground, reach_m),
             placement.sequence,
         )

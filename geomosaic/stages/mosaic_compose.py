@@ -64,14 +64,6 @@ class MosaicCompose(Stage):
         )
         resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
         sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
-        memory_mb: int = param(
-            512,
-            help="without effect: windows read what frames give from the disk; older recipes have it",
-            unit="MB",
-            ge=64,
-            le=1_000_000,
-            affects_output=False,
-        )
         threads: int = param(2, help="threads that plan and write", ge=1, le=256, affects_output=False)
 
     @classmethod

@@ -13,7 +13,7 @@ from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.mosaic.ownership import Ownership
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.ground_doubt import leaning_99_px
@@ -35,11 +35,6 @@ class QualityVerdict(Stage):
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"verdict": Verdict}
 
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
-
     @classmethod
     def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         """The grade, why, and what would mend it."""
@@ -50,7 +45,7 @@ class QualityVerdict(Stage):
         mend = [("mend", verdict["mend"])] if verdict["mend"] else []
         return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *mend]
 
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Judges, and says it in run.json where nobody can miss it."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
