@@ -366,6 +366,20 @@ def test_an_error_that_cannot_travel_says_at_least_what_it_said(
             context.map("picky", picky, [1])
 
 
+def told(name: str) -> str | None:
+    return os.environ.get(name)
+
+
+def test_a_worker_has_the_environment_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process that workers are forked from keeps the environment that it was started with."""
+    monkeypatch.setenv("TOY_GONE", "before")
+    executor.prepare_workers(["json"])
+    monkeypatch.setenv("TOY_SET", "later")
+    monkeypatch.delenv("TOY_GONE")
+    with executor.Workers(2) as team:
+        assert Context(tmp_path, workers=team).map("told", told, ["TOY_SET", "TOY_GONE"]) == ["later", None]
+
+
 def test_items_with_keys_are_made_as_they_are_needed(tmp_path: Path) -> None:
     made: list[int] = []
 

@@ -85,8 +85,12 @@ class _Here(Executor):
         return future
 
 
-def _start_worker() -> None:
-    """Lets a new worker die with its parent, however that dies."""
+def _start_worker(environment: dict[str, str]) -> None:
+    """Gives a new worker its parent's environment of now (what it is forked from may be older), and lets it
+    die with its parent, however that dies."""
+    os.environ.update(environment)
+    for name in os.environ.keys() - environment.keys():
+        del os.environ[name]
     parent = multiprocessing.parent_process()
     if parent is not None:
 
@@ -181,7 +185,9 @@ class Workers:
             elif self.workers == 1:
                 self._pool = _Here()
             else:
-                self._pool = ProcessPoolExecutor(self.workers, self._processes, _start_worker)
+                self._pool = ProcessPoolExecutor(
+                    self.workers, self._processes, _start_worker, (dict(os.environ),)
+                )
         return self._pool
 
     def _dask_executor(self, address: str) -> Executor:
