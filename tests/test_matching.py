@@ -50,6 +50,15 @@ def test_a_half_turn_does_not_move_places() -> None:
     assert np.sqrt((off**2).mean()) < 0.1
 
 
+def test_a_right_keypoint_goes_to_one_of_the_left_ones_that_look_the_same() -> None:
+    looks = root_sift(np.random.default_rng(5).integers(0, 200, (900, 128)).astype(np.uint8))
+    twice = np.concatenate([looks, looks[:600]])
+    for among in (None, [(np.arange(900, 1500), np.arange(900)), (np.arange(900), np.arange(900))]):
+        i, j = mutual_nearest(twice, looks, 0.8, among)
+        assert np.array_equal(np.sort(j), np.arange(900))
+        assert np.array_equal(twice[i], looks[j])
+
+
 @pytest.mark.parametrize("reduction", [2, 4])
 def test_a_reduced_image_gives_the_same_places(reduction: int) -> None:
     """Places are of the full frame: halving leaves no shift of half a reduced pixel or the like."""

@@ -109,12 +109,13 @@ class _Pair:
     def __init__(self, how: Matching, left: Features, right: Features, tolerance_px: float) -> None:
         self.how, self.tolerance_px = how, tolerance_px
         self.left_px, self.right_px = left.image_px, right.image_px
-        self.looks = root_sift(left.descriptors), root_sift(right.descriptors)
+        self.left, self.right = left.descriptors, right.descriptors
         self.few = coarsest(left, _FEW), coarsest(right, _FEW)
 
     def searched(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
         """All keypoints, each about where it is believed to be in the right image."""
-        return search(*self.looks, at, self.right_px, radius_px, self.how.ratio)
+        left, right = root_sift(self.left), root_sift(self.right)
+        return search(left, right, at, self.right_px, radius_px, self.how.ratio)
 
     def agreeing(self, i: Ints, j: Ints) -> tuple[Ints, Ints]:
         """Those that pass the geometric check together."""
@@ -124,8 +125,9 @@ class _Pair:
     def coarse_to_fine(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
         """The coarsest keypoints say where in the right image the left one lies, and the rest is compared
         about there; nothing where they don't say it."""
-        (few_i, few_j), (left, right) = self.few, self.looks
-        i, j = search(left[few_i], right[few_j], at[few_i], self.right_px[few_j], radius_px, self.how.ratio)
+        few_i, few_j = self.few
+        left, right = root_sift(self.left[few_i]), root_sift(self.right[few_j])
+        i, j = search(left, right, at[few_i], self.right_px[few_j], radius_px, self.how.ratio)
         i, j = self.agreeing(few_i[i], few_j[j])
         plane = plane_through(self.left_px[i], self.right_px[j]) if len(i) >= self.how.least else None
         if plane is None:

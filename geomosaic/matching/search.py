@@ -37,7 +37,8 @@ _IN_CELL: Annotated[
 def root_sift(descriptors: Bytes) -> NDArray[np.float32]:
     """Hellinger form of SIFT descriptors (Arandjelović and Zisserman 2012), unit length."""
     d = descriptors.astype(np.float32)
-    return np.asarray(np.sqrt(d / np.maximum(d.sum(axis=1, keepdims=True), 1.0)))
+    d /= np.maximum(d.sum(axis=1, keepdims=True), np.float32(1.0))
+    return np.sqrt(d, out=d)
 
 
 def mutual_nearest(
@@ -54,26 +55,24 @@ def mutual_nearest(
     if len(left) < 2 or len(right) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     best = np.zeros(len(left), np.intp)
+    first = np.full(len(left), np.nan, np.float32)
     distinct = np.zeros(len(left), np.bool_)
-    column_best = np.full(len(right), -1.0, np.float32)
-    back = np.full(len(right), -1, np.intp)
+    highest = np.full(len(right), -1.0, np.float32)
     for here, there in among or [(np.arange(len(left)), np.arange(len(right)))]:
         if len(there) < 2:
             continue
-        candidates = right[there].T
-        for part in np.split(here, range(_ROWS, len(here), _ROWS)):
-            likeness = left[part] @ candidates
+        candidates = right.take(there, axis=0).T
+        for start in range(0, len(here), _ROWS):
+            part = here[start : start + _ROWS]
+            likeness = left.take(part, axis=0) @ candidates
             rows = np.arange(len(part))
             nearest = likeness.argmax(axis=1)
-            first = likeness[rows, nearest]
-            top = likeness.argmax(axis=0)
-            highest = likeness[top, np.arange(len(there))]
-            better = highest > column_best[there]
-            column_best[there[better]], back[there[better]] = highest[better], part[top[better]]
+            best[part], first[part] = there[nearest], likeness[rows, nearest]
+            highest[there] = np.maximum(highest[there], likeness.max(axis=0))
             likeness[rows, nearest] = -1.0
-            best[part] = there[nearest]
-            distinct[part] = (1.0 - first) < ratio**2 * (1.0 - likeness.max(axis=1))
-    kept = np.flatnonzero((back[best] == np.arange(len(left))) & distinct)
+            distinct[part] = (1.0 - first[part]) < ratio**2 * (1.0 - likeness.max(axis=1))
+    kept = np.flatnonzero((first == highest[best]) & distinct)
+    kept = kept[np.sort(np.unique(best[kept], return_index=True)[1])]
     return kept, best[kept]
 
 
@@ -106,7 +105,9 @@ def _near(left: Floats, right: Floats, radius: float) -> Iterator[tuple[Ints, In
     here = np.flatnonzero(np.isfinite(left).all(axis=1))
     if not len(there) or not len(here):
         return
-    low, high = right[there].min(axis=0) - radius, right[there].max(axis=0) + radius
+    col, row = np.ascontiguousarray(right[there].T)
+    low = np.array([col.min(), row.min()]) - radius
+    high = np.array([col.max(), row.max()]) + radius
     here = here[((left[here] >= low) & (left[here] <= high)).all(axis=1)]
     side = np.maximum(2.0 * radius, (high - low) / max(1.0, np.sqrt(len(there) // _IN_CELL)))
     cell = np.floor((left[here] - low) / side).astype(np.intp)
@@ -114,8 +115,8 @@ def _near(left: Floats, right: Floats, radius: float) -> Iterator[tuple[Ints, In
     starts = np.flatnonzero(np.diff(cell[order], axis=0, prepend=-1).any(axis=1))
     for members in np.split(order, starts[1:]) if len(order) else ():
         at = left[here[members]]
-        inside = (right[there] >= at.min(axis=0) - radius) & (right[there] <= at.max(axis=0) + radius)
-        yield here[members], there[inside.all(axis=1)]
+        (west, north), (east, south) = at.min(axis=0) - radius, at.max(axis=0) + radius
+        yield here[members], there[(col >= west) & (col <= east) & (row >= north) & (row <= south)]
 
 
 def by_homography(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray[np.bool_]:
