@@ -120,12 +120,13 @@ def test_large_results_are_left_on_the_disk_by_who_made_them(flight: Flight) -> 
     assert all(path.parent.parent.name == "items" for path in left)
 
 
-def test_a_file_that_changes_meanwhile_leaves_no_result(flight: Flight) -> None:
+def test_a_file_that_changes_meanwhile_leaves_no_result(tmp_path: Path, flight: Flight) -> None:
     flight.put(2)
 
     def change(done: int, *_: object) -> None:
-        flight.put(2)
-        (flight.frames / "02.jpg").write_text("23")
+        changed = tmp_path / "changed"
+        changed.write_text("23")  # a worker may be reading: never half a file
+        changed.replace(flight.frames / "02.jpg")
 
     hashes = FileHashes()
     hashes.manifest(flight.frames)
