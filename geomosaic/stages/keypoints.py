@@ -1,8 +1,14 @@
-"""What matching takes of one frame or one pair, as stages spread it over the workers."""
+"""What matching takes of one frame or one pair, as stages spread it over the workers.
+
+A frame is decoded once: its brightness lies on the disk as long as matching goes back to it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +18,7 @@ from geomosaic.matching.features import Bytes, Features, grey, reduction_for, sh
 from geomosaic.matching.match import Matching, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.kept import Kept
+from geomosaic.pipeline.stage import Context
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
@@ -25,11 +32,6 @@ class Sight:
     longest_px: int
     band: int | None = None
 
-    def grey(self, frame: Frame) -> tuple[Bytes, Bytes | None]:
-        """The frame's brightness, and which pixels are valid."""
-        pixels, valid = read_pixels(frame, self.reduction(frame), luma=self.band is None)
-        return grey(pixels, valid, self.band), valid
-
     def reduction(self, frame: Frame) -> int:
         """Pixels of the frame in one of the image, along each side."""
         return reduction_for(frame.width_px, frame.height_px, self.longest_px)
@@ -39,14 +41,47 @@ class Sight:
         return max(float(self.reduction(frame)), max(frame.width_px, frame.height_px) / keypoints_px)
 
 
-def frame_features(sight: Sight, keypoints_px: int, most: int, frame: Frame) -> Features:
-    """Decodes a frame once and takes its keypoints, of an image with no side longer than keypoints_px."""
-    image, valid = sight.grey(frame)
-    small, seen = shrunk(image, valid, keypoints_px)
+@dataclass(frozen=True)
+class Brightness:
+    """grey (rows, cols) of a frame as it is looked at; valid (rows, cols), None where all pixels are."""
+
+    grey: Bytes
+    valid: Bytes | None
+
+
+def frame_brightness(sight: Sight, frame: Frame) -> Brightness:
+    """Decodes a frame."""
+    pixels, valid = read_pixels(frame, sight.reduction(frame), luma=sight.band is None)
+    return Brightness(grey(pixels, valid, sight.band), valid)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A frame's brightness where it lies, and how many of the frame's pixels one of its own is along each
+    side."""
+
+    brightness: Kept[Brightness]
+    reduction: int
+
+
+@contextmanager
+def pictured(context: Context, sight: Sight, frames: Sequence[Frame]) -> Iterator[list[Picture]]:
+    """Frames decoded once for all that is done in the block. Then they go: a few MB each, and decoded again
+    sooner than so much is kept; if the block fails, the next run finds them."""
+    decoded = context.stored("brightness", partial(frame_brightness, sight), frames)
+    yield [Picture(kept, sight.reduction(frame)) for kept, frame in zip(decoded, frames, strict=True)]
+    for kept in decoded:
+        kept.forget()
+
+
+def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
+    """Keypoints of an image of the frame with no side longer than keypoints_px."""
+    seen = picture.brightness.look()
+    small, valid = shrunk(seen.grey, seen.valid, keypoints_px)
     rows, cols = (
-        sight.reduction(frame) * whole / part for whole, part in zip(image.shape, small.shape, strict=True)
+        picture.reduction * whole / part for whole, part in zip(seen.grey.shape, small.shape, strict=True)
     )
-    return sift_features(small, seen, (cols, rows), most)
+    return sift_features(small, valid, (cols, rows), most)
 
 
 @dataclass(frozen=True)
@@ -68,7 +103,7 @@ def pair_match(how: Matching, pair: PairItem) -> PairMatch:
 class Shown:
     """A frame, and places (n, 2) that it is to show to others."""
 
-    frame: Frame
+    picture: Picture
     image_px: Floats
 
 
@@ -79,10 +114,9 @@ class Windows:
     values: Bytes
 
 
-def frame_windows(sight: Sight, shown: Shown) -> Windows:
-    """What a frame shows at places, decoded once."""
-    image, _ = sight.grey(shown.frame)
-    return Windows(templates(image, shown.image_px / sight.reduction(shown.frame)))
+def frame_windows(shown: Shown) -> Windows:
+    """What a frame shows at places."""
+    return Windows(templates(shown.picture.brightness.look().grey, shown.image_px / shown.picture.reduction))
 
 
 @dataclass(frozen=True)
@@ -101,7 +135,7 @@ class Sought:
 class Search:
     """A frame and what is sought in it."""
 
-    frame: Frame
+    picture: Picture
     sought: tuple[Sought, ...]
 
 
@@ -113,14 +147,13 @@ class Places:
     sure: NDArray[np.bool_]
 
 
-def frame_places(sight: Sight, search: Search) -> Places:
-    """Where a frame shows windows of others, decoded once."""
-    image, _ = sight.grey(search.frame)
-    reduction = sight.reduction(search.frame)
+def frame_places(search: Search) -> Places:
+    """Where a frame shows windows of others."""
+    reduction = search.picture.reduction
     values = [s.windows.recall().values[s.rows] for s in search.sought]
     found = find(
         np.concatenate([np.zeros((0, TEMPLATE_PX, TEMPLATE_PX), np.uint8), *values]),
-        image,
+        search.picture.brightness.look().grey,
         np.concatenate([s.near_px for s in search.sought]) / reduction,
         np.concatenate([s.shapes * (s.reduction / reduction) for s in search.sought]),
     )

@@ -18,7 +18,7 @@ from geomosaic.matching.believed import Believed
 from geomosaic.matching.candidates import Comparison, alike, coarse, likely_pairs, to_compare
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching
-from geomosaic.matching.model import TiePoints
+from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import found_turned, reheaded, righted, seen_pairs
@@ -27,7 +27,7 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.keypoints import Sight, frame_features
+from geomosaic.stages.keypoints import Sight, frame_features, pictured
 from geomosaic.stages.tie_points import Pairing, refined
 from geomosaic.survey.model import Survey
 
@@ -89,45 +89,59 @@ class MatchingSift(Stage):
         placement: Placement = inputs["prior_placement"]
         ground: GroundSurface = inputs["prior_ground"]
         cameras = [survey.camera_of(i) for i in range(len(survey.frames))]
-        sight = Sight(params.longest_px, params.band)
-        features = context.stored(
-            "keypoints",
-            partial(frame_features, sight, params.keypoints_px, params.keypoints),
-            survey.frames,
-        )
         reach_m = misplacement_m(placement.poses, cameras, ground)
         reach_m = np.where(survey.located, reach_m, np.inf)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]
-        pairing = Pairing(
-            context,
-            Matching(params.ratio, params.check, params.tolerance_px, params.least),
-            features,
-            sizes,
-            [sight.pixel_px(f, params.keypoints_px) for f in survey.frames],
-            self._believed(params, placement, cameras, ground, reach_m),
-            placement.sequence,
-        )
-        lost = np.flatnonzero(~np.array(survey.located)).tolist()
-        pairs = pairing.match([*placement.pairs, *self._without_positions(context, features, lost)])
-        if params.refine:
-            pairs = refined(context, sight, survey.frames, pairs, params.least)
+        believed = self._believed(params, placement, cameras, ground, reach_m)
+        pairs, untied = self._tied(survey, placement, believed, params, context)
         cap_m = _LEAST_RADIUS_PX * placement.ground_pixel_m
         if any(survey.located):
             cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
         seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
         turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
         self._report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
-        context.metric("matching.pairs_tried", len(pairing.tried))
+        context.metric("matching.pairs_tried", len(pairs) + len(untied))
         context.metric("matching.pairs_tied", len(pairs))
         context.metric("matching.tie_points", sum(len(p) for p in pairs))
         return {
-            "ties": TiePoints(tuple(pairs), tuple(pairing.untied)),
+            "ties": TiePoints(tuple(pairs), tuple(untied)),
             "placement": replace(
                 placement,
                 poses=reheaded(righted(placement.poses, turns), headings),
                 turned=tuple(turns.get(i, 0) for i in range(len(survey.frames))),
             ),
         }
+
+    @classmethod
+    def _tied(
+        cls,
+        survey: Survey,
+        placement: Placement,
+        believed: Callable[[int, int], Guess],
+        params: Params,
+        context: Context,
+    ) -> tuple[list[TiePair], list[tuple[int, int]]]:
+        """The pairs that hold together, and those that were tried in vain."""
+        sight = Sight(params.longest_px, params.band)
+        sizes = [(f.width_px, f.height_px) for f in survey.frames]
+        with pictured(context, sight, survey.frames) as pictures:
+            features = context.stored(
+                "keypoints", partial(frame_features, params.keypoints_px, params.keypoints), pictures
+            )
+            pairing = Pairing(
+                context,
+                Matching(params.ratio, params.check, params.tolerance_px, params.least),
+                features,
+                sizes,
+                [sight.pixel_px(f, params.keypoints_px) for f in survey.frames],
+                believed,
+                placement.sequence,
+            )
+            lost = np.flatnonzero(~np.array(survey.located)).tolist()
+            pairs = pairing.match([*placement.pairs, *cls._without_positions(context, features, lost)])
+            if params.refine:
+                pairs = refined(context, pictures, sizes, pairs, params.least)
+        return pairs, pairing.untied
 
     @staticmethod
     def _believed(

@@ -19,15 +19,14 @@ from geomosaic.pipeline.stage import Context
 from geomosaic.placement.graph import connected_parts, flown_beside
 from geomosaic.stages.keypoints import (
     PairItem,
+    Picture,
     Search,
     Shown,
-    Sight,
     Sought,
     frame_places,
     frame_windows,
     pair_match,
 )
-from geomosaic.survey.model import Frame
 
 Pair = tuple[int, int]
 Floats = NDArray[np.float64]
@@ -117,24 +116,27 @@ class Pairing:
 
 
 def refined(
-    context: Context, sight: Sight, frames: Sequence[Frame], pairs: Sequence[TiePair], least: int
+    context: Context,
+    pictures: Sequence[Picture],
+    sizes_px: Sequence[Pair],
+    pairs: Sequence[TiePair],
+    least: int,
 ) -> list[TiePair]:
     """Tie points moved to where windows about them agree in the pixels; two passes over the frames: what each
     shows to others, and where it shows what others do."""
     if not pairs:
         return []
-    todo = Refinement.of(pairs, [(f.width_px, f.height_px) for f in frames])
+    todo = Refinement.of(pairs, sizes_px)
     px = todo.joined.image_px
-    shown = [Shown(frame, px[keypoints]) for frame, keypoints in zip(frames, todo.shown, strict=True)]
-    windows = context.stored("surroundings of tie points", partial(frame_windows, sight), shown)
+    shown = [Shown(picture, px[keypoints]) for picture, keypoints in zip(pictures, todo.shown, strict=True)]
+    windows = context.stored("surroundings of tie points", frame_windows, shown)
     searches = {}
     for i, sought in enumerate(todo.sought):
         parts = [
-            Sought(windows[s.of], sight.reduction(frames[s.of]), s.rows, px[s.keypoints], s.shapes)
-            for s in sought
+            Sought(windows[s.of], pictures[s.of].reduction, s.rows, px[s.keypoints], s.shapes) for s in sought
         ]
         if parts:
-            searches[i] = Search(frames[i], tuple(parts))
-    places = context.map("tie points in the pixels", partial(frame_places, sight), searches.values())
+            searches[i] = Search(pictures[i], tuple(parts))
+    places = context.map("tie points in the pixels", frame_places, searches.values())
     found = {i: (p.image_px, p.sure) for i, p in zip(searches, places, strict=True)}
     return todo.applied(pairs, found, least)
