@@ -9,6 +9,7 @@ import typer
 from geomosaic import __version__
 from geomosaic.cli import recordings
 from geomosaic.cli.doctor import doctor
+from geomosaic.cli.fetch import fetch
 from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.mosaic import mosaic, name_methods, run
 from geomosaic.cli.single import add_stage_commands, evaluate
@@ -49,7 +50,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         name_methods()
     if argv[:1] == ["strips"] and "--help" in argv:
         name_strip_methods()
-    for command in (mosaic, strips, run, stages, evaluate, misplacement, doctor):
+    for command in (mosaic, strips, run, fetch, stages, evaluate, misplacement, doctor):
         app.command()(command)
     app.registered_commands += recordings.app.registered_commands
     for group, help in _GENERATED.items():

@@ -17,7 +17,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _folder(text: str) -> Path:
+def folder_given(text: str) -> Path:
     if not text.strip():
         raise typer.BadParameter("give the folder to write to; '.' is the current one")
     if "\0" in text or any("\ud800" <= c <= "\udfff" for c in text):
@@ -27,7 +27,7 @@ def _folder(text: str) -> Path:
 
 RunFolder = Annotated[
     Path,
-    typer.Option("-o", "--output", help="the run folder to write", metavar="RUN", parser=_folder),
+    typer.Option("-o", "--output", help="the run folder to write", metavar="RUN", parser=folder_given),
 ]
 Overwrite = Annotated[
     bool,

@@ -1,7 +1,8 @@
 """No file that geomosaic reads makes it open a connection: GDAL and PROJ are set so before they are loaded.
 
 By environment variables, since two builds of GDAL (rasterio's and osgeo's), PROJ and the programs that are
-started read them alike. Remote paths are refused at the doors; this is the bolt behind.
+started read them alike. Remote paths are refused at the doors; this is the bolt behind. `geomosaic fetch`
+alone opens it, for one name at a time (`doors.remote`).
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from typing import Any
 
 import yaml
 
+from geomosaic.doors.addresses import address_in
 from geomosaic.doors.files import check_name, printable
 from geomosaic.doors.plain import plain_yaml, read_yaml, shown
 from geomosaic.errors import FileError, InputError, UnknownNameError
@@ -70,6 +71,9 @@ class Recipe:
         for step in steps:
             for name, path in file_values(step.params).items():
                 check_name(path)
+                if (address := address_in(path)) is not None and not _exists(path):
+                    mend = "files at URLs are fetched first: geomosaic fetch LIST_OR_URL -o FOLDER"
+                    raise FileError("is no path of a file on this machine", file=address, mend=mend)
                 if not _exists(path):
                     mend = f"give an existing one for {step.stage.id}.{name}"
                     raise FileError("no such file or folder", file=path, mend=mend)
