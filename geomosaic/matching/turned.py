@@ -139,12 +139,9 @@ def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_na
     """
     a, b = left_en - left_nadir, right_en - right_nadir
     base = right_nadir - left_nadir
-    costs = np.empty((4, 4))
-    for i, turn_left in enumerate(_QUARTERS):
-        for j, turn_right in enumerate(_QUARTERS):
-            miss = b @ turn_right.T + base - a @ turn_left.T
-            costs[i, j] = np.median(np.linalg.norm(miss, axis=1))
-    return costs
+    a, b = (np.stack([side @ turn.T for turn in _QUARTERS]) for side in (a, b))
+    miss = b + base - a[:, None]
+    return np.asarray(np.median(np.linalg.norm(miss, axis=-1), axis=-1))
 
 
 def possible_quarters(sizes_px: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:

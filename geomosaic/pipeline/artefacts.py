@@ -20,7 +20,7 @@ import tokenize
 import types
 import typing
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, BinaryIO, TypeVar
@@ -166,6 +166,10 @@ def dataclasses_in(annotation: Any, found: dict[str, type] | None = None) -> dic
     return found
 
 
+_known: Callable[[Any], Mapping[str, type]] = functools.cache(dataclasses_in)
+"""Of a type that is asked for again and again, with each result of `Context.map`; not to be changed."""
+
+
 def decode(
     data: bytes | BinaryIO, as_type: type[T] | Any, also: Iterable[type] = (), *, mapped: bool = False
 ) -> T:
@@ -175,7 +179,7 @@ def decode(
     they are looked at, and can't be written to; nor is it asked whether their bytes are right. Raises
     `FileError` if the bytes are anything else.
     """
-    known = dataclasses_in(as_type)
+    known = dict(_known(as_type))
     for cls in also:
         dataclasses_in(cls, known)
     try:

@@ -111,7 +111,7 @@ class Pairing:
 
     def _places_of(self, frame: int) -> Floats:
         if frame not in self._places:
-            self._places[frame] = self.features[frame].load().image_px
+            self._places[frame] = self.features[frame].look().image_px
         return self._places[frame]
 
 
