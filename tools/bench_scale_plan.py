@@ -25,7 +25,7 @@ from geomosaic.mosaic.compose import WINDOW_PX
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.ownership import cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Planning, asked_of, windows
+from geomosaic.mosaic.plan import Asking, Planning, windows
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.sight import cells_in_view
 from geomosaic.mosaic.views import frame_views
@@ -84,10 +84,12 @@ def planned(number_of_windows: int) -> dict[str, Any]:
     at = took("order of windows", at)
     sources = {v.frame: FrameSource(scene.grid, ownership, v) for v in scene.views}
     planning = Planning(sources, seen, halo_px, REACH_PX)
-    steps = [planning.step(window) for window in order]
-    at = took("steps", at)
-    asked_of(steps)
-    took("boxes asked of frames", at)
+    steps, asking = [], Asking(seen)
+    for window in order:
+        planned = planning.step(window)
+        asking.add(planned)
+        steps.append(planned.step)
+    took("steps and cells asked of frames", at)
     return {
         "frames": len(scene.views),
         "windows": len(order),

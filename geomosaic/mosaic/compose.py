@@ -19,11 +19,12 @@ from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.mosaic.blended import Blended, Blending, Wanted, blended
 from geomosaic.mosaic.blends import BLENDS
+from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frame_part import Asked, Warping, frame_part
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Planning, asked_of, windows
+from geomosaic.mosaic.plan import Asking, Planning, windows
 from geomosaic.mosaic.pyramid import TileKind
 from geomosaic.mosaic.raster import Raster, index_kind, writing_mosaic
 from geomosaic.mosaic.scene import Scene
@@ -129,7 +130,7 @@ def compose(
     with (
         unreferenced_is_fine(),
         ThreadPoolExecutor(threads) as pool,
-        walk.windows(order, pool) as made,
+        walk.windows(order) as made,
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
         for window in set(whole) - set(order):
@@ -167,10 +168,10 @@ class _Walk:
     check_cancelled: Callable[[], None] | None
 
     @contextmanager
-    def windows(self, order: Sequence[Window], pool: ThreadPoolExecutor) -> Iterator[Sequence[Kept[Blended]]]:
+    def windows(self, order: Sequence[Window]) -> Iterator[Sequence[Kept[Blended]]]:
         """Windows of the grid in their order, blended by whoever is free of what frames give."""
-        plan = self._plan(order, pool)
-        asked = {number: Asked(self._on_map(number), boxes) for number, boxes in asked_of(plan).items()}
+        plan, cells = self._plan(order)
+        asked = {number: Asked(self._on_map(number), of) for number, of in cells.items()}
         paths = {number: one.on_map.frame.path for number, one in asked.items()}
         with ExitStack() as parts:
 
@@ -189,7 +190,8 @@ class _Walk:
                 parts.close()
                 yield made
 
-    def _plan(self, order: Sequence[Window], pool: ThreadPoolExecutor) -> list[Step]:
+    def _plan(self, order: Sequence[Window]) -> tuple[list[Step], dict[int, Cells]]:
+        """The windows' steps, and the cells that frames are asked for."""
         scene, sources, reach_px = self.warping.scene, self.blending.sources, self.blending.reach_px
         halo_px = BLENDS[self.blending.blend].halo_px(reach_px)
         frames = [self._on_map(number) for number in sources]
@@ -197,12 +199,14 @@ class _Walk:
         seen = self.spread.map("what frames see", look, frames, [one.frame.path for one in frames])
         lying = dict(zip(sources, seen, strict=True))
         planning = Planning(sources, lying, halo_px, reach_px, self.blending.area)
-        plan = []
-        for found in pool.map(planning.step, order):
+        plan, asking = [], Asking(lying)
+        for window in order:
             if self.check_cancelled is not None:
                 self.check_cancelled()
-            plan.append(found)
-        return plan
+            planned = planning.step(window)
+            asking.add(planned)
+            plan.append(planned.step)
+        return plan, asking.cells()
 
     def _on_map(self, number: int) -> FrameOnMap:
         return FrameOnMap(self.survey.frames[number], self.blending.sources[number].view)

@@ -1,8 +1,8 @@
-"""What a frame gives to a mosaic: the boxes that were planned, decoded once and resampled once."""
+"""What a frame gives to a mosaic: the cells that were planned, decoded once and resampled once."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import Decoded, decode
 from geomosaic.mosaic.scene import Scene, margin_px
 from geomosaic.mosaic.sight import FrameOnMap
@@ -25,8 +26,7 @@ TILE_PX: Annotated[
     Because(
         "px of the mosaic",
         "side of the squares that a frame is resampled in: the ground's lattice begins anew in each, so a "
-        "pixel is the same whatever is asked for with it; smaller ones take longer, larger ones more pixels "
-        "than are asked for",
+        "pixel is the same whatever is asked for with it; smaller ones take longer, larger ones more memory",
         CHOSEN,
     ),
 ] = 512
@@ -71,7 +71,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class FramePart:
-    """All that a frame gives, a patch a tile."""
+    """All that a frame gives."""
 
     patches: tuple[Patch, ...]
 
@@ -126,21 +126,21 @@ class Warping:
 
 @dataclass(frozen=True)
 class Asked:
-    """A frame, and the boxes that are asked for, each within a tile."""
+    """A frame, and the cells that are asked for."""
 
     on_map: FrameOnMap
-    boxes: tuple[Window, ...]
+    cells: Cells
 
 
 def frame_part(how: Warping, asked: Asked) -> FramePart:
-    """The boxes that a frame is asked for, together. Raises: as `patches`."""
+    """All that a frame is asked for. Raises: as `patches`."""
     return FramePart(tuple(patches(how, asked)))
 
 
 def patches(how: Warping, asked: Asked) -> Iterator[Patch]:
-    """The boxes that a frame is asked for, one by one. Raises: `FileError` if it can't be read."""
+    """The same box by box, each within a tile. Raises: `FileError` if the frame can't be read."""
     decoded = decode(asked.on_map.frame, KERNEL_RADIUS_PX[how.resampling])
-    for box in asked.boxes:
+    for box in asked.cells.boxes(TILE_PX):
         yield _patch(how, asked.on_map.view, decoded, box)
 
 
@@ -182,23 +182,3 @@ def _evened(pixels: NDArray[Any], seen: Seen, view: FrameView, how: Warping) -> 
 def tile_of(row: int, col: int) -> Window:
     """The tile of a pixel; there are some beyond the grid as well."""
     return Window(col // TILE_PX * TILE_PX, row // TILE_PX * TILE_PX, TILE_PX, TILE_PX)
-
-
-def boxes_by_tile(wanted: Iterable[Window]) -> tuple[Window, ...]:
-    """The least boxes, one a tile, that hold everything wanted."""
-    found: dict[tuple[int, int], tuple[int, int, int, int]] = {}
-    for box in wanted:
-        last_row, last_col = box.row + box.height, box.col + box.width
-        for row in range(box.row // TILE_PX * TILE_PX, last_row, TILE_PX):
-            for col in range(box.col // TILE_PX * TILE_PX, last_col, TILE_PX):
-                top, left, bottom, right = found.get((row, col), (last_row, last_col, box.row, box.col))
-                found[row, col] = (
-                    min(top, max(row, box.row)),
-                    min(left, max(col, box.col)),
-                    max(bottom, min(row + TILE_PX, last_row)),
-                    max(right, min(col + TILE_PX, last_col)),
-                )
-    return tuple(
-        Window(left, top, right - left, bottom - top)
-        for _, (top, left, bottom, right) in sorted(found.items())
-    )

@@ -14,7 +14,7 @@ from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.bands import BandOfRig, band_names, other_bands, stack_bands
 from geomosaic.mosaic.compose import common_kind
-from geomosaic.mosaic.frame_part import Asked, Patch, Warping, boxes_by_tile, patches
+from geomosaic.mosaic.frame_part import Asked, Patch, Warping, patches
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.raster import Raster, writing_mosaic
@@ -96,17 +96,17 @@ def write_ortho(
 
 def _write(warping: Warping, area: Area | None, on_map: FrameOnMap, within: Window, path: Path) -> bool:
     grid, shows = warping.scene.grid, False
-    boxes = boxes_by_tile(cells_in_view(warping.scene, on_map.view).windows)
-    if area is not None and boxes:
-        boxes = tuple(area.touched(grid, boxes))
-    if not boxes:
+    cells = cells_in_view(warping.scene, on_map.view).cells
+    if area is not None:
+        cells.flags[:] &= area.cells(grid, cells.window, CELL_PX)
+    if not cells.flags.any():
         return False
     bands, dtype = on_map.frame.bands, warping.dtype
     with (
         unreferenced_is_fine(),
         writing_mosaic(path, _part(grid, within), bands, dtype, None, ()) as raster,
     ):
-        for patch in patches(warping, Asked(on_map, boxes)):
+        for patch in patches(warping, Asked(on_map, cells)):
             shows |= _written(raster, grid, area, within, patch)
     return shows
 

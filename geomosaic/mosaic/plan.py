@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.mosaic.area import Area
-from geomosaic.mosaic.frame_part import boxes_by_tile
+from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import owned_cells
@@ -54,6 +55,14 @@ def _hilbert(order: int, x: int, y: int) -> int:
 
 
 @dataclass(frozen=True)
+class Planned:
+    """A step, and the cells of its surroundings that each of its parts is asked for, (parts, h, w)."""
+
+    step: Step
+    asked: Bools
+
+
+@dataclass(frozen=True)
 class Planning:
     """What planning goes by: the frames of one scene, what each sees, and how far about a window a blend of
     some reach looks.
@@ -68,13 +77,14 @@ class Planning:
     reach_px: float
     area: Area | None = None
 
-    def step(self, window: Window) -> Step:
+    def step(self, window: Window) -> Planned:
         """What a window takes: as much around it as a blend looks at if more than one frame gives pixels
-        within that, and of each frame its own pixels and those that a blend asks for."""
+        within that, and of each frame its own pixels and those that a blend asks for: where others give some
+        as near, and its own as well."""
         around, cells = window.grown(self.halo_px), self.halo_px // CELL_PX
         close, sees, sure = self._near(around)
         if not close:
-            return Step(window, window.grown(0), self.reach_px, ())
+            return Planned(Step(window, window.grown(0), self.reach_px, ()), np.zeros((0, 0, 0), dtype=bool))
         gives = _given(close, sees, sure, around)
         side = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
         if self.area is not None:
@@ -82,23 +92,22 @@ class Planning:
             gives &= cv2.dilate(inside.view(np.uint8), side) > 0
         reached = np.stack([cv2.dilate(g.view(np.uint8), side) > 0 for g in gives])
         mixed = reached.sum(axis=0) > 1
-        inner = slice(cells, mixed.shape[0] - cells), slice(cells, mixed.shape[1] - cells)
+        inner = np.s_[cells : mixed.shape[0] - cells, cells : mixed.shape[1] - cells]
         if mixed[inner].any():
-            asked = gives.copy()
-            asked[:, ~_inside(mixed.shape, inner) & ~mixed] = False
-            asked |= sees & reached & mixed
+            blended = np.zeros_like(mixed)
+            blended[inner] = mixed[inner]
+            looked_at = cv2.dilate(blended.view(np.uint8), side) > 0
+            looked_at[inner] = True
+            asked = looked_at & (gives | (sees & reached & mixed))
         else:
             around, asked = window.grown(0), gives[:, *inner]
-        return Step(
-            window,
-            around,
-            self.reach_px,
-            tuple(
-                Part(source, _span(where.any(axis=1)), _span(where.any(axis=0)))
-                for source, where in zip(close, asked, strict=True)
-                if where.any()
-            ),
+        used = asked.any(axis=(1, 2))
+        asked = asked[used]
+        parts = tuple(
+            Part(source, _span(where.any(axis=1)), _span(where.any(axis=0)))
+            for source, where in zip(itertools.compress(close, used), asked, strict=True)
         )
+        return Planned(Step(window, around, self.reach_px, parts), asked)
 
     def _near(self, window: Window) -> tuple[list[FrameSource], Bools, Bools]:
         """The frames that may show something of a window, and in which of its cells: somewhere in them, and
@@ -153,19 +162,26 @@ def _given(sources: Sequence[FrameSource], somewhere: Bools, everywhere: Bools, 
     return np.asarray((somewhere & own) | nearest)
 
 
-def asked_of(steps: Iterable[Step]) -> dict[int, tuple[Window, ...]]:
-    """The boxes that each source is asked for by all steps, by its number, within tiles."""
-    wanted: dict[int, list[Window]] = {}
-    for step in steps:
-        for part in step.parts:
-            wanted.setdefault(part.source.number, []).append(step.around.part(part.rows, part.cols))
-    return {number: boxes_by_tile(boxes) for number, boxes in sorted(wanted.items())}
+class Asking:
+    """What all steps together ask of each frame, by its number."""
 
+    def __init__(self, seen: Mapping[int, SeenCells]) -> None:
+        self._seen = seen
+        self._asked: dict[int, Cells] = {}
 
-def _inside(shape: tuple[int, ...], inner: tuple[slice, slice]) -> Bools:
-    found = np.zeros(shape, dtype=bool)
-    found[inner] = True
-    return found
+    def add(self, planned: Planned) -> None:
+        """One step more."""
+        for part, cells in zip(planned.step.parts, planned.asked, strict=True):
+            own, at = self._of(part.source.number).common(planned.step.around)
+            self._of(part.source.number).flags[own] |= cells[at]
+
+    def cells(self) -> dict[int, Cells]:
+        """Of the frames that are asked for anything, in their order."""
+        return dict(sorted(self._asked.items()))
+
+    def _of(self, number: int) -> Cells:
+        seen = self._seen[number]
+        return self._asked.setdefault(number, Cells(seen.row, seen.col, np.zeros_like(seen.somewhere)))
 
 
 def _span(any_in: NDArray[np.bool_]) -> slice:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.blends import STEP_PX
 from geomosaic.mosaic.model import OutputGrid
@@ -23,6 +26,15 @@ from geomosaic.projection.warp import GroundWindow, ground_window
 Floats32 = NDArray[np.float32]
 CELL_PX: Final = STEP_PX
 """Of the mosaic: by cells of this side it is planned which frames can matter where."""
+_LATTICES: Annotated[
+    int,
+    Because(
+        "windows",
+        "whose ground is kept, 40 kB each of 512 px: fewer are made anew for the next flight line, more are "
+        "memory in each worker",
+        CHOSEN,
+    ),
+] = 256
 
 
 @dataclass(frozen=True)
@@ -34,8 +46,16 @@ class Scene:
     grid: OutputGrid
     views: tuple[FrameView, ...]
 
-    def lattice(self, window: Window) -> MapLattice:
-        """The ground under a window's pixels."""
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was kept."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @cached_property
+    def lattice(self) -> Callable[[Window], MapLattice]:
+        """The ground under a window's pixels, kept of the latest: frames side by side see the same."""
+        return lru_cache(_LATTICES)(self._lattice)
+
+    def _lattice(self, window: Window) -> MapLattice:
         grid = self.grid
         corner = grid.west_m + window.col * grid.gsd_m, grid.north_m - window.row * grid.gsd_m
         size = window.width, window.height

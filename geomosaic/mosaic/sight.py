@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import decode, may_be_masked
 from geomosaic.mosaic.ownership import frame_cells
 from geomosaic.mosaic.scene import CELL_PX, Scene, margin_px
@@ -29,26 +30,15 @@ class SeenCells:
     everywhere: Bools
 
     @property
-    def windows(self) -> list[Window]:
-        """The cells in which it may show something."""
-        rows, cols = np.nonzero(self.somewhere)
-        first = ((self.row + rows) * CELL_PX).tolist(), ((self.col + cols) * CELL_PX).tolist()
-        return [Window(col, row, CELL_PX, CELL_PX) for row, col in zip(*first, strict=True)]
+    def cells(self) -> Cells:
+        """Those in which it may show something."""
+        return Cells(self.row, self.col, self.somewhere)
 
     def within(self, window: Window) -> tuple[Bools, Bools]:
         """Both, of the cells of a window."""
-        shape = -(-window.height // CELL_PX), -(-window.width // CELL_PX)
-        found = np.zeros((2, *shape), dtype=bool)
-        own: list[slice] = []
-        at: list[slice] = []
-        firsts = window.row // CELL_PX - self.row, window.col // CELL_PX - self.col
-        for first, wanted, size in zip(firsts, shape, self.somewhere.shape, strict=True):
-            begin, end = max(first, 0), max(min(first + wanted, size), first, 0)
-            own.append(slice(begin, end))
-            at.append(slice(begin - first, end - first))
-        for into, of in zip(found, (self.somewhere, self.everywhere), strict=True):
-            into[tuple(at)] = of[tuple(own)]
-        return found[0], found[1]
+        both = (Cells(self.row, self.col, of).within(window) for of in (self.somewhere, self.everywhere))
+        somewhere, everywhere = both
+        return somewhere, everywhere
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class MosaicCompose(Stage):
         )
         resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
         sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
-        threads: int = param(2, help="threads that plan and write", ge=1, le=256, affects_output=False)
+        threads: int = param(2, help="threads that write", ge=1, le=256, affects_output=False)
 
     @classmethod
     def plugged(cls, params: Params) -> list[tuple[str, str]]:

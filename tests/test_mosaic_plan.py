@@ -1,0 +1,96 @@
+"""What windows ask of frames: enough for every blend, and little more."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic_scenes import CAMERA, make_survey
+
+from geomosaic.mosaic.blends import BLENDS
+from geomosaic.mosaic.cells import Cells
+from geomosaic.mosaic.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
+from geomosaic.mosaic.frame_source import FrameSource
+from geomosaic.mosaic.grid import output_grid
+from geomosaic.mosaic.ownership import nearest_nadir
+from geomosaic.mosaic.plan import Planned, Planning, windows
+from geomosaic.mosaic.scene import CELL_PX, Scene
+from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
+from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
+
+GSD_M, REACH_PX, OWNER_CELL_PX = 0.06, 60.0, 8
+
+
+def exactly(whole: FramePart, planned: Planned, asked: np.ndarray) -> FramePart:
+    """Nothing but the cells that are asked for."""
+    patches = []
+    for row, col in np.argwhere(asked).tolist():
+        around = planned.step.around
+        at = Window(around.col + col * CELL_PX, around.row + row * CELL_PX, CELL_PX, CELL_PX)
+        shown = whole.shown(at)
+        patches.append(Patch(at.row, at.col, shown.pixels, shown.margin_px))
+    return FramePart(tuple(patches))
+
+
+@pytest.mark.parametrize("blend", ["multi_band", "feather", "hard"])
+def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path: Path, blend: str) -> None:
+    """Frames of several brightnesses, so that a pixel whose neighbours are missing shows it."""
+    survey, poses, ground = make_survey(tmp_path, gains=(0.5, 0.9, 0.7, 0.95, 0.6, 0.8))
+    used = [True] * len(poses)
+    views = frame_views(survey.work_frame, survey.map_crs, poses, [CAMERA] * len(poses), used, ground)
+    grid = output_grid(survey.map_crs, views, GSD_M, [f.name for f in survey.frames])
+    scene = Scene(survey.work_frame, ground, grid, views)
+    ownership = nearest_nadir(scene, used, OWNER_CELL_PX)[0]
+    halo_px = BLENDS[blend].halo_px(REACH_PX)
+    sources = {v.frame: FrameSource(grid, ownership, v) for v in views}
+    seen = {v.frame: cells_in_view(scene, v, halo_px) for v in views}
+    warping = Warping(scene, "cubic", None, "uint8", REACH_PX / 2.0)
+    whole = {
+        v.frame: frame_part(warping, Asked(FrameOnMap(survey.frames[v.frame], v), seen[v.frame].cells))
+        for v in views
+    }
+    planning = Planning(sources, seen, halo_px, REACH_PX)
+    manner = Manner(BLENDS[blend], 3, "uint8")
+    mixed = 0
+    for window in windows(grid, 256):
+        planned = planning.step(window)
+        step = planned.step
+        mixed += len(step.parts) > 1
+        numbers = [part.source.number for part in step.parts]
+        gives = {n: exactly(whole[n], planned, of) for n, of in zip(numbers, planned.asked, strict=True)}
+        found = compose_window(manner, step, gives)
+        around = window.grown(halo_px)
+        every = slice(0, around.height), slice(0, around.width)
+        parts = tuple(Part(source, *every) for source in sources.values())
+        of_all = compose_window(manner, Step(window, around, REACH_PX, parts), whole)
+        np.testing.assert_array_equal(found.source(), of_all.source())
+        off = np.abs(found.pixels.astype(int) - of_all.pixels)
+        assert off.max() <= 1 and np.count_nonzero(off) < 1e-5 * off.size, "halves, in another order of sums"
+    assert mixed > 5
+
+
+def test_boxes_hold_all_cells_once_and_leave_out_most_others() -> None:
+    """A ring about nothing, its corners beyond the grid, and a cell by itself."""
+    down, across = np.mgrid[-40:60, -20:90]
+    away = np.hypot(down - 8, across - 30)
+    flags = (away < 44) & (away > 36)
+    flags[95, 105] = True
+    cells = Cells(-40, -20, flags)
+    found = np.zeros(flags.shape, dtype=int)
+    boxes = list(cells.boxes(TILE_PX))
+    for box in boxes:
+        assert box.row // TILE_PX == (box.row + box.height - 1) // TILE_PX
+        assert box.col // TILE_PX == (box.col + box.width - 1) // TILE_PX
+        row, col = box.row // CELL_PX + 40, box.col // CELL_PX + 20
+        found[row : row + box.height // CELL_PX, col : col + box.width // CELL_PX] += 1
+    assert found.max() == 1 and found[flags].all()
+    tiles = itertools.product(range(0, 100, 32), range(0, 110, 32))
+    one_a_tile = 0
+    for top, left in tiles:
+        some = np.argwhere(flags[max(top - 24, 0) : top + 8, max(left - 12, 0) : left + 20])
+        one_a_tile += int(np.prod(np.ptp(some, axis=0) + 1)) if len(some) else 0
+    assert flags.sum() < found.sum() < 0.75 * one_a_tile
+    assert len(boxes) < 30 and not list(Cells(0, 0, np.zeros((3, 3), dtype=bool)).boxes(TILE_PX))
