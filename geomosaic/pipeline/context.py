@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import copy
-import functools
-import itertools
 import math
-import os
-import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,19 +13,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from geomosaic.errors import CancelledError, FileError
-from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import content_of
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.kept import Encoding, Kept, Leaving, Lent, left_on_disk
+from geomosaic.pipeline.items import Items, Progress
+from geomosaic.pipeline.kept import Kept, left_on_disk
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.pipeline.run_folder import WORK, RunFolder
-from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
+from geomosaic.recording.fingerprints import fingerprint_of_bytes
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Taken = TypeVar("Taken")
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -93,15 +85,6 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no place in run.json")
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where an item's result is kept, if anywhere; what names it; the files that count for it."""
-
-    path: Path | None = None
-    mark: str = ""
-    files: Mapping[Path, str] = field(default_factory=dict)
-
-
 class Context:
     """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test.
 
@@ -139,17 +122,18 @@ class Context:
         self.fixed_time = fixed_time
         self.notes = Notes()
         self.kept: list[Path] = []
-        self.lasting_items: list[Path] = []
-        self._version = version
-        self._code = code
         self._workers = workers or Workers()
         self._hashes = hashes or FileHashes()
         self.seed = seed
-        self._key = key
         self._on_progress = on_progress
         self._on_note = on_note
         self._cancelled = cancelled
         self._summary = summary or {}
+        made_by = stage_id, version, code, key
+        self._items = Items(
+            self.work_folder, *made_by, self._workers, self._hashes, self.progress, self.inform
+        )
+        self.lasting_items = self._items.lasting
 
     def progress(self, done: int, total: int, text: str = "") -> None:
         """Says how far the stage is; raises `CancelledError` if the user stopped the run."""
@@ -259,7 +243,7 @@ class Context:
         key; any change to the stage's parameters or inputs redoes them all, and they go when the run is
         finished. Items are then made one after the other, as workers take them.
         """
-        return self._mapped(name, function, items, keys, Kept.load)
+        return self._items.mapped(name, function, items, keys, Kept.load)
 
     def stored(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item]
@@ -270,7 +254,7 @@ class Context:
         a file, counts for the item's by its own name without being read, and the function calls `recall`,
         which reads it once in each worker as long as it is wanted again soon.
         """
-        return self._mapped(name, function, items, None, left_on_disk, stay=True)
+        return self._items.mapped(name, function, items, None, left_on_disk, stay=True)
 
     @contextmanager
     def spooled(
@@ -280,138 +264,7 @@ class Context:
 
         They are there until the block ends; if it fails, the next run finds them.
         """
-        kept = self._mapped(name, function, items, keys, left_on_disk, stay=True)
+        kept = self._items.mapped(name, function, items, keys, left_on_disk, stay=True)
         yield kept
         for one in kept:
             one.forget()
-
-    def _mapped(
-        self,
-        name: str,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        keys: Sequence[Any] | None,
-        take: Callable[[Kept[Result]], Taken],
-        *,
-        stay: bool = False,
-    ) -> list[Taken]:
-        """What is taken of each result. stay: other processes leave results on the disk themselves."""
-        if keys is None:
-            items = list(items)
-        returns = _returns(function)
-        places = self._by_content(name, function, items) if keys is None else self._by_key(name, keys)
-        done: dict[int, Taken] = {}
-        for i, place in enumerate(places):
-            if place.path is not None and os.path.lexists(place.path):
-                try:
-                    found = Kept[Result](returns, place.mark, place.path)
-                    if stay:
-                        found.load()  # whole, or made again
-                    done[i] = take(found)
-                except (OSError, FileError):
-                    files.remove(place.path)
-        if done:
-            self.inform(f"{name}: {len(done)} of {len(places)} are there from before")
-        with self._for_workers(name, function, len(done) < len(places)) as work:
-            left = () if len(done) == len(places) else enumerate(items)  # none is made for nothing
-            waiting = ((i, item) for i, item in left if i not in done)
-            running: dict[Future[Any], int] = {}
-            while True:
-                self.progress(len(done), len(places), name)
-                most = 2 * self._workers.workers if self._workers.elsewhere else 1
-                for i, item in itertools.islice(waiting, max(0, most - len(running))):
-                    path = places[i].path
-                    if stay and path is not None and self._workers.elsewhere:
-                        running[self._workers.submit(Leaving(work), (item, path))] = i
-                    else:
-                        running[self._workers.submit(Encoding(work), item)] = i
-                if not running:
-                    break
-                finished = wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done
-                if not finished:
-                    self._workers.check()
-                for future in finished:
-                    i = running.pop(future)
-                    done[i] = take(self._kept(returns, places[i], self._workers.result(future)))
-        return [done[i] for i in range(len(places))]
-
-    def _kept(self, returns: Any, place: _Place, made: bytes | Path) -> Kept[Any]:
-        """A result in its place, as its bytes come or where it was left, if nothing changed meanwhile."""
-        try:
-            if place.path is not None:
-                self._hashes.check_unchanged(place.files)
-                if isinstance(made, Path):
-                    made.replace(place.path)
-                else:
-                    files.write_bytes(place.path, made)
-        finally:
-            if isinstance(made, Path):
-                files.remove(made)
-        return Kept(returns, place.mark, place.path, made if isinstance(made, bytes) else None)
-
-    @contextmanager
-    def _for_workers(
-        self, name: str, function: Callable[[Item], Result], wanted: bool
-    ) -> Iterator[Callable[[Item], Result]]:
-        """The function as workers get it: with what it shares for all items sent to each of them once."""
-        if not (wanted and self._workers.elsewhere):
-            yield function
-            return
-        path = self.work_folder / f".{name}.{os.getpid()}.geomosaic.part"
-        try:
-            yield Lent.of(function, path)
-        finally:
-            files.remove(path)
-
-    def _by_key(self, name: str, keys: Sequence[Any]) -> list[_Place]:
-        """Where results are kept that go by the stage and a key."""
-        base = [self.stage_id, name, self._key]
-        return [self._place([*base, content_of(key)[0]]) for key in keys]
-
-    def _by_content(self, name: str, function: Callable[..., Any], items: Iterable[Any]) -> list[_Place]:
-        """Where results are kept that go by what the function is given."""
-        if not self._key:
-            return [_Place() for _ in items]
-        what, *bound = _taken_apart(function)
-        shared, texts = content_of(bound)
-        read = self._hashes.named(texts)
-        base = [
-            self.stage_id,
-            self._version,
-            self._code,
-            name,
-            f"{what.__module__}:{what.__qualname__}",
-            shared,
-            *sorted(read.values()),
-        ]
-        places = []
-        for item in items:
-            mark, texts = content_of(item)
-            mine = self._hashes.named(texts)
-            places.append(self._place([*base, mark, *sorted(mine.values())], read | mine))
-        self.lasting_items += [place.path for place in places if place.path is not None]
-        return places
-
-    def _place(self, named: Sequence[Any], read: Mapping[Path, str] | None = None) -> _Place:
-        if not self._key:
-            return _Place()
-        mark = fingerprint_of_json(named)
-        return _Place(self.work_folder / "items" / mark[:2] / mark[2:], mark, read or {})
-
-
-def _taken_apart(function: Callable[..., Any]) -> list[Any]:
-    """The function itself, then all that partials of it bind, in their order."""
-    bound = []
-    while isinstance(function, functools.partial):
-        bound += [function.args, function.keywords]
-        function = function.func
-    return [function, *bound]
-
-
-def _returns(function: Callable[..., Any]) -> Any:
-    """The type a function says it returns. Raises `TypeError` if it doesn't say."""
-    function = _taken_apart(function)[0]
-    hints = typing.get_type_hints(function)
-    if "return" not in hints:
-        raise TypeError(f"{function.__qualname__} must say in its annotation what it returns")
-    return hints["return"]
