@@ -76,7 +76,7 @@ def pictured(context: Context, sight: Sight, frames: Sequence[Frame]) -> Iterato
 
 def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
     """Keypoints of an image of the frame with no side longer than keypoints_px."""
-    seen = picture.brightness.look()
+    seen = picture.brightness.load()
     small, valid = shrunk(seen.grey, seen.valid, keypoints_px)
     rows, cols = (
         picture.reduction * whole / part for whole, part in zip(seen.grey.shape, small.shape, strict=True)
@@ -116,7 +116,7 @@ class Windows:
 
 def frame_windows(shown: Shown) -> Windows:
     """What a frame shows at places."""
-    return Windows(templates(shown.picture.brightness.look().grey, shown.image_px / shown.picture.reduction))
+    return Windows(templates(shown.picture.brightness.load().grey, shown.image_px / shown.picture.reduction))
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def frame_places(search: Search) -> Places:
     values = [s.windows.recall().values[s.rows] for s in search.sought]
     found = find(
         np.concatenate([np.zeros((0, TEMPLATE_PX, TEMPLATE_PX), np.uint8), *values]),
-        search.picture.brightness.look().grey,
+        search.picture.brightness.load().grey,
         np.concatenate([s.near_px for s in search.sought]) / reduction,
         np.concatenate([s.shapes * (s.reduction / reduction) for s in search.sought]),
     )
