@@ -11,7 +11,6 @@ from typing import Annotated
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
@@ -264,6 +263,8 @@ def _at(points: Floats, pixel: Floats) -> Floats:
 
 def _turned(so_far: BandPose, band: Band, places: _Places, poses: Poses) -> BandPose:
     """The turn and focal length that bring the band's places to where the frames' camera puts them."""
+    from scipy.optimize import least_squares
+
     frames = np.unique(places.frame)
     focal_sd = max(band.camera.focal_length_sd_px, 1e-3 * band.camera.focal_length_px)
 

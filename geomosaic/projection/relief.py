@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
@@ -77,6 +76,8 @@ def relief(
 
 def _places(work_frame: LocalFrame, projection: MapProjection, east: Floats, north: Floats) -> Places:
     """Map coordinates and height of nodes at (norths, easts, ups): exact at some knots, splines between."""
+    from scipy.interpolate import RectBivariateSpline
+
     knots = [np.linspace(axis[0], max(axis[-1], axis[0] + 1.0), _KNOTS) for axis in (north, east)]
     n, e = np.meshgrid(*knots, indexing="ij")
     levels = []
