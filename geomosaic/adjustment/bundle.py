@@ -14,6 +14,7 @@ from geomosaic.adjustment.bundle_equations import (
     cost_of,
     has_say,
     image_sd_px,
+    known,
     lengths_px,
     normals_of,
     pose_sd,
@@ -25,6 +26,7 @@ from geomosaic.adjustment.bundle_equations import (
 )
 from geomosaic.adjustment.bundle_model import (
     READOUT,
+    Begun,
     Bundle,
     Factors,
     Priors,
@@ -35,12 +37,13 @@ from geomosaic.adjustment.bundle_model import (
 from geomosaic.adjustment.clearance import clearances_m, too_near
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.adjustment.normal import reduce_normals
+from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.robust import student_weight
 from geomosaic.adjustment.swing import with_swing
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.unrest import unrest
 from geomosaic.adjustment.variance import (
+    ahead,
     change_of,
     median_px,
     trust_in_tags,
@@ -75,6 +78,14 @@ _ROUGH: Annotated[
         CHOSEN,
     ),
 ] = _Stop(1e-3, 0.3)
+_BEGUN: Annotated[
+    _Stop,
+    Because(
+        "share of the cost, share of a position's deviation",
+        "a block whose variance components are to be found next: what is left is small beside what they do",
+        CHOSEN,
+    ),
+] = _Stop(1e-2, 0.3)
 _FINE: Annotated[
     _Stop,
     Because(
@@ -167,7 +178,8 @@ def solve_bundle(
     priors: Priors,
     start: Poses,
     *,
-    again: Bundle | None = None,
+    again: Begun | None = None,
+    same_model: bool = True,
     rough: bool = False,
     lens_held: bool = False,
 ) -> Bundle:
@@ -184,7 +196,8 @@ def solve_bundle(
     Frames at which the system breaks down are left out and tried again once all others are solved.
 
     Args: start: poses to begin from (the priors' own may be far off); again: an earlier solution whose
-        lenses, points and variance components to go on from. rough: to compare models by, in half the time.
+        lenses, points and variance components to go on from; same_model: whether they are those of this
+        model of lens and shutter, or only where to begin. rough: to compare models by, in half the time.
         lens_held: what frames share stays as it is given.
     Raises: NotSolvableError if more than half of the frames would have to be left out.
     """
@@ -192,7 +205,8 @@ def solve_bundle(
     while True:
         try:
             solved = _solve(
-                tracks, camera_of, _without(priors, left_out, start), start, again, rough, lens_held
+                *(tracks, camera_of, _without(priors, left_out, start), start),
+                *(again, same_model, rough, lens_held),
             )
             break
         except NotSolvableError as error:
@@ -202,7 +216,7 @@ def solve_bundle(
             left_out[weak] = True
     if left_out.any():
         with suppress(NotSolvableError):
-            return _solve(tracks, camera_of, priors, solved.poses, solved, rough, lens_held)
+            return _solve(tracks, camera_of, priors, solved.poses, solved, True, rough, lens_held)
     return solved
 
 
@@ -226,7 +240,8 @@ def _solve(
     camera_of: Ints,
     priors: Priors,
     start: Poses,
-    again: Bundle | None,
+    again: Begun | None,
+    same_model: bool,
     rough: bool,
     lens_held: bool,
 ) -> Bundle:
@@ -240,16 +255,18 @@ def _solve(
         level=again.level_m if again else 0.0,
         swing=_first_swing(priors, again),
     )
-    factors = again.factors if again else _first_factors(tracks, camera_of, priors, state)
+    settled = again is not None and same_model
+    factors = again.factors if again and settled else _first_factors(tracks, camera_of, priors, state)
     clearance_m = clearances_m(tracks, state.positions, state.points)
     priors = replace(priors, unrest=again.unrest if again else None, clearance_m=clearance_m)
     held = again.held if again else np.full(shared_miss(priors, state).size, lens_held)
     strayed = np.zeros_like(held)
     iterations, may_free, shown = 0, again is not None, np.zeros(len(priors.cameras))
     while True:
-        priors, state = replace(priors, held=held), _with_held(priors, state, held)
+        priors = replace(priors, held=held)
+        state = _with_held(tracks, camera_of, priors, state, factors)
         state, priors, factors, used = _settle(
-            tracks, camera_of, priors, state, factors, rough=True, settled=again is not None
+            tracks, camera_of, priors, state, factors, rough=True, settled=settled
         )
         iterations += used
         strayed = strayed | strayed_principal_points(priors, state)
@@ -293,21 +310,34 @@ def _with_unreported_shutters(
     return replace(priors, interior_sd=sd, held=held | off), np.where(unreported > 0.0, step_s / own_s, 0.0)
 
 
-def _first_swing(priors: Priors, again: Bundle | None) -> Floats | None:
+def _first_swing(priors: Priors, again: Begun | None) -> Floats | None:
+    """As found before, if by the same functions of the row."""
     if priors.swing_sd_rad is None:
         return None
     none = np.zeros((len(priors.poses), priors.swing_sd_rad.shape[1], 3))
-    return none if again is None or again.swing is None else again.swing
+    before = None if again is None else again.swing
+    return none if before is None or before.shape != none.shape else before
 
 
-def _with_held(priors: Priors, state: State, held: Bools) -> State:
-    """What is held is as it was given."""
-    given = np.stack([interior_of(c) for c in priors.cameras])
-    return replace(
-        state,
-        interior=np.where(held[: given.size].reshape(given.shape), given, state.interior),
-        mounting=np.where(held[given.size :], 0.0, state.mounting),
-    )
+def _with_held(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> State:
+    """What is held is as it was given; all else goes with it to first order, where that is better."""
+    off = np.where(known(priors), shared_miss(priors, state), 0.0)
+    if not off.any():
+        return state
+    of_cameras, of_platform = np.split(off, [state.interior.size])
+    there = state.interior + of_cameras.reshape(state.interior.shape), state.mounting + of_platform
+    alone = replace(state, interior=there[0], mounting=there[1])
+    with suppress(NotSolvableError):
+        step = reduce_normals(normals_of(tracks, camera_of, priors, state, factors)).solve()
+        gone = _kept_away(tracks, priors, state, stepped(state, 1.0, *step))
+        stays = known(priors)[: state.interior.size].reshape(state.interior.shape)
+        interior = np.where(stays, there[0], gone.interior)
+        mounting = np.where(known(priors)[state.interior.size :], there[1], gone.mounting)
+        together = replace(gone, interior=interior, mounting=mounting)
+        costs = (cost_of(tracks, camera_of, priors, s, factors) for s in (together, alone))
+        if next(costs) < next(costs):
+            return together
+    return alone
 
 
 def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Factors:
@@ -334,11 +364,12 @@ def _settle(
 ) -> tuple[State, Priors, Factors, int]:
     """Iterates until unknowns, trust and variance components stand; the steps it took. settled: whether the
     image's component is believed to stand already."""
-    iterations = 0
+    iterations, change = 0, None
     for _ in range(12):
         priors = replace(priors, trust=trust_in_tags(priors, state, factors))
-        state, used = _converge(
-            tracks, camera_of, priors, state, factors, _STEPS_BETWEEN if iterations else _MOST_STEPS, _ROUGH
+        state, used, reduced = _converge(
+            *(tracks, camera_of, priors, state, factors),
+            *((_STEPS_BETWEEN, _ROUGH) if iterations else (_MOST_STEPS, _BEGUN)),
         )
         iterations += used
         if settled:
@@ -346,13 +377,16 @@ def _settle(
             length_px = lengths_px(tracks, camera_of, priors, state)
             priors = replace(priors, unrest=unrest(tracks, state.points, length_px, counts))
         before = factors
-        factors = variance_components(tracks, camera_of, priors, state, before, image_only=not settled)
+        factors = variance_components(
+            *(tracks, camera_of, priors, state, before, reduced), image_only=not settled
+        )
         image_changed, priors_changed = change_of(before, factors)
         if settled and max(image_changed, priors_changed) < (_ROUGHLY if rough else _STANDS):
             break
+        factors, change = ahead(before, factors, change, priors)
         settled = image_changed < 0.1
     if not rough:
-        state, used = _converge(tracks, camera_of, priors, state, factors, _MOST_STEPS, _FINE)
+        state, used, _ = _converge(tracks, camera_of, priors, state, factors, _MOST_STEPS, _FINE)
         iterations += used
     return state, priors, factors, iterations
 
@@ -365,16 +399,19 @@ def _converge(
     factors: Factors,
     most: int,
     stop: _Stop,
-) -> tuple[State, int]:
-    """Steps until `stop`, or `most`."""
+) -> tuple[State, int, Reduced]:
+    """Steps until `stop`, or `most`: the state, how many, and the last one's equations, not damped."""
     sd_m = pose_sd(priors, factors)[:, :3]
     damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
-    for iteration in range(1, most + 1):
+    steps, stands = 0, False
+    while steps < most and not stands:
+        steps += 1
         normals = normals_of(tracks, camera_of, priors, state, factors)
         gain, moved = 0.0, 0.0
         while True:
             try:
-                step = reduce_normals(normals, damping).solve()
+                reduced = reduce_normals(normals, damping)
+                step = _of_unknowns(priors, *reduced.solve())
             except NotSolvableError:
                 if damping > _MOST_DAMPING:
                     raise
@@ -391,10 +428,25 @@ def _converge(
         if trial_cost < cost:
             gain, moved = cost - trial_cost, _share_moved(step, sd_m)
             state, cost = trial, trial_cost
+        whole = reduced if damping == 0.0 else None
         damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
-        if gain <= stop.gain * max(cost, 1.0) and moved <= stop.move:
-            return state, iteration
-    return state, most
+        stands = gain <= stop.gain * max(cost, 1.0) and moved <= stop.move
+    return state, steps, whole or reduce_normals(normals)
+
+
+def _of_unknowns(
+    priors: Priors, pose: Floats, interior: Floats, points: Floats, level: float, mounting: Floats
+) -> Step:
+    """A step without what it leaves of known and held numbers: a readout that stays doesn't follow the
+    block's scale either (`stepped`)."""
+    of_cameras, of_platform = np.split(~known(priors), [interior.size])
+    return (
+        pose,
+        interior * of_cameras.reshape(interior.shape),
+        points,
+        level,
+        mounting * of_platform[: mounting.size],
+    )
 
 
 def _kept_away(tracks: Tracks, priors: Priors, before: State, after: State) -> State:

@@ -142,8 +142,13 @@ def present_miss(priors: Priors, state: State) -> Floats:
 def shared_sd(priors: Priors) -> Floats:
     """Prior deviations of the shared unknowns, (s,): next to nothing for those that are known or held."""
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
-    known = (sd == 0.0) if priors.held is None else (sd == 0.0) | priors.held
-    return np.where(known, KNOWN * np.where(sd == 0.0, 1.0, sd), sd)
+    return np.where(known(priors), KNOWN * np.where(sd == 0.0, 1.0, sd), sd)
+
+
+def known(priors: Priors) -> Bools:
+    """Which shared unknowns are known or held, (s,)."""
+    sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
+    return np.asarray((sd == 0.0) if priors.held is None else (sd == 0.0) | priors.held)
 
 
 def shared_miss(priors: Priors, state: State) -> Floats:

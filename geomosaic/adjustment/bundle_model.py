@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -107,7 +107,27 @@ class Priors:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class Begun:
+    """What another solve goes on from; see `Bundle`."""
+
+    poses: Poses
+    cameras: tuple[Camera, ...]
+    points_m: Floats
+    mounting: Floats
+    held: Bools
+    unrest: Floats | None
+    factors: Factors
+    swing: Floats | None
+    level_m: float
+
+    def of_points(self, points_m: Floats, cameras: tuple[Camera, ...] | None = None) -> Begun:
+        """That alone, with other points, about which nothing else is known, and other lenses."""
+        kept = {f.name: getattr(self, f.name) for f in fields(Begun)}
+        return Begun(**kept | {"points_m": points_m, "unrest": None, "cameras": cameras or self.cameras})
+
+
+@dataclass(frozen=True)
+class Bundle(Begun):
     """The solution. Covariances are scaled with the estimated variance components.
 
     points_sd_m: (p, 3), as if poses and cameras were known.
@@ -124,25 +144,16 @@ class Bundle:
     solution would leave the readout of none that is held where none is reported, of each camera.
     """
 
-    poses: Poses
-    cameras: tuple[Camera, ...]
-    points_m: Floats
     points_sd_m: Floats
     pose_covariance: Floats
     interior_sd: Floats
-    mounting: Floats
     mounting_sd: Floats
     shared_correlation: Floats
-    held: Bools
     strayed: Bools
     residual_px: Floats
     weight: Floats
-    unrest: Floats | None
-    factors: Factors
     trust: Floats
     left_out: Bools
-    swing: Floats | None
-    level_m: float
     iterations: int
     reduced: Reduced
     readout_shown: Floats

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
+from geomosaic.adjustment.spread import Spread
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.placement.reach import heights_above_ground_m
@@ -150,15 +151,22 @@ def _grown(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
     return shares * numbers * float((~bound.left_out).sum())
 
 
-def surface_of(block: Block, flat: GroundSurface, bundle: Bundle, *, rough: bool = False) -> GroundSurface:
-    """The surface of the points, over all that points and frames cover; flat: about their level; rough: see
-    `tie_surface`."""
+def surface_of(
+    block: Block,
+    flat: GroundSurface,
+    bundle: Bundle,
+    *,
+    rough: bool = False,
+    spread: Spread | None = None,
+) -> GroundSurface:
+    """The surface of the points, over all that points and frames cover; flat: about their level; rough,
+    spread: see `tie_surface`."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
     sd_up_m = bundle.points_sd_m[:, 2]
-    return tie_surface(bundle.points_m, sd_up_m, low_m, high_m, height_m, rough=rough)
+    return tie_surface(bundle.points_m, sd_up_m, low_m, high_m, height_m, rough=rough, spread=spread)
 
 
 def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.beliefs import NOMINAL_READOUT_S
-from geomosaic.adjustment.bundle_model import READOUT, Bundle
+from geomosaic.adjustment.bundle_model import READOUT, Begun, Bundle
+from geomosaic.adjustment.collinearity import INTERIOR
+from geomosaic.adjustment.left_out import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
+from geomosaic.adjustment.spread import Spread
 from geomosaic.adjustment.swing import MOST_GUSTS
-from geomosaic.adjustment.tracks import Tracks, chosen_tracks, frame_by_frame, nearest_to_rays, thin_tracks
+from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
@@ -41,26 +43,6 @@ _PATTERN_PX: Annotated[
         CHOSEN,
     ),
 ] = 0.25
-_BETTER: Annotated[
-    float,
-    Because(
-        "share of the residuals of left-out points",
-        "that a richer model has to stay below, beside the last one; of two that leave as much but for so "
-        "little the simpler one is taken: with more, models that say nothing new would be taken; with less, "
-        "turns that bend a block are not",
-        "docs/results.md, surveys as people deliver them: models that were not true left 0.98 to 1.04 in 12 "
-        "surveys, true ones 0.45 to 0.93",
-    ),
-] = 0.95
-_SURELY: Annotated[
-    float,
-    Because(
-        "deviations",
-        "of a median that so many tracks give, above which it has to be less: with less, a small block takes "
-        "a model by chance; with more, it takes none",
-        "normal distribution: 2 % by chance",
-    ),
-] = 2.0
 _EXPLAINED: Annotated[
     float,
     Because(
@@ -72,15 +54,6 @@ _EXPLAINED: Annotated[
         "for a gain of 5 to 8 %",
     ),
 ] = 0.5**0.5
-_LEFT_OUT: Annotated[
-    int,
-    Because(
-        "tracks",
-        "one of so many takes no part in the solve: with more left out the solve is poorer, with fewer "
-        "the judgement",
-        CHOSEN,
-    ),
-] = 5
 _TOO_FEW: Annotated[
     int,
     Because(
@@ -89,30 +62,6 @@ _TOO_FEW: Annotated[
         CHOSEN,
     ),
 ] = 100
-_LEAST_TRACKS: Annotated[
-    int,
-    Because(
-        "tracks",
-        "that thinning leaves: with fewer all are taken",
-        CHOSEN,
-    ),
-] = 300
-_PER_FRAME: Annotated[
-    int,
-    Because(
-        "tracks",
-        "asked for by each frame: enough to distinguish models by a twentieth",
-        CHOSEN,
-    ),
-] = 64
-_CELLS: Annotated[
-    int,
-    Because(
-        "cells a side",
-        "of an image over which they are spread: the corners distinguish lenses",
-        CHOSEN,
-    ),
-] = 8
 _LEAST_PX: Annotated[
     float,
     Because(
@@ -124,18 +73,6 @@ _LEAST_PX: Annotated[
         "docs/results.md, surveys as people deliver them: seed 792, bent by 1.1 px, left 0.098",
     ),
 ] = 0.03
-_SURE: Annotated[
-    float,
-    Because(
-        "share of the median",
-        "of what both models leave together, below which a point shows no more than others: with less, a few "
-        "points that happen to fit would decide",
-        CHOSEN,
-    ),
-] = 0.25
-_EXACT_PX: Annotated[
-    float, Because("px", "residuals of a point at least, so that two exact ones have a ratio", CHOSEN)
-] = 1e-4
 _CONTRADICTS: Annotated[
     float,
     Because(
@@ -171,9 +108,6 @@ _SHOWN: Annotated[
         "docs/results.md, surveys as people deliver them",
     ),
 ] = 5.0
-_NOT_SEEN_PX: Annotated[
-    float, Because("px", "residual of a point behind a camera: as far off as any image is wide", CHOSEN)
-] = 1e5
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",
@@ -190,101 +124,58 @@ _SHOWN_BY = {
 }
 
 
-Solve = Callable[[Block, Settings, Tracks], Bundle]
-
-
 def chosen_model(
-    block: Block, settings: Settings, tracks: Tracks, first: Bundle, solve: Solve
-) -> tuple[Block, Settings, ModelChoice | None]:
-    """Block and settings of the model to solve with, and how it was chosen; None where the given one is good
-    from the start.
+    block: Block, settings: Settings, tracks: Tracks, first: Bundle, spread: Spread
+) -> tuple[Block, Settings, ModelChoice | None, Begun]:
+    """Block and settings of the model to solve with, how it was chosen, None where the given one is good
+    from the start, and what its solve begins from.
 
     What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; what
     makes it worse by as much, or asks for what the block does not determine, is not tried again. Every model
-    is judged on the same tracks, which took no part in its solve, track by track (`_Tried.beside`).
+    is judged on the same tracks, which took no part in its solve, track by track (`Judged.beside`), all that
+    are tried beside one another at once.
 
-    Args: first: the solution as given; solve: of tracks with a model.
+    Args: first: the solution as given, by these tracks.
     """
     good = first.factors.image_px <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
         good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
     if good or tracks.points < _TOO_FEW:
-        return block, settings, None
-    sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
-    few = thin_tracks(tracks, sizes, _PER_FRAME, _CELLS)
-    few = few if few.points >= _LEAST_TRACKS else tracks
-    out = np.random.default_rng(0).permutation(few.points) % _LEFT_OUT == 0
-    rest, judges = chosen_tracks(few, ~out), chosen_tracks(few, out)
-
-    def tried(its_block: Block, its_settings: Settings) -> _Tried:
-        try:
-            solved = solve(its_block, its_settings, rest)
-        except NotSolvableError:
-            return _Tried(its_block, its_settings, None, np.full(judges.points, np.inf))
-        return _Tried(its_block, its_settings, solved, _left_out_px(judges, its_block, solved))
-
+        return block, settings, None, first
+    left_out = LeftOut(block, tracks, first, spread)
+    now = Model(block, settings, left_out.begun, same=True)
     taken: tuple[str, ...] = ()
     worse: set[str] = set()
-    now = tried(block, settings)
-    now_px = _median(now.each_px)
+    candidates = dict(_candidates(now, taken))
+    more = left_out.judged("models", {_GIVEN: now} | candidates)
+    its = more.pop(_GIVEN)
+    now_px = its.median_px
     left_px, contradicted = {_GIVEN: now_px}, []
     while now_px > _LEAST_PX:
-        candidates = {n: model for n, model in _candidates(now.block, now.settings, taken) if n not in worse}
-        more = {name: tried(*model) for name, model in candidates.items()}
-        share = {name: model.beside(now)[0] for name, model in more.items()}
-        in_vain = {name for name, model in more.items() if name == "readout" and _in_vain(now, model)}
-        worse |= {name for name in share if _BETTER * share[name] > 1.0} | in_vain
-        left = {n: _median(m.each_px) if now.solved is None else share[n] * now_px for n, m in more.items()}
+        share = {name: model.beside(its)[0] for name, model in more.items()}
+        in_vain = {name for name, model in more.items() if name == "readout" and _in_vain(now.block, model)}
+        worse |= {name for name in share if BETTER * share[name] > 1.0} | in_vain
+        left = {n: m.median_px if its.solved is None else share[n] * now_px for n, m in more.items()}
         left_px |= {"+".join((*taken, name)): px for name, px in left.items()}
-        for name in [name for name, model in more.items() if contradicts(model.solved, now.solved)]:
-            if more.pop(name).beats(now):
+        for name in [name for name, model in more.items() if contradicts(model.solved, its.solved)]:
+            if more.pop(name).beats(its):
                 contradicted.append("+".join((*taken, name)))
-        better = [name for name, model in more.items() if name not in in_vain and model.beats(now)]
+        better = [name for name, model in more.items() if name not in in_vain and model.beats(its)]
         if not better:
             break
         least = more[min(better, key=lambda name: share[name])]
         best = next(name for name in better if not least.beats(more[name]))
-        taken, now, now_px = (*taken, best), more[best], left[best]
+        taken, its, now_px = (*taken, best), more[best], left[best]
+        now = replace(candidates[best], before=its.solved or now.before)
+        candidates = {n: model for n, model in _candidates(now, taken) if n not in worse}
+        more = left_out.judged(f"models-{len(taken)}", candidates) if candidates else {}
     if now_px > max(GOOD_PX, _EXPLAINED * left_px[_GIVEN]):
-        return block, settings, ModelChoice((), tuple(left_px), tuple(left_px.values()), tuple(contradicted))
+        now, taken = Model(block, settings, first), ()
     choice = ModelChoice(taken, tuple(left_px), tuple(left_px.values()), tuple(contradicted))
-    return now.block, now.settings, choice
+    return now.block, now.settings, choice, now.before
 
 
-@dataclass(frozen=True)
-class _Tried:
-    """A model, its solution (None where there is none), and the residual of each track left out, (t,)."""
-
-    block: Block
-    settings: Settings
-    solved: Bundle | None
-    each_px: Floats
-
-    def beats(self, other: _Tried) -> bool:
-        """Whether it leaves clearly less, and not by chance."""
-        share, at_most = self.beside(other)
-        return share < _BETTER and at_most < 1.0
-
-    def beside(self, other: _Tried) -> tuple[float, float]:
-        """The share of another model's residuals that this one leaves, and what it is at most: the median of
-        the tracks' own shares.
-
-        So what moves in the wind, and fits no model, decides nothing. Tracks count the more the less both
-        models leave of them together, which favours neither, down to a quarter of the median.
-        """
-        if self.solved is None or other.solved is None:
-            return (0.0, 0.0) if self.solved is not None else (np.inf, np.inf)
-        mine, others = (np.maximum(a, _EXACT_PX) for a in (self.each_px, other.each_px))
-        both = np.hypot(mine, others)
-        weight = 1.0 / np.maximum(both, _SURE * np.median(both))
-        order = np.argsort(mine / others)
-        shares, below = (mine / others)[order], np.cumsum(weight[order]) / weight.sum()
-        as_many = weight.sum() ** 2 / (weight**2).sum()
-        half, most = np.searchsorted(below, [0.5, 0.5 + 0.5 * _SURELY / np.sqrt(as_many)])
-        return float(shares[half]), float(shares[min(most, len(shares) - 1)])
-
-
-def contradicts(its: Bundle | None, now: Bundle | None) -> bool:
+def contradicts(its: Begun | None, now: Begun | None) -> bool:
     """Whether a model's solution can't be, as far as positions and sensors go, beside the one so far."""
     if its is None or now is None:
         return False
@@ -292,14 +183,14 @@ def contradicts(its: Bundle | None, now: Bundle | None) -> bool:
     return scattered or any(abs(c.readout_s) > _SLOWEST_READOUT_S for c in its.cameras)
 
 
-def _in_vain(now: _Tried, its: _Tried) -> bool:
+def _in_vain(block: Block, its: Judged) -> bool:
     """Whether none of the readouts that a model asks for is determined by the block: what it gains is chance,
     as where most tie points move in the wind."""
     if its.solved is None:
         return False
     number = {c.name: k for k, c in enumerate(its.solved.cameras)}
-    asked = [number[c.name] for c in now.block.cameras if not c.readout_s]
-    held = its.solved.held[: its.solved.interior_sd.size].reshape(its.solved.interior_sd.shape)
+    asked = [number[c.name] for c in block.cameras if not c.readout_s]
+    held = its.solved.held[: len(number) * len(INTERIOR)].reshape(-1, len(INTERIOR))
     return bool(held[asked, READOUT].all())
 
 
@@ -351,25 +242,29 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     return out
 
 
-def _candidates(
-    block: Block, settings: Settings, taken: tuple[str, ...]
-) -> Iterator[tuple[str, tuple[Block, Settings]]]:
-    """What can be added to a model, each with its block and settings, the simplest first."""
+def _candidates(now: Model, taken: tuple[str, ...]) -> Iterator[tuple[str, Model]]:
+    """What can be added to a model, the simplest first."""
+    block, settings = now.block, now.settings
     turns, moving = block.poses.turns, _moving(block)
     rolling, read_settings = with_readout(block, settings)
     read = any(c.readout_s for c in block.cameras)
     makers = any(c.distortion_sd for c in block.cameras)
+
+    def model(block: Block, settings: Settings) -> Model:
+        return Model(block, settings, now.before)
+
     if read and turns is not None:
-        yield "untold_turns", (replace(block, poses=replace(block.poses, turns=None)), settings)
+        yield "untold_turns", model(replace(block, poses=replace(block.poses, turns=None)), settings)
     if makers and not settings.free_lens:
-        yield "lens", (block, replace(settings, free_lens=True))
-    if moving and not settings.rolling_shutter:
-        yield "readout", (rolling, read_settings)
+        yield "lens", model(block, replace(settings, free_lens=True))
+    solved = all(c.readout_s and c.readout_sd_s for c in block.cameras)
+    if moving and not settings.rolling_shutter and not solved:
+        yield "readout", model(rolling, read_settings)
     if not makers and "fisheye" not in taken:
-        yield "fisheye", (replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
+        yield "fisheye", model(replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
     if not settings.turning:
         solved = settings.rolling_shutter or (moving and not read)
-        yield "turning", (rolling, replace(settings, turning=True, rolling_shutter=solved))
+        yield "turning", model(rolling, replace(settings, turning=True, rolling_shutter=solved))
 
 
 def _moving(block: Block) -> bool:
@@ -380,25 +275,6 @@ def _as_fisheye(camera: Camera) -> Camera:
     if camera.kind == "fisheye":
         return camera
     return replace(camera, kind="fisheye", k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
-
-
-def _left_out_px(tracks: Tracks, block: Block, solved: Bundle) -> Floats:
-    """Deviations (t,) of tracks that a solution has not seen, their points put nearest to their rays."""
-    number = {c.name: k for k, c in enumerate(solved.cameras)}
-    cameras = [solved.cameras[number[c.name]] for c in block.cameras]
-    centre = np.median(solved.points_m, axis=0)
-    near = np.broadcast_to(centre, (tracks.points, 3))
-    points = nearest_to_rays(tracks, solved.poses, cameras, near)
-    seen = np.empty_like(tracks.image_px)
-    for i, mine in frame_by_frame(tracks.frame):
-        seen[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
-    length = np.linalg.norm(tracks.image_px - seen, axis=1)
-    squares = np.bincount(tracks.point, np.nan_to_num(length, nan=_NOT_SEEN_PX) ** 2, tracks.points)
-    return np.asarray(np.sqrt(squares / np.maximum(2.0 * tracks.lengths - 3.0, 1.0)))
-
-
-def _median(values: Floats) -> float:
-    return float(np.median(values))
 
 
 def _pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from geomosaic.adjustment.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.pose_block import pose_block
+from geomosaic.adjustment.spread import Spread
 from geomosaic.camera.rotation import about_z
 
 Floats = NDArray[np.float64]
@@ -93,12 +95,23 @@ def offset_deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
     return prior, np.maximum(pair, 0.5 * block.ground_pixel_m)
 
 
-METHODS: dict[str, Callable[[Block, Settings], Adjusted]] = {
-    "none": _none,
-    "chain": _chain,
-    "layered": _layered,
-    "base_frame": _base_frame,
-    "error_sharing": _error_sharing,
-    "least_squares": _least_squares,
+class Method(Protocol):
+    """spread: who makes what can be made side by side; None for this process alone."""
+
+    def __call__(self, block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted: ...
+
+
+def _in_one(method: Callable[[Block, Settings], Adjusted]) -> Method:
+    """A method that makes nothing side by side."""
+    return lambda block, settings, spread=None: method(block, settings)
+
+
+METHODS: dict[str, Method] = {
+    "none": _in_one(_none),
+    "chain": _in_one(_chain),
+    "layered": _in_one(_layered),
+    "base_frame": _in_one(_base_frame),
+    "error_sharing": _in_one(_error_sharing),
+    "least_squares": _in_one(_least_squares),
     "bundle": pose_block,
 }

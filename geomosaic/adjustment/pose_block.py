@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.beliefs import priors_of
 from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_model import GROUPS, Bundle, Priors
+from geomosaic.adjustment.bundle_model import GROUPS, Begun, Bundle, Priors
 from geomosaic.adjustment.chosen_ground import flying_height_m, levelled, surface_of
 from geomosaic.adjustment.chosen_model import (
     chosen_model,
@@ -49,6 +48,7 @@ from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.shape import shape_sd_m
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
+from geomosaic.adjustment.spread import AtOnce, Spread
 from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
@@ -100,7 +100,7 @@ _WORTHWHILE: Annotated[
 ] = 4
 
 
-def pose_block(block: Block, settings: Settings) -> Adjusted:
+def pose_block(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
     """Every frame's six pose parameters, the lenses and the tie points' ground at once.
 
     POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
@@ -108,7 +108,7 @@ def pose_block(block: Block, settings: Settings) -> Adjusted:
     """
     taken = as_taken(block)
     try:
-        return as_filed(_solved(taken, settings), block)
+        return as_filed(_solved(taken, settings, spread or AtOnce()), block)
     except NotSolvableError as error:
         return as_filed(_start_alone(taken, str(error)), block)
 
@@ -133,7 +133,8 @@ class _Work:
     few tie points, and the model of lens and shutter that was chosen.
 
     net: the frames' offsets as they were given; tracks: all tie points, few: of them, to find the model by;
-    rolling: whether rows were said to be read one after the other.
+    rolling: whether rows were said to be read one after the other; spread: who makes what can be made side
+    by side.
     """
 
     given: Block
@@ -144,15 +145,28 @@ class _Work:
     block: Block
     settings: Settings
     found: Solution
+    spread: Spread
     choice: ModelChoice | None = None
 
-    def again(self, block: Block, settings: Settings, before: Solution | None = None) -> _Work:
-        """Solved anew with another block or other settings, from the poses found so far."""
-        found = solution(block, settings, self.few, self.found.bundle.poses, before)
+    @property
+    def rough(self) -> bool:
+        """Whether all tie points are to follow."""
+        return self.few is not self.tracks
+
+    def again(
+        self,
+        block: Block,
+        settings: Settings,
+        before: Solution | None = None,
+        begun: Begun | None = None,
+    ) -> _Work:
+        """Solved anew with another block or other settings, from the poses found so far, or what `begun`."""
+        poses = self.found.bundle.poses if begun is None else begun.poses
+        found = solution(block, settings, self.few, poses, before, begun, rough=self.rough)
         return replace(self, block=block, settings=settings, found=found)
 
 
-def _solved(block: Block, settings: Settings) -> Adjusted:
+def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
     tracks = thin_tracks(join_tracks(block.ties), sizes, settings.observations_per_frame)
     if not tracks.points and all(c.check for c in block.control):
@@ -160,7 +174,7 @@ def _solved(block: Block, settings: Settings) -> Adjusted:
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
-    work = _begun(block, settings, tracks, few)
+    work = _begun(block, settings, tracks, few, spread)
     steps = (
         *(_wrong_ones_resected, _heights_freed, _model_chosen, _turning_too),
         *(_zero_of_the_gyroscope, _by_all, _readout_shown),
@@ -170,7 +184,7 @@ def _solved(block: Block, settings: Settings) -> Adjusted:
     return _outcome(work)
 
 
-def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks) -> _Work:
+def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks, spread: Spread) -> _Work:
     """Similarities, then a bundle; where rows are read one after the other, first as if they weren't."""
     net = offset_net(given)
     start = start_poses(given, net)
@@ -179,8 +193,8 @@ def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks) -> _Wo
     if rolling:
         start = _read_at_once(block, settings, few, start)
         block, _ = flown(block, start)
-    found = solution(block, settings, few, start)
-    return _Work(given, net, tracks, few, rolling, block, settings, found)
+    found = solution(block, settings, few, start, rough=few is not tracks)
+    return _Work(given, net, tracks, few, rolling, block, settings, found, spread)
 
 
 def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
@@ -209,7 +223,8 @@ def _wrong_ones_resected(work: _Work) -> _Work:
     poses = resected(ties, bundle, cameras, wrong) if wrong.any() else None
     if poses is None:
         return work
-    return replace(work, found=solution(work.block, work.settings, work.few, poses))
+    found = solution(work.block, work.settings, work.few, poses, rough=work.rough)
+    return replace(work, found=found)
 
 
 def _heights_freed(work: _Work) -> _Work:
@@ -228,21 +243,15 @@ def _model_chosen(work: _Work) -> _Work:
     found = work.found
     if work.settings.model != "auto" or not found.ties.points:
         return work
-    solve = partial(_free, start=found.bundle.poses)
-    block, settings, choice = chosen_model(work.block, work.settings, found.ties, found.of_ties, solve)
+    block, settings, choice, begun = chosen_model(
+        *(work.block, work.settings, found.ties, found.of_ties, work.spread)
+    )
     if choice is None or not choice.taken:
         return replace(work, choice=choice)
-    chosen = _heights_freed(replace(work.again(block, settings), choice=choice))
+    chosen = _heights_freed(replace(work.again(block, settings, begun=begun), choice=choice))
     if contradicts(chosen.found.bundle, found.bundle):
         return replace(work, choice=choice.contradicted_at_last())
     return chosen
-
-
-def _free(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Bundle:
-    """The solution with points of their own and no control, as models are compared."""
-    points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
-    priors = priors_of(block, settings, block.lenses, points)
-    return solve_bundle(kept, block.lens_of, priors, start, rough=True)
 
 
 def _turning_too(work: _Work) -> _Work:
@@ -281,11 +290,11 @@ def _zero_of_the_gyroscope(work: _Work) -> _Work:
 def _by_all(work: _Work) -> _Work:
     """All tie points, and the last ground."""
     found, block = work.found, work.block
-    if work.few is not work.tracks:
+    if work.rough:
         found = by_all_points(block, work.settings, work.tracks, found)
     if found.ground.kind == "tie_surface":
         bundle = found.of_ties
-        ground = surface_of(block, levelled(block.ground, bundle), bundle)
+        ground = surface_of(block, levelled(block.ground, bundle), bundle, spread=work.spread)
         found = replace(found, ground=ground)
     return replace(work, found=found)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.beliefs import believed_terrain, part_of_frames, priors_of
 from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_model import Bundle, Priors
+from geomosaic.adjustment.bundle_model import Begun, Bundle, Priors
 from geomosaic.adjustment.chosen_ground import (
     LEAST_POINTS,
     chosen_ground,
@@ -69,22 +69,29 @@ def solution(
     tracks: Tracks,
     start: Poses,
     before: Solution | None = None,
+    begun: Begun | None = None,
+    *,
+    rough: bool = False,
 ) -> Solution:
     """Free points first, then with control, then bound to the ground if they lie on one. before: a solution
-    to go on from, with the same lenses."""
+    to go on from, with the same lenses; begun: one by the same model and other tracks; rough: another is to
+    follow, by more tracks."""
+    again: Begun | None = None
     if before is None:
-        points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
-        again = None
+        lenses = block.cameras if begun is None else [begun.cameras[k] for k in block.lens_of]
+        points, kept = points_on_ground(start, lenses, block.ground, tracks)
+        if begun is not None:
+            again = begun.of_points(_nearest_to_rays(kept, begun.poses, lenses, points))
     else:
         points, kept = before.priors.points_m[: before.ties.points], before.ties
         again = before.of_ties
     ties, priors = len(points), priors_of(block, settings, block.lenses, points)
-    free = solve_bundle(kept, block.lens_of, priors, start, again=again) if ties else None
+    free = solve_bundle(kept, block.lens_of, priors, start, again=again, rough=rough) if ties else None
     seen, priors = with_control(kept, priors, block.control)
     if free is not None and seen is kept:
         solved = free
     else:
-        priors, solved = _held_by_control(block, seen, priors, start, free)
+        priors, solved = _held_by_control(block, seen, priors, start, free, rough)
     if not ties:
         return Solution(kept, seen, priors, solved, block.ground, float("nan"))
     part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
@@ -94,7 +101,7 @@ def solution(
     off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
     near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
     bound_priors = replace(priors, terrain=near)
-    bound = solve_bundle(seen, block.lens_of, bound_priors, solved.poses, again=solved)
+    bound = solve_bundle(seen, block.lens_of, bound_priors, solved.poses, again=solved, rough=rough)
     ground = levelled(ground, _of_ties(bound, kept))
     tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
     if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
@@ -143,7 +150,7 @@ def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -
 
 
 def _held_by_control(
-    block: Block, seen: Tracks, priors: Priors, start: Poses, free: Bundle | None
+    block: Block, seen: Tracks, priors: Priors, start: Poses, free: Bundle | None, rough: bool
 ) -> tuple[Priors, Bundle]:
     """The solution with control points, begun from the free one shifted onto them.
 
@@ -158,7 +165,7 @@ def _held_by_control(
     if free is not None:
         points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
         free = replace(free, points_m=points, unrest=None, level_m=free.level_m + float(shift[2]))
-    return priors, solve_bundle(seen, block.lens_of, priors, start, again=free)
+    return priors, solve_bundle(seen, block.lens_of, priors, start, again=free, rough=rough)
 
 
 def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:

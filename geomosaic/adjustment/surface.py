@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geomosaic.adjustment.smoothed_grid import SmoothedGrid
+from geomosaic.adjustment.spread import AtOnce, Spread
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 
@@ -251,6 +252,7 @@ def tie_surface(
     height_m: float,
     *,
     rough: bool = False,
+    spread: Spread | None = None,
 ) -> GroundSurface:
     """Robust smoothing surface through tie points, a spline with tension (Mitášová and Mitáš 1993).
 
@@ -270,94 +272,105 @@ def tie_surface(
 
     Args: points_m (p, 3), sd_up_m (p,), low_m and high_m (2,): the rectangle to cover, which may reach
         beyond the points; height_m: the frames' height above the points. rough: by a usual curvature, on
-        nothing, without deviations; a twentieth of the work.
+        nothing, without deviations; a twentieth of the work. spread: who makes trial surfaces.
     """
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
-    task = _Task(points_m, sd_up_m, low_m, high_m, height_m)
+    task = _Task(_Heights(points_m, sd_up_m, low_m, high_m, height_m), spread or AtOnce())
     trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
     if rough:
-        return task.fitted(trial_m, _USUAL_CURVING, _UNHELD, _TRIAL_ROUNDS)
+        return _fitted(_Trial(task.heights, trial_m, _USUAL_CURVING, _UNHELD))
     curving = _curving(task, trial_m)
     standing = _standing(task, trial_m, curving)
-    surface = task.fitted(node_spacing_m(low_m, high_m, spacing, _MOST_NODES), curving, standing, _ROUNDS)
+    fine_m = node_spacing_m(low_m, high_m, spacing, _MOST_NODES)
+    last = _Trial(task.heights, fine_m, curving, standing, _ROUNDS)
+    sides = [_Trial(known, trial_m, curving, standing) for _, known in task.without_each_side.values()]
+    surface, *_ = task.laid([last, *sides])
     return task.rated(surface, _astray(task, trial_m, curving, standing))
 
 
 @dataclass(frozen=True)
-class _Task:
-    """What `tie_surface` is asked for, and what was made for it so far: what the ground may stand on, by its
-    number of terms, and trial surfaces by their spacing, curving and standing."""
+class _Heights:
+    """What a surface goes by; see `tie_surface`."""
 
     points_m: Floats
     sd_up_m: Floats
     low_m: Floats
     high_m: Floats
     height_m: float
-    _evens: dict[int, Callable[[Floats, Floats], Floats]] = field(default_factory=dict)
-    _trials: dict[tuple[float, float, tuple[int, float]], GroundSurface] = field(default_factory=dict)
 
-    def even(self, terms: int) -> Callable[[Floats, Floats], Floats]:
-        """Up by east and north of what the ground may stand on."""
-        if terms not in self._evens:
-            self._evens[terms] = _even(self.points_m, self.sd_up_m, terms)
-        return self._evens[terms]
+    def without(self, out: Bools) -> _Heights:
+        """The other points."""
+        return replace(self, points_m=self.points_m[~out], sd_up_m=self.sd_up_m[~out])
 
-    def above(self, terms: int) -> Floats:
-        """Heights of the points above what the ground may stand on."""
-        return self.points_m[:, 2] - self.even(terms)(self.points_m[:, 0], self.points_m[:, 1])
+
+@dataclass(frozen=True)
+class _Trial:
+    """A surface of one curving, the mean change of curvature in flying heights, and one standing."""
+
+    heights: _Heights
+    spacing_m: float
+    curving: float
+    standing: tuple[int, float]
+    rounds: int = _TRIAL_ROUNDS
+
+
+def _fitted(trial: _Trial) -> GroundSurface:
+    heights, spacing_m, (terms, off) = trial.heights, trial.spacing_m, trial.standing
+    points_m, sd_up_m, low_m, height_m = heights.points_m, heights.sd_up_m, heights.low_m, heights.height_m
+    cols, rows = (np.ceil((heights.high_m - low_m) / spacing_m).astype(int) + 1).tolist()
+    at = (points_m[:, :2] - low_m) / spacing_m
+    grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, trial.curving, off)
+    even = _even(points_m, sd_up_m, terms)
+    target, weight = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1]), 1.0 / sd_up_m**2
+    for _ in range(trial.rounds):
+        nodes = grid.fitted(target, weight, height_m)
+        miss = np.abs(target - grid.at_points(nodes))
+        scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
+        weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
+    east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
+    up = grid.laid_out(nodes) + even(east, north[:, None])
+    return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
+
+
+class _Task:
+    """What `tie_surface` is asked for, and surfaces that were made for it so far."""
+
+    def __init__(self, heights: _Heights, spread: Spread) -> None:
+        self.heights = heights
+        self._spread = spread
+        self._made: dict[tuple[int, float, float, tuple[int, float]], GroundSurface] = {}
 
     @cached_property
-    def without_each_side(self) -> dict[float, tuple[Bools, _Task]]:
-        """For each way to the block's rim that is long enough: which points lie there, and the task without
-        them."""
-        tasks = {}
+    def without_each_side(self) -> dict[float, tuple[Bools, _Heights]]:
+        """For each way to the block's rim that is long enough: which points lie there, and the others."""
+        others, heights = {}, self.heights
         for angle in _SIDES:
-            along = self.points_m[:, :2] @ [np.cos(angle), np.sin(angle)]
-            out = along > np.quantile(along, _OUTERMOST) - _SIDE * self.height_m
+            along = heights.points_m[:, :2] @ [np.cos(angle), np.sin(angle)]
+            out = along > np.quantile(along, _OUTERMOST) - _SIDE * heights.height_m
             if out.sum() >= _FEWEST and out.mean() <= _MOST_OF_ALL:
-                tasks[angle] = out, self.without(out)
-        return tasks
+                others[angle] = out, heights.without(out)
+        return others
 
-    def without(self, out: Bools) -> _Task:
-        """The task of the other points."""
-        return _Task(self.points_m[~out], self.sd_up_m[~out], self.low_m, self.high_m, self.height_m)
+    def laid(self, trials: Sequence[_Trial]) -> list[GroundSurface]:
+        """The surfaces, side by side as far as they aren't there."""
+        new = [trial for trial in trials if self._key(trial) not in self._made]
+        for trial, surface in zip(new, self._spread.map("surfaces", _fitted, new), strict=True):
+            self._made[self._key(trial)] = surface
+        return [self._made[self._key(trial)] for trial in trials]
 
-    def missed(
-        self, asked_m: Floats, spacing_m: float, curving: float, standing: tuple[int, float]
-    ) -> Floats:
-        """By how much a quick surface misses other points."""
-        key = (spacing_m, curving, standing)
-        if key not in self._trials:
-            self._trials[key] = self.fitted(spacing_m, curving, standing, _TRIAL_ROUNDS)
-        trial = self._trials[key]
-        return np.asarray(np.abs(asked_m[:, 2] - trial.up_at(asked_m[:, 0], asked_m[:, 1])))
-
-    def fitted(
-        self, spacing_m: float, curving: float, standing: tuple[int, float], rounds: int
-    ) -> GroundSurface:
-        """The surface of one curving, the mean change of curvature in flying heights, and one standing."""
-        cols, rows = (np.ceil((self.high_m - self.low_m) / spacing_m).astype(int) + 1).tolist()
-        terms, off = standing
-        at, height_m = (self.points_m[:, :2] - self.low_m) / spacing_m, self.height_m
-        grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, curving, off)
-        target, weight = self.above(terms), 1.0 / self.sd_up_m**2
-        for _ in range(rounds):
-            nodes = grid.fitted(target, weight, height_m)
-            miss = np.abs(target - grid.at_points(nodes))
-            scale = np.maximum(self.sd_up_m, 1.5 * float(np.median(miss)))
-            weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
-        east, north = (self.low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-        up = grid.laid_out(nodes) + self.even(terms)(east, north[:, None])
-        return GroundSurface("tie_surface", float(self.low_m[0]), float(self.low_m[1]), spacing_m, up)
+    @staticmethod
+    def _key(trial: _Trial) -> tuple[int, float, float, tuple[int, float]]:
+        return id(trial.heights), trial.spacing_m, trial.curving, trial.standing
 
     def rated(self, surface: GroundSurface, astray: Callable[[Floats], Floats]) -> GroundSurface:
         """The surface with the deviations of its heights: what they are off by so far from the next point
         that it follows, beside the points' own."""
-        miss = np.abs(self.points_m[:, 2] - surface.up_at(self.points_m[:, 0], self.points_m[:, 1]))
-        followed = self.points_m[miss <= _FOLLOWED * np.median(miss), :2]
+        points_m = self.heights.points_m
+        miss = _missed(points_m, surface)
+        followed = points_m[miss <= _FOLLOWED * np.median(miss), :2]
         away_m, _ = KDTree(followed).query(surface.nodes_m().reshape(-1, 2))
-        own = float(np.median(self.sd_up_m))
+        own = float(np.median(self.heights.sd_up_m))
         return replace(surface, sd_m=np.hypot(own, astray(away_m)).reshape(surface.up_m.shape))
 
 
@@ -366,16 +379,18 @@ def _astray(
 ) -> Callable[[Floats], Floats]:
     """How far heights beyond the points are off, one deviation in m, by the distance from the last of them:
     a power of it, by what the surfaces without each of the block's sides and corners miss there."""
+    sides, height_m = task.without_each_side.values(), task.heights.height_m
+    surfaces = task.laid([_Trial(known, spacing_m, curving, standing) for _, known in sides])
     away, missed = [np.zeros(0)], [np.zeros(0)]
-    for out, known in task.without_each_side.values():
-        asked = task.points_m[out]
-        away.append(KDTree(known.points_m[:, :2]).query(asked[:, :2])[0] / task.height_m)
-        missed.append(known.missed(asked, spacing_m, curving, standing))
+    for (out, known), surface in zip(sides, surfaces, strict=True):
+        asked = task.heights.points_m[out]
+        away.append(KDTree(known.points_m[:, :2]).query(asked[:, :2])[0] / height_m)
+        missed.append(_missed(asked, surface))
     of_bin = np.digitize(np.concatenate(away), _AWAY)
     bins = [k for k in range(1, len(_AWAY)) if np.sum(of_bin == k) >= _FEWEST]
     if len(bins) < 2:
         return lambda away_m: _USUAL_BEYOND * away_m
-    middle = np.log([np.sqrt(_AWAY[k - 1] * _AWAY[k]) * task.height_m for k in bins])
+    middle = np.log([np.sqrt(_AWAY[k - 1] * _AWAY[k]) * height_m for k in bins])
     miss = np.concatenate(missed)
     off = np.log([max(np.quantile(miss[of_bin == k], _ONE_DEVIATION), 1e-9) for k in bins])
     power = float(np.clip(np.polyfit(middle, off, 1)[0], *_POWERS))
@@ -385,28 +400,39 @@ def _astray(
 
 def _curving(task: _Task, spacing_m: float) -> float:
     """The curving that predicts every fifth square of points best: least mean miss, wild ones capped."""
-    col, row = np.floor((task.points_m[:, :2] - task.low_m) / (_GAP * task.height_m)).astype(np.intp).T
+    heights = task.heights
+    col, row = (
+        np.floor((heights.points_m[:, :2] - heights.low_m) / (_GAP * heights.height_m)).astype(np.intp).T
+    )
     out = (col + 2 * row) % 5 == 0
     if out.sum() < _FEWEST or out.all():
         return _USUAL_CURVING
-    known, asked = task.without(out), task.points_m[out]
-    misses = [known.missed(asked, spacing_m, curving, _UNHELD) for curving in _CURVINGS]
+    known, asked = heights.without(out), heights.points_m[out]
+    surfaces = task.laid([_Trial(known, spacing_m, curving, _UNHELD) for curving in _CURVINGS])
+    misses = [_missed(asked, surface) for surface in surfaces]
     return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in misses]))]
 
 
 def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float]:
     """The standing that predicts the low points of left-out corners best, by the median: crowns are no
     ground, and it is beyond the points that ground needs something to stand on."""
-    above = task.above(max(terms for terms, _ in _STANDINGS))
-    total = np.zeros(len(_STANDINGS))
-    for out, known in (task.without_each_side[way] for way in _CORNERS if way in task.without_each_side):
-        low = out & (above <= np.quantile(above, _LOW))
-        if low.sum() < _FEWEST:
-            continue
-        for k, standing in enumerate(_STANDINGS):
-            total[k] += np.median(known.missed(task.points_m[low], spacing_m, curving, standing))
+    points_m = task.heights.points_m
+    even = _even(points_m, task.heights.sd_up_m, max(terms for terms, _ in _STANDINGS))
+    above = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1])
+    corners = [task.without_each_side[way] for way in _CORNERS if way in task.without_each_side]
+    lows = [(points_m[out & (above <= np.quantile(above, _LOW))], known) for out, known in corners]
+    lows = [(low, known) for low, known in lows if len(low) >= _FEWEST]
+    trials = [_Trial(known, spacing_m, curving, standing) for _, known in lows for standing in _STANDINGS]
+    asked = [low for low, _ in lows for _ in _STANDINGS]
+    missed = [np.median(_missed(*both)) for both in zip(asked, task.laid(trials), strict=True)]
+    total = np.reshape(missed, (-1, len(_STANDINGS))).sum(axis=0)
     best = int(total.argmin())
     return _STANDINGS[best] if total[best] < _CLEARLY * total[0] else _UNHELD
+
+
+def _missed(points_m: Floats, surface: GroundSurface) -> Floats:
+    """How far a surface is off points."""
+    return np.asarray(np.abs(points_m[:, 2] - surface.up_at(points_m[:, 0], points_m[:, 1])))
 
 
 def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:

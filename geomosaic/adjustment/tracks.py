@@ -92,7 +92,13 @@ def chosen_tracks(tracks: Tracks, chosen: NDArray[np.bool_]) -> Tracks:
 
 
 def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Tracks:
-    """At most about per_frame observations a frame, spread evenly, long tracks first.
+    """Those of `asked_tracks`."""
+    asked = asked_tracks(tracks, sizes_px, per_frame, cells)
+    return tracks if asked.all() else chosen_tracks(tracks, asked)
+
+
+def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> NDArray[np.bool_]:
+    """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
 
     Each frame asks, cell by cell of a grid of cells x cells, for its longest tracks; a track stays if
     any frame asks for it.
@@ -101,14 +107,14 @@ def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 1
     """
     counts = np.bincount(tracks.frame, minlength=len(sizes_px))
     if not len(tracks.frame) or counts.max() <= per_frame:
-        return tracks
+        return np.ones(tracks.points, dtype=bool)
     length = tracks.lengths[tracks.point]
     at = np.clip((tracks.image_px / sizes_px[tracks.frame] * cells).astype(np.int64), 0, cells - 1)
     cell = (tracks.frame * cells + at[:, 1]) * cells + at[:, 0]
     order = np.lexsort((tracks.point, -length, cell))
     rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
     asked = order[rank < max(1, per_frame // cells**2)]
-    return chosen_tracks(tracks, np.isin(np.arange(tracks.points), tracks.point[asked]))
+    return np.isin(np.arange(tracks.points), tracks.point[asked])
 
 
 def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:

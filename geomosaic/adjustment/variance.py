@@ -22,7 +22,7 @@ from geomosaic.adjustment.bundle_equations import (
     unrest_of,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
-from geomosaic.adjustment.normal import reduce_normals
+from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.robust import INFORMATION, lie_weight, student_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
@@ -152,6 +152,7 @@ def variance_components(
     priors: Priors,
     state: State,
     factors: Factors,
+    reduced: Reduced,
     *,
     image_only: bool,
 ) -> Factors:
@@ -160,9 +161,9 @@ def variance_components(
 
     What all frames of a part miss in common (its place, turn and scale, its height, its heading) says nothing
     of the deviation of one: else a block at a wrong scale would excuse itself.
+
+    Args: reduced: the equations of the step that led here; redundancies are theirs.
     """
-    n = normals_of(tracks, camera_of, priors, state, factors)
-    reduced = reduce_normals(n)
     covariance, shared = reduced.covariance()
     sd, weight = pose_sd(priors, factors), trust_of(priors)
     variances = np.diagonal(covariance, axis1=1, axis2=2)
@@ -173,12 +174,12 @@ def variance_components(
     tied = ~control & has_say(tracks, priors)
     if tied.any():
         shown = share_shown(tracks, priors)[tied]
-        settled = float(share.sum()) + surface_share(n, reduced.points_inverse)
+        settled = float(share.sum()) + surface_share(reduced.normals, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
         if state.swing is not None:
             settled += float((variances[:, 6:] / of_swing.reshape(len(variances), -1) ** 2).sum())
-        unknowns = n.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
+        unknowns = reduced.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
         error_px = length_px[tied] / np.sqrt(shown) / unrest_of(tracks, priors)[tied]
         image_px = _scale_px(error_px, shown, redundancy, factors.image_px)
@@ -213,6 +214,14 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: floa
     return scale_px
 
 
+_FARTHEST: Annotated[
+    float,
+    Because(
+        "times its last change",
+        "that a component is sent ahead at most: where it goes by nine tenths a round, more would be chance",
+        CHOSEN,
+    ),
+] = 5.0
 _STIFF: Annotated[
     float,
     Because(
@@ -256,6 +265,33 @@ def change_of(before: Factors, after: Factors) -> tuple[float, float]:
 
 def _largest_change(pairs: Iterable[tuple[float, float]]) -> float:
     return max(abs(float(np.log(a / b))) for a, b in pairs)
+
+
+def ahead(
+    before: Factors, after: Factors, last: Floats | None, priors: Priors
+) -> tuple[Factors, Floats | None]:
+    """Where the priors' components are on their way to; and how they changed, for the next round, if they
+    weren't sent ahead.
+
+    A swing's goes a fifth of its way a round, since frames swing less the less they are believed to: of two
+    changes in a row, the second a share of the first, all that are to come are told (Aitken 1926), at
+    most _FARTHEST times the second.
+    """
+    change = _logs(after) - _logs(before)
+    if last is None or not (last**2).sum():
+        return after, change
+    share = float(np.clip(change @ last / (last @ last), 0.0, 1.0 - 1.0 / _FARTHEST))
+    logs = _logs(before) + change / (1.0 - share)
+    groups = {
+        g: float(np.exp(np.clip(log, *np.log(_PRIOR_FACTORS)))) for g, log in zip(GROUPS, logs, strict=False)
+    }
+    least = 1.0 if priors.swing_common else _LEAST_SWING
+    swing = tuple(float(np.clip(np.exp(log), least, priors.most_swing)) for log in logs[len(GROUPS) :])
+    return replace(after, **groups, swing=swing), None
+
+
+def _logs(factors: Factors) -> Floats:
+    return np.log([*(factors.of(g) for g in GROUPS), *factors.swing])
 
 
 def parts_of(priors: Priors) -> list[Ints]:

@@ -30,7 +30,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 34
+    version = 35
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
@@ -79,7 +79,8 @@ class AdjustmentSolve(Stage):
         placement: Placement = inputs["placement"]
         ties: TiePoints = inputs["ties"]
         block = block_of(survey, inputs["prior_ground"], placement, ties)
-        adjusted = METHODS[params.method](block, Settings(**params.model_dump(exclude={"method"})))
+        settings = Settings(**params.model_dump(exclude={"method"}))
+        adjusted = METHODS[params.method](block, settings, context)
         level_sd_m = common_height_sd_m(survey, adjusted)
         adjusted = with_common_height(adjusted, level_sd_m)
         context.metric("adjustment.common_height_sd_m", level_sd_m)
