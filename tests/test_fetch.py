@@ -106,6 +106,15 @@ def test_without_tags_the_time_of_change_tells(server: Server, here: Path, tmp_p
     assert fetch(here, flight) == 0 and server.bodies() == ["/F0.jpg"]
 
 
+@pytest.mark.parametrize("told_s", [0, 250_000_000_000])
+def test_a_server_that_tells_no_time_or_an_absurd_one(told_s: int, server: Server, here: Path) -> None:
+    os.utime(server.root / "F0.jpg", (told_s, told_s))
+    assert fetch(here, server.url("F0.jpg")) == 0
+    assert abs((here / "F0.jpg").stat().st_mtime - time.time()) < 60.0
+    server.asked.clear()
+    assert fetch(here, server.url("F0.jpg")) == 0 and server.bodies() == []
+
+
 def test_a_folder_of_an_object_store_gives_what_a_survey_holds(
     server: Server, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,1 +1,1 @@
-"""How files of strangers come in: with budgets of size, depth and time, and nothing remote."""
+"""How files of strangers come in: budgets of size, depth and time, and from elsewhere one door alone."""

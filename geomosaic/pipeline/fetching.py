@@ -206,13 +206,13 @@ class _Noted:
     def add(self, remotes: Sequence[Remote]) -> None:
         """Notes what is about to be fetched; of a file that is to be replaced, once the new one is whole."""
         for remote in remotes:
-            name, now_ns = remote.address.name, time.time_ns()
+            name, now_s = remote.address.name, int(time.time())
             entry = {
                 "address": remote.address.text,
                 "size_bytes": remote.size_bytes,
                 "changed_s": remote.changed_s,
                 "tag": remote.tag,
-                "time_ns": remote.changed_s * 10**9 or now_ns - now_ns % 10**9,
+                "time_ns": 10**9 * (remote.changed_s if 0 < remote.changed_s <= now_s else now_s),
             }
             self._later[name] = entry
             if not os.path.lexists(self.path(remote)):
