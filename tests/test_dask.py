@@ -59,6 +59,7 @@ def team(tmp_path: Path) -> Iterator[Team]:
 def recipe(survey: SimulatedSurvey) -> Recipe:
     given = {
         "survey.read": {"frames": survey.frames, "pos": survey.pos, "camera": survey.camera},
+        "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
         "adjustment.solve": {"method": "least_squares"},
     }
     stages = [id for id in STAGES if id not in ("quality.compare", "matching.flying_height")]

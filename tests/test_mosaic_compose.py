@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from mosaic_scenes import CAMERA, CRS, GSD_M, hills, make_survey, paint, truth, truth_of, with_mask
 
 from geomosaic.errors import CancelledError, FileError, InputError, UnknownNameError
+from geomosaic.mosaic import blended, pyramid, raster
 from geomosaic.mosaic import compose as compose_module
-from geomosaic.mosaic import pyramid, raster
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.grid import auto_gsd_m, far_from_own, output_grid
 from geomosaic.mosaic.model import OutputGrid
@@ -44,7 +44,7 @@ def composed(folder: Path, survey, poses, ground, used=None, **options):
 def small_tiles(monkeypatch: pytest.MonkeyPatch, side_px: int) -> None:
     """Many windows of a small mosaic: each is a tile."""
     monkeypatch.setattr(compose_module, "WINDOW_PX", side_px)
-    for module in (pyramid, raster):
+    for module in (blended, pyramid, raster):
         monkeypatch.setattr(module, "TILE_PX", side_px)
 
 

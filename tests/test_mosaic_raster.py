@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -15,10 +16,11 @@ from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 
 from geomosaic.export.cog import write_cog
 from geomosaic.mosaic import cog_layout
+from geomosaic.mosaic.blended import Blended, BlendedBlock, place_over
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.plan import windows as along_the_curve
 from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, TileKind, halved
-from geomosaic.mosaic.raster import writing_mosaic, writing_scene
+from geomosaic.mosaic.raster import index_kind, writing_mosaic, writing_scene
 from geomosaic.mosaic.window import Composed, Window
 
 WIDTH, HEIGHT = 2301, 1300
@@ -104,6 +106,39 @@ def test_windows_threads_and_order_change_no_byte(tmp_path: Path) -> None:
         other = written(tmp_path / f"{k}.tif", pixels, valid, step, threads)
         assert other.read_bytes() == plain.read_bytes()
         assert other.with_suffix(".sources").read_bytes() == plain.with_suffix(".sources").read_bytes()
+
+
+@pytest.mark.parametrize(("width", "height"), [(WIDTH, HEIGHT), (300, 200)])
+def test_tiles_made_elsewhere_are_the_same_bytes(tmp_path: Path, width: int, height: int) -> None:
+    """By blocks under the first overview's tiles, the last one first; a mosaic of a single tile has none."""
+    pixels, valid = image(3, "uint8")
+    pixels, valid = pixels[-height:, -width:], valid[-height:, -width:]
+    grid = replace(GRID, width_px=width, height_px=height)
+    kind, index = TileKind(3, np.dtype("uint8")), index_kind(2)
+    paths = [tmp_path / f"{name}.tif" for name in ("whole", "blocks")]
+    whole, blocks = (
+        writing_mosaic(path, grid, 3, "uint8", path.with_suffix(".sources"), ["a", "b"]) for path in paths
+    )
+    tiles = along_the_curve(grid, TILE_PX)
+    with whole as raster:
+        for window in tiles:
+            raster.write(of(window, pixels, valid))
+    with blocks as raster:
+        for place in sorted({place_over(w) for w in tiles}, reverse=True):
+            done, under = [], {}
+            for window in (w for w in tiles if place_over(w) == place):
+                one = of(window, pixels, valid)
+                tile = kind.tile(one.pixels, one.valid)
+                given = index.tile(one.source(index.dtype)[..., None], one.valid)
+                done.append(Blended(window, tile, given, np.zeros((0, 0), np.int32), None, ()))
+                under[window.row // TILE_PX % 2, window.col // TILE_PX % 2] = tile
+            down, across = (
+                min(TILE_PX, -(-n // 2) - k * TILE_PX) for n, k in zip((height, width), place, strict=True)
+            )
+            raster.put(BlendedBlock(place, tuple(done), kind.over(under, down, across)))
+    for suffix in (".tif", ".sources"):
+        written_whole, written_by_blocks = (path.with_suffix(suffix).read_bytes() for path in paths)
+        assert written_by_blocks == written_whole
 
 
 def test_the_sources_are_numbers_from_one_and_names(tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ class Counting(Silent):
 def recipe(frames: Path, camera: Path) -> Recipe:
     given = {
         "survey.read": {"frames": frames, "camera": camera},
+        "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
         "adjustment.solve": {"method": "least_squares"},
     }
     stages = [id for id in STAGES if id not in ("quality.compare", "matching.flying_height")]

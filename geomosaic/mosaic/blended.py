@@ -1,9 +1,9 @@
-"""A window of the mosaic as a piece of work of its own: what it takes of frames, what of it is written."""
+"""Windows of the mosaic as a piece of work by itself: what they take of frames, what of them is written."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.frame_part import FramePart
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.pyramid import Tile, TileKind
+from geomosaic.mosaic.pyramid import TILE_PX, Tile, TileKind
 from geomosaic.mosaic.spread import Kept
 from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
 
@@ -69,7 +69,46 @@ class Blended:
     gave: tuple[int, ...]
 
 
-def blended(how: Blending, of: Wanted) -> Blended:
+@dataclass(frozen=True)
+class WantedBlock:
+    """What is wanted of the windows under a tile of the first overview, and its place (down, across)."""
+
+    place: tuple[int, int]
+    windows: tuple[Wanted, ...]
+
+
+@dataclass(frozen=True)
+class BlendedBlock:
+    """The same, finished, and the overview's tile; None where nothing is shown."""
+
+    place: tuple[int, int]
+    windows: tuple[Blended, ...]
+    over: Tile | None
+
+
+def place_over(window: Window) -> tuple[int, int]:
+    """Of the first overview's tile over a window."""
+    return window.row // (2 * TILE_PX), window.col // (2 * TILE_PX)
+
+
+def blended(how: Blending, of: WantedBlock) -> BlendedBlock:
+    """All pixels of some windows, as tiles of the files they go to."""
+    (i, j), made, halves = of.place, [], {}
+    for wanted in of.windows:
+        done = _blended(how, wanted)
+        at = wanted.window.row // TILE_PX - 2 * i, wanted.window.col // TILE_PX - 2 * j
+        if done.tile is not None:
+            halves[at] = done.tile
+            done = replace(done, tile=replace(done.tile, half=None, half_valid=None))
+        made.append(done)
+    height, width = (
+        min(TILE_PX, -(-size // 2) - first * TILE_PX)
+        for size, first in ((how.grid.height_px, i), (how.grid.width_px, j))
+    )
+    return BlendedBlock(of.place, tuple(made), how.kind.over(halves, height, width))
+
+
+def _blended(how: Blending, of: Wanted) -> Blended:
     """All of a window's pixels, as tiles of the files they go to."""
     parts = tuple(Part(how.sources[number], rows, cols) for number, rows, cols in of.parts)
     step = Step(of.window, of.around, how.reach_px, parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -17,7 +18,15 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
-from geomosaic.mosaic.blended import Blended, Blending, Wanted, blended
+from geomosaic.mosaic.blended import (
+    Blended,
+    BlendedBlock,
+    Blending,
+    Wanted,
+    WantedBlock,
+    blended,
+    place_over,
+)
 from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frame_part import Asked, Warping, frame_part
@@ -133,10 +142,13 @@ def compose(
         walk.windows(order) as made,
         writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
     ):
-        for window in set(whole) - set(order):
-            raster.leave_out(window)
+        begun = {place_over(window) for window in order}
+        for window in whole:
+            if place_over(window) not in begun:
+                raster.leave_out(window)
         try:
-            for done, one in enumerate(pool.map(partial(_written, raster), made)):
+            blocks = pool.map(partial(_written, raster), made)
+            for done, one in enumerate(itertools.chain.from_iterable(blocks)):
                 labels.add(one.window, one.labels, one.wanted)
                 gave_pixels.update(one.gave)
                 if progress is not None:
@@ -168,24 +180,34 @@ class _Walk:
     check_cancelled: Callable[[], None] | None
 
     @contextmanager
-    def windows(self, order: Sequence[Window]) -> Iterator[Sequence[Kept[Blended]]]:
-        """Windows of the grid in their order, blended by whoever is free of what frames give."""
+    def windows(self, order: Sequence[Window]) -> Iterator[Sequence[Kept[BlendedBlock]]]:
+        """Windows of the grid, by the overview's tiles over them, blended by whoever is free of what frames
+        give."""
         plan, cells = self._plan(order)
+        blocks: dict[tuple[int, int], list[Step]] = {}
+        for step in plan:
+            blocks.setdefault(place_over(step.window), []).append(step)
         asked = {number: Asked(self._on_map(number), of) for number, of in cells.items()}
         paths = {number: one.on_map.frame.path for number, one in asked.items()}
         with ExitStack() as parts:
 
-            def wanted() -> Iterator[Wanted]:
+            def wanted() -> Iterator[WantedBlock]:
                 """Frames are brought onto the grid when the first window is to be blended."""
                 make = partial(frame_part, self.warping)
                 spooled = self.spread.spooled(
                     "frames on the map", make, list(asked.values()), list(paths.values())
                 )
                 gives = dict(zip(asked, parts.enter_context(spooled), strict=True))
-                for step in plan:
-                    yield Wanted.of(step, gives)
+                for place, steps in blocks.items():
+                    yield WantedBlock(place, tuple(Wanted.of(step, gives) for step in steps))
 
-            keys = [(s.window.col, s.window.row, *(paths[p.source.number] for p in s.parts)) for s in plan]
+            keys = [
+                (
+                    *place,
+                    *((s.window.col, s.window.row, [paths[p.source.number] for p in s.parts]) for s in of),
+                )
+                for place, of in blocks.items()
+            ]
             with self.spread.spooled("windows", partial(blended, self.blending), wanted(), keys) as made:
                 parts.close()
                 yield made
@@ -212,11 +234,11 @@ class _Walk:
         return FrameOnMap(self.survey.frames[number], self.blending.sources[number].view)
 
 
-def _written(raster: Raster, made: Kept[Blended]) -> Blended:
-    """Brings a window's tiles to their files; what is left of it is small."""
-    one = made.load()
-    raster.put(one.window, one.tile, one.index)
-    return replace(one, tile=None, index=None)
+def _written(raster: Raster, made: Kept[BlendedBlock]) -> list[Blended]:
+    """Brings windows' tiles to their files; what is left of them is small."""
+    block = made.load()
+    raster.put(block)
+    return [replace(one, tile=None, index=None) for one in block.windows]
 
 
 def common_kind(frames: Sequence[Frame]) -> Frame:

@@ -7,6 +7,7 @@ is put together; what is in hand are tiles that are not whole yet.
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import IO, Annotated, Any
 
@@ -69,6 +70,19 @@ class TileKind:
             return Tile(self.packed(pixels), b"", None, None, None)
         figures = _figures(pixels, valid) if first else None
         return Tile(self.packed(pixels), packed_mask(valid), figures, *halved(pixels, valid))
+
+    def over(self, tiles: Mapping[tuple[int, int], Tile | None], height: int, width: int) -> Tile | None:
+        """The next overview's tile, of height x width pixels, over tiles: of those that show anything, by
+        their place (down, across) in it."""
+        pixels = np.zeros((height, width, self.bands), self.dtype)
+        valid = np.zeros((height, width), bool)
+        half = TILE_PX // 2
+        for (i, j), tile in tiles.items():
+            if tile is not None and tile.half is not None and tile.half_valid is not None:
+                rows, cols = tile.half_valid.shape
+                at = np.s_[i * half : i * half + rows, j * half : j * half + cols]
+                pixels[at], valid[at] = tile.half, tile.half_valid
+        return self.tile(pixels, valid, first=False)
 
     def empty(self) -> tuple[bytes, bytes]:
         """A tile without a valid pixel, and its mask's; none without one."""
@@ -237,22 +251,35 @@ class Pyramid:
         self.put(level, tile, None if valid is None else self.kind.tile(pixels, valid, first=level == 0))
 
     def put(self, level: int, tile: tuple[int, int], made: Tile | None) -> None:
-        """A whole tile (down, across), made elsewhere by `TileKind.tile`."""
-        of, (i, j) = self.levels[level], tile
-        if made is not None:
-            with self._lock:
-                of.places[tile] = self._end, len(made.packed), len(made.mask)
-                self.tiles.write(made.packed)
-                self.tiles.write(made.mask)
-                self._end += len(made.packed) + len(made.mask)
-                if made.figures is not None:
-                    self._figures[tile] = made.figures
+        """A whole tile (down, across), and its part of the next overview."""
+        self._lay(level, tile, made)
         if level + 1 < len(self.levels):
-            half = TILE_PX // 2
+            of, (i, j), half = self.levels[level], tile, TILE_PX // 2
             height, width = min(TILE_PX, of.height - i * TILE_PX), min(TILE_PX, of.width - j * TILE_PX)
             shape = -(-height // 2), -(-width // 2)
             pixels, valid = (None, None) if made is None else (made.half, made.half_valid)
             self._add(level + 1, j * half, i * half, shape, pixels, valid)
+
+    def put_under(
+        self, tile: tuple[int, int], made: Mapping[tuple[int, int], Tile | None], over: Tile | None
+    ) -> None:
+        """All tiles of the raster under one of the first overview, made elsewhere with that one."""
+        for at, one in made.items():
+            self._lay(0, at, one)
+        if len(self.levels) > 1:
+            self.put(1, tile, over)
+
+    def _lay(self, level: int, tile: tuple[int, int], made: Tile | None) -> None:
+        """Brings a tile's bytes to the file."""
+        if made is None:
+            return
+        with self._lock:
+            self.levels[level].places[tile] = self._end, len(made.packed), len(made.mask)
+            self.tiles.write(made.packed)
+            self.tiles.write(made.mask)
+            self._end += len(made.packed) + len(made.mask)
+            if made.figures is not None:
+                self._figures[tile] = made.figures
 
 
 def _common(first: int, length: int, tile: int) -> slice:

@@ -16,9 +16,10 @@ from osgeo import gdal, gdal_array, osr
 
 from geomosaic import __version__
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
+from geomosaic.mosaic.blended import BlendedBlock
 from geomosaic.mosaic.cog_layout import Tags, directories, write_cog_of
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, Tile, TileKind
+from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, TileKind
 from geomosaic.mosaic.window import Composed, Window
 
 BLOCK_ROWS: Final = TILE_PX
@@ -48,12 +49,12 @@ class Raster:
             given = composed.source(self._sources.kind.dtype)
             self._sources.add(window.col, window.row, given[..., None], composed.valid)
 
-    def put(self, window: Window, tile: Tile | None, index: Tile | None) -> None:
-        """A window that is a whole tile, made elsewhere by the kinds of tiles; by any thread."""
-        at = window.row // TILE_PX, window.col // TILE_PX
-        self._image.put(0, at, tile)
+    def put(self, done: BlendedBlock) -> None:
+        """Windows that are whole tiles, made elsewhere by the kinds of tiles; by any thread."""
+        at = {(w.window.row // TILE_PX, w.window.col // TILE_PX): w for w in done.windows}
+        self._image.put_under(done.place, {place: w.tile for place, w in at.items()}, done.over)
         if self._sources is not None:
-            self._sources.put(0, at, index)
+            self._sources.put_under(done.place, {place: w.index for place, w in at.items()}, None)
 
     def leave_out(self, window: Window) -> None:
         """One in which nothing is shown: what it is part of need not wait for it."""
