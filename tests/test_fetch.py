@@ -133,6 +133,7 @@ def test_a_folder_of_an_object_store_gives_what_a_survey_holds(
     server.asked.clear()
     assert fetch(here, "s3://flights/one/") == 0
     assert fetch(here, "s3://flights/one/F0.jpg") == 0  # asked by itself it is the same file
+    assert fetch(here, "s3://flights/one/F0.jpg", "s3://flights/one/") == 0
     assert not [path for path in server.bodies() if path.endswith("F1.jpg")]
 
 

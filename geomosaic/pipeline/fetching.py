@@ -97,7 +97,7 @@ def fetch(wanted: Iterable[Address], folder: Path, reporter: Reporter, *, overwr
         )
     reporter.stage_finished(time.monotonic() - started, "work")
     fetched = tuple(remote.address.name for remote in left)
-    there = tuple(r.address.name for r in found if r.address.name not in set(fetched))
+    there = tuple(sorted({remote.address.name for remote in found}.difference(fetched)))
     return Fetched(fetched, sum(remote.size_bytes for remote in left), there, tuple(skipped))
 
 
@@ -119,8 +119,9 @@ def _told(wanted: Sequence[Address], reporter: Reporter) -> tuple[list[Remote], 
         found += inside
         skipped += [f"{name}/" for name in folders]
     skipped += [a.name for a in (*asked, *(r.address for r in found)) if not _is_wanted(a)]
-    asked = [a for a in asked if _is_wanted(a)]
     found = [r for r in found if _is_wanted(r.address)]
+    known = {r.address.vsi for r in found}
+    asked = [a for a in asked if _is_wanted(a) and a.vsi not in known]
     _check_names([*asked, *(r.address for r in found)])
     if not asked and not found:
         named = f": {', '.join(skipped[:3])}" if skipped else ""
