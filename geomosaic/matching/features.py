@@ -89,7 +89,7 @@ def sift_features(
     found = sift.detect(image, mask)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros(0, np.float32), np.zeros((0, 128), np.uint8))
-    at = np.array([k.pt for k in found])
+    at = np.asarray(cv2.KeyPoint.convert(found), np.float64)
     response = np.array([k.response for k in found])
     cell_px = max(image.shape) / 24.0
     columns = int(np.ceil(image.shape[1] / cell_px))
@@ -101,7 +101,7 @@ def sift_features(
     chosen = np.sort(chosen)
     keypoints, descriptors = sift.compute(image, [found[i] for i in chosen])
     return Features(
-        image_px=(np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2) + 0.5) * pixel_px,
+        image_px=(np.asarray(cv2.KeyPoint.convert(keypoints), np.float64) + 0.5) * pixel_px,
         size_px=np.array([k.size for k in keypoints], dtype=np.float32) * np.float32(max(pixel_px)),
         descriptors=np.asarray(descriptors).astype(np.uint8).reshape(-1, 128),
     )
