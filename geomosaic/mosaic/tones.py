@@ -160,7 +160,12 @@ def evened(pixels: NDArray[Any], darker: Floats32, white: float, dtype: str) -> 
     Args: darker (h, w, b): what values are multiplied by, or their odds where there is a white.
     """
     if np.isfinite(white):
-        darker = darker * (np.float32(white) / ((darker - np.float32(1.0)) * pixels + np.float32(white)))
+        odds_less = darker - np.float32(1.0)
+        odds_less *= pixels
+        odds_less += np.float32(white)
+        np.divide(np.float32(white), odds_less, out=odds_less)
+        odds_less *= darker
+        darker = odds_less
     return scaled(pixels, darker, dtype)
 
 

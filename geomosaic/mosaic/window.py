@@ -151,7 +151,7 @@ class Composed:
     def source(self, dtype: Any = np.int32, at: Any = np.s_[:, :]) -> NDArray[Any]:
         """Of pixels, all if not told, the source's number plus 1, 0 where there is none."""
         number = np.array([*self.numbers, -1], dtype=np.int64) + 1
-        return np.asarray(number.astype(dtype)[self.label[at]])
+        return np.asarray(np.take(number.astype(dtype), self.label[at], mode="wrap"))
 
     def cells(self, step_px: int) -> tuple[NDArray[np.int32], Bools | None]:
         """Of the middle of each cell of n x n pixels the source, as `source` says it, and whether it was

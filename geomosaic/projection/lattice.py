@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
@@ -106,7 +107,8 @@ class MapLattice:
             relief_m = None if relief_m is None else relief_m[at]
             sight.image(*sight.axes(self._window, u[at[1]], v[at[0], None], relief_m), *into)
         # Cells lie between four nodes, half a step off the part.
-        whole = [_cells_of(_spread(axis)) for axis in image]
+        spread = [_spread(axis) for axis in image]
+        whole = [_cells_of(axis) for axis in spread]
         cells = np.nonzero(_to_be_exact(image, middle, camera))
         for k in range(0, len(cells[0]), _CELLS_AT_ONCE):
             i, j = (c[k : k + _CELLS_AT_ONCE] for c in cells)
@@ -115,8 +117,7 @@ class MapLattice:
                 axis[i, j] = values
         half = STEP_PX // 2
         inner = slice(half, half + height), slice(half, half + width)
-        col, row = (w.transpose(0, 2, 1, 3).reshape(*_pixels(w))[inner] for w in whole)
-        return Seen(col, row, *image)
+        return Seen(spread[0][inner], spread[1][inner], *image)
 
     def _relief(self, u: Floats, v: Floats) -> Floats32 | None:
         if self._ground.kind == "flat":
@@ -176,12 +177,9 @@ def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> NDArray[n
 
 def _cells_of(pixels: Floats32) -> NDArray[np.float32]:
     """(rows, cols) as (cells down, cells across, 8, 8), the same memory."""
-    height, width = pixels.shape
-    return pixels.reshape(height // STEP_PX, STEP_PX, width // STEP_PX, STEP_PX).transpose(0, 2, 1, 3)
-
-
-def _pixels(cells: NDArray[np.float32]) -> tuple[int, int]:
-    return cells.shape[0] * STEP_PX, cells.shape[1] * STEP_PX
+    (height, width), (down, across) = pixels.shape, pixels.strides
+    shape = height // STEP_PX, width // STEP_PX, STEP_PX, STEP_PX
+    return as_strided(pixels, shape, (STEP_PX * down, STEP_PX * across, down, across))
 
 
 def _length(part: slice, whole: int) -> int:
