@@ -119,19 +119,23 @@ def multi_band(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Float
     label = _filled(plain, label)
     bands = plain.shape[-1]
     sums = [_sums((label.shape[0] >> n, label.shape[1] >> n), bands) for n in range(_LEVELS + 1)]
+    finest = sums[0].reshape(*label.shape, bands)
     for k, piece in enumerate(pieces):
         at = _reached(label == k)
         if at is None:
             continue
-        own, mask = plain[at].copy(), (label[at] == k).astype(np.float32)
+        own, mine = plain[at].copy(), label[at] == k
         here, there = _common(piece.at, at)
         _copy(piece.image[here], piece.inside[here] > 0.0, own[there])
-        for n, (detail, weight) in enumerate(_bands(own, mask)):
-            _add(sums[n], detail, weight, tuple(slice(s.start >> n, s.stop >> n) for s in at))
+        for n, (detail, weight) in enumerate(_bands(own, mine.astype(np.float32))):
+            if n:
+                _add(sums[n], detail, weight, tuple(slice(s.start >> n, s.stop >> n) for s in at))
+            else:
+                _copy(detail, mine, finest[at])
     for smaller, total in zip(sums[:0:-1], sums[-2::-1], strict=True):
         up = cv2.pyrUp(smaller.reshape(len(smaller), -1, bands))
         total += up.reshape(total.shape)
-    return sums[0].reshape(*label.shape, bands)
+    return finest
 
 
 def _bands(image: Floats32, mask: Floats32) -> Iterator[tuple[Floats32, Floats32]]:

@@ -230,8 +230,8 @@ def _blend(
     box = slice(int(rows[0]), int(rows[-1]) + STEP_PX), slice(int(cols[0]), int(cols[-1]) + STEP_PX)
     half = np.float32(max(step.reach_px / 2.0, 1e-6))
     pieces = []
-    for part, what in zip(step.parts, shown, strict=True):
-        here, there = _overlap(part, box)
+    for k, (part, what) in enumerate(zip(step.parts, shown, strict=True)):
+        here, there = _overlap(part, box if (label[box] == k).any() else (slice(0, 0), slice(0, 0)))
         pieces.append(
             Piece(
                 *there,
