@@ -98,22 +98,28 @@ class MapLattice:
         down, across = -(-height // STEP_PX), -(-width // STEP_PX)
         nodes = slice(top, top + down + 2), slice(left, left + across + 2)
         corners = slice(top, top + down + 1), slice(left, left + across + 1)
-        image = np.empty((2, down + 2, across + 2), dtype=np.float32)
-        middle = np.empty((2, down + 1, across + 1), dtype=np.float32)
-        for into, at, u, v, relief_m in (
-            (image, nodes, self._u.nodes, self._v.nodes, self._nodes_m),
-            (middle, corners, self._u.corners, self._v.corners, self._corners_m),
-        ):
-            relief_m = None if relief_m is None else relief_m[at]
-            sight.image(*sight.axes(self._window, u[at[1]], v[at[0], None], relief_m), *into)
+        both = [
+            sight.axes(self._window, u[at[1]], v[at[0], None], None if relief_m is None else relief_m[at])
+            for at, u, v, relief_m in (
+                (nodes, self._u.nodes, self._v.nodes, self._nodes_m),
+                (corners, self._u.corners, self._v.corners, self._corners_m),
+            )
+        ]
+        found = np.empty((2, sum(axes[0].size for axes in both)), dtype=np.float32)
+        sight.image(
+            *(np.concatenate([axis.ravel() for axis in of]) for of in zip(*both, strict=True)), *found
+        )
+        end = both[0][0].size
+        image = found[:, :end].reshape(2, down + 2, across + 2)
+        middle = found[:, end:].reshape(2, down + 1, across + 1)
         # Cells lie between four nodes, half a step off the part.
         spread = [_spread(axis) for axis in image]
         whole = [_cells_of(axis) for axis in spread]
         cells = np.nonzero(_to_be_exact(image, middle, camera))
         for k in range(0, len(cells[0]), _CELLS_AT_ONCE):
             i, j = (c[k : k + _CELLS_AT_ONCE] for c in cells)
-            found = self._exact(sight, i + top, j + left, whole[1][i, j])
-            for axis, values in zip(whole, found, strict=True):
+            exact = self._exact(sight, i + top, j + left, whole[1][i, j])
+            for axis, values in zip(whole, exact, strict=True):
                 axis[i, j] = values
         half = STEP_PX // 2
         inner = slice(half, half + height), slice(half, half + width)

@@ -230,7 +230,10 @@ class Sight:
         step += np.float32(times / 2.0)
         low = np.clip(step, 0, times - 1).astype(np.intp)
         step -= low
-        return [-(t[low] + step * b[low]) for t, b in zip(self._turn, self._by_step, strict=True)]
+        turns = np.take(self._by_step, low, axis=1)
+        turns *= step
+        turns += np.take(self._turn, low, axis=1)
+        return list(np.negative(turns, out=turns))
 
 
 def frame_from_map(
