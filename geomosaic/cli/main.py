@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
+from geomosaic.cli.memory import keep_freed_memory
 from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.errors import GeomosaicError
 
@@ -25,6 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None, stop: Stop) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     gc.set_threshold(100_000)  # imports make twice as many objects, and nearly all stay
+    keep_freed_memory()
     try:
         import typer
 
