@@ -1,9 +1,10 @@
 """Hits runs at random moments, runs the same command again, and asks for the result of a run left in peace.
 
-Blows: kill -9, Ctrl-C, TERM, a full disk, a dead worker, inputs changed, removed or added, one to three in a
-row; frames and strips; one worker, two, and Dask. After them the command runs undisturbed over the inputs as
-they then are: its result must be that of a fresh run over these, or a refusal in one line, and nothing that
-was finished of single frames, pairs and tiles may have been made again.
+Blows: kill -9 at random and amid matching, adjustment and composition, Ctrl-C, TERM, a full disk, a dead
+worker, a frame that vanishes and comes back, inputs changed, removed or added, one to four in a row; two
+frames, a flight of 13 and strips; one worker, two, and Dask. After them the command runs undisturbed over the
+inputs as they then are: its result must be that of a fresh run over these, or a refusal in one line, and
+nothing that was finished of single frames, pairs and tiles may have been made again.
 """
 
 from __future__ import annotations
@@ -21,16 +22,26 @@ from random import Random
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from chaos_changes import CHANGES, change
+from chaos_changes import CHANGES, change, put_back
 from chaos_world import Ended, Running, Trial, World, items_of, result_of
 from trial_box import changes, snapshot
 from trial_tables import write_tables
 
 BLOWS = {
-    "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "change": 4, "change later": 2,
-    "none": 1,
+    "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "vanish": 2, "change": 4,
+    "change later": 2, "none": 1,
 }  # fmt: skip
-"""By weight; `change` strikes while the run reads, `change later` between two runs."""
+"""By weight; `change` strikes while the run reads, `change later` between two runs; what vanishes comes back
+after the run."""
+AMID = {
+    "kill in matching": ("Place frames by POS", "Match frames with SIFT"),
+    "kill in adjustment": ("Match frames with SIFT", "Adjust the frames"),
+    "kill in composition": ("Lay the seams", "Compose the mosaic"),
+    "vanish in matching": ("Place frames by POS", "Match frames with SIFT"),
+}
+"""One of them begins each trial of a flight: a stage, behind the one after which it is looked for."""
+KINDS = ("frames", "frames", "flight", "strips", "strips")
+Items = dict[Path, tuple[int, int]]
 STOP_S = 3.0
 """Within so long a run that was asked to stop has ended."""
 STOPPED = {
@@ -43,17 +54,22 @@ STOPPED = {
 def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) -> None:
     """One run of the command, hit once; its inputs' changes go into `done`."""
     length_s = world.length_s[f"{trial.what} {trial.method}"]
+    before = items_of(world.run)
     if blow == "full disk":
         world.disk.resize(world.disk.used_kb() + 40 + rng.randrange(world.used_kb[trial.what]))
     running = Running(world.command(trial, world.run), world.folder / "run.log")
     wait_s = rng.uniform(0.02, 1.05) * length_s
     detail = ""
     struck = time.monotonic()
-    if blow not in ("full disk", "change later", "none"):
+    if blow in AMID:
+        after, stage = AMID[blow]
+        running.wait_for(after, rng.uniform(0.1, 0.8) * world.stages[f"{trial.what} {trial.method}"][stage])
+        struck = time.monotonic()
+    elif blow not in ("full disk", "change later", "none"):
         running.wait(wait_s)
         struck = time.monotonic()
         detail = f" at {wait_s:.2f} s"
-    if blow == "kill":
+    if blow.startswith("kill"):
         running.process.kill()
     elif blow == "ctrl-c" and running.process.poll() is None:
         os.killpg(running.process.pid, signal.SIGINT)
@@ -66,22 +82,40 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
                 os.kill(rng.choice(workers), signal.SIGKILL)
             except ProcessLookupError:
                 detail += " (gone)"
+    elif blow.startswith("vanish"):
+        detail += f": {change(world.inputs, 'vanished', rng)}"
     elif blow == "change":
         done.append(change(world.inputs, rng.choice(CHANGES[trial.what]), rng))
         detail += f": {done[-1]}"
     ended = running.end(struck)
     world.disk.large()
+    put_back(world.inputs)
+    if blow.startswith("kill in") and AMID[blow][1] in running.stages():
+        detail += " (too late)"
+    judge_items(trial, before, items_of(world.run))
     if blow == "change later":
         done.append(change(world.inputs, rng.choice(CHANGES[trial.what]), rng))
         detail = f": {done[-1]}"
-    trial.blows.append(f"{blow}{detail} -> {ended.code} in {ended.seconds:.1f} s")
+    left = len(items_of(world.run))
+    trial.blows.append(f"{blow}{detail} -> {ended.code} in {ended.seconds:.1f} s, {left} items")
     judge_blow(trial, blow, ended)
+
+
+def judge_items(trial: Trial, before: Items, after: Items) -> None:
+    """What single frames, pairs and tiles gave is not made again by the next run."""
+    again = [path for path, mark in before.items() if after.get(path, mark) != mark]
+    trial.kept += len(before)
+    trial.again += len(again)
+    if again:
+        trial.problems.append("done twice")
+        trial.words += f"[done twice] {len(again)} of {len(before)}, {again[0]}\n"
 
 
 def judge_blow(trial: Trial, blow: str, ended: Ended) -> None:
     """What a run that was hit must not do."""
     before = len(trial.problems)
-    if "Traceback (most recent call last)" in ended.err and blow != "kill":
+    killed = blow.startswith("kill")
+    if "Traceback (most recent call last)" in ended.err and not killed:
         trial.problems.append(f"traceback after {blow}")
     if "a fault of geomosaic" in ended.err:
         trial.problems.append(f"fault after {blow}")
@@ -89,34 +123,42 @@ def judge_blow(trial: Trial, blow: str, ended: Ended) -> None:
         trial.problems.append(f"hang after {blow}")
     if ended.orphans:
         trial.problems.append(f"orphans after {blow}")
-    if blow in STOPPED:
-        if ended.code not in STOPPED[blow] and not ended.hung:
+    if killed or blow in STOPPED:
+        if ended.code not in STOPPED["kill" if killed else blow] and not ended.hung:
             # a run that ended by itself at that moment, with a refusal of changed inputs, is none of ours
             refused = ended.code == 2 and any("removed" in b or "camera" in b for b in trial.blows)
             if not refused:
                 trial.problems.append(f"exit {ended.code} after {blow}")
-        if blow != "kill":
+        if not killed:
             trial.seconds[blow] = max(trial.seconds.get(blow, 0.0), ended.seconds)
             if ended.seconds > STOP_S:
                 trial.problems.append(f"slow after {blow}")
+    elif blow.startswith("vanish") and ended.code and ".jpg" not in ended.last:
+        trial.problems.append("unnamed after vanish")
     elif ended.code not in (0, 1, 2):
         trial.problems.append(f"exit {ended.code} after {blow}")
     if len(trial.problems) > before:
         trial.words += f"[{blow}] {ended.err[-1500:]}\n"
 
 
-def one_trial(world: World, number: int, methods: tuple[str, ...], dask: bool) -> Trial:
+def one_trial(
+    world: World, number: int, methods: tuple[str, ...], kinds: tuple[str, ...], dask: bool
+) -> Trial:
     """Blows, then a run in peace, then the comparison."""
     rng = Random(f"{world.seed} chaos {number}")
-    what = "frames" if rng.random() < 0.6 else "strips"
-    team = rng.choice(("1", "2", "2", "dask") if dask and what == "frames" else ("1", "2"))
-    trial = Trial(number, what, team, rng.choice(methods) if what == "frames" else "")
+    what = rng.choice(kinds)
+    team = rng.choice(("1", "2", "2", "dask") if dask and what != "strips" else ("1", "2"))
+    trial = Trial(number, what, team, rng.choice(methods) if what != "strips" else "")
     allowed = {
         b: w
         for b, w in BLOWS.items()
-        if (b != "dead worker" or team != "1") and (b != "full disk" or world.disk.own)
+        if (b != "dead worker" or team != "1")
+        and (b != "full disk" or world.disk.own)
+        and (b != "vanish" or what != "strips")
     }
     blows = rng.choices(list(allowed), list(allowed.values()), k=rng.choice((1, 1, 2, 3)))
+    if what == "flight":
+        blows.insert(0, [*AMID][number % len(AMID)])
     world.restore(what)
     world.reference(trial, "")
     done: list[str] = []
@@ -143,10 +185,7 @@ def one_trial(world: World, number: int, methods: tuple[str, ...], dask: bool) -
         trial.words += f"[end] {ended.last} / fresh: {refusal}\n"
     else:
         trial.ended = "refused"
-    left = items_of(world.run)
-    if again := [path for path, mark in kept.items() if left.get(path, mark) != mark]:
-        trial.problems.append("done twice")
-        trial.words += f"[done twice] {len(again)} of {len(kept)}, {again[0]}\n"
+    judge_items(trial, kept, items_of(world.run))
     if lost := [p.name for p, data in mine.items() if not p.is_file() or p.read_bytes() != data]:
         trial.problems.append("people's files lost")
         trial.words += f"[people's] {', '.join(lost)}\n"
@@ -178,17 +217,18 @@ def _put_own_files(run: Path, mine: dict[Path, bytes]) -> None:
 def tell(trials: list[Trial], seed: int, seconds: float, out: Path, own_disk: bool) -> None:
     """Counts by what was run and by blow, the worst times, the failures."""
     rows = []
-    for name in ("frames", "strips", "all"):
+    for name in ("frames", "flight", "strips", "all"):
         those = [t for t in trials if name in (t.what, "all")]
         blows = Counter(b.split(" at ")[0].split(":")[0].split(" ->")[0] for t in those for b in t.blows)
         bad = Counter(p for t in those for p in set(t.problems))
         row = {
             "runs of": name, "trials": len(those), "blows": sum(blows.values()),
-            **{b: blows[b] for b in BLOWS},
+            **{b: blows[b] for b in (*AMID, *BLOWS)},
             "dask": sum(t.team == "dask" for t in those),
             "equal": sum(not t.problems and t.ended != "refused" for t in those),
             "refused": sum(not t.problems and t.ended == "refused" for t in those),
             "failed": sum(bool(t.problems) for t in those),
+            "items found again": sum(t.kept for t in those), "made again": sum(t.again for t in those),
             "ctrl-c worst s": round(max((t.seconds.get("ctrl-c", 0.0) for t in those), default=0.0), 2),
             "term worst s": round(max((t.seconds.get("term", 0.0) for t in those), default=0.0), 2),
         }  # fmt: skip
@@ -211,12 +251,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--trial", type=int, help="this one only")
     parser.add_argument("--minutes", type=float, help="stop after so long, wherever it stands")
     parser.add_argument("--method", action="append", help="of adjusting frames [bundle, least_squares]")
+    parser.add_argument("--what", action="append", choices=KINDS, help="what is run [all, frames most]")
     parser.add_argument("--no-dask", action="store_true", help="local workers only")
     parser.add_argument("--out", type=Path, default=Path("out/chaos"))
     asked = parser.parse_args(argv)
     out: Path = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
     methods = tuple(asked.method or ("bundle", "least_squares", "least_squares"))
+    kinds = tuple(asked.what or KINDS)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background: runs inherit it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the disk is unmounted at every end
     trials: list[Trial] = []
@@ -225,7 +267,7 @@ def main(argv: list[str] | None = None) -> int:
         world = World(Path(folder), asked.seed)
         try:
             for number in range(asked.trials) if asked.trial is None else [asked.trial]:
-                trials.append(trial := one_trial(world, number, methods, not asked.no_dask))
+                trials.append(trial := one_trial(world, number, methods, kinds, not asked.no_dask))
                 if trial.problems or asked.trial is not None:
                     print(
                         f"trial {number}: {', '.join(trial.problems)}: {trial.blows}\n{trial.words}",

@@ -98,12 +98,22 @@ def change(inputs: Path, name: str, rng: Random) -> str:
                 with (inputs / "pos.csv").open("a") as pos:
                     pos.write(rows.read_text())
                 rows.unlink()
+        case "vanished":
+            gone = rng.choice(sorted((inputs / "frames").glob("*.jpg")))
+            gone.rename(inputs / gone.name)
+            return f"{name} {gone.name}"
         case "removed":
             files = sorted([*inputs.glob("frames/*.jpg"), *inputs.glob("ccd*.tif"), *inputs.glob("pos.csv")])
             gone = rng.choice(files)
             gone.unlink()
             return f"{name} {gone.name}"
     return told
+
+
+def put_back(inputs: Path) -> None:
+    """Frames that vanished are there again, as they were."""
+    for path in inputs.glob("*.jpg"):
+        path.rename(inputs / "frames" / path.name)
 
 
 def hold_back(inputs: Path) -> None:
@@ -120,5 +130,6 @@ def hold_back(inputs: Path) -> None:
 
 CHANGES = {
     "frames": ("pixels", "pixels", "positions", "camera", "mask", "removed", "added", "added"),
+    "flight": ("pixels", "removed", "added"),
     "strips": ("strip", "attitude", "geometry", "removed"),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,15 @@ import rasterio
 from chaos_changes import hold_back
 from fuzz_base import make_base
 
+from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.survey import simulate_frames
+
 DISK_MB = 256
+FLIGHT = SurveyPlan(
+    lines=3, frames_per_line=5, width_px=480, height_px=360,
+    height_above_ground_m=50.0, position_sd_m=0.4, height_sd_m=0.4,
+)  # fmt: skip
+"""More frames than workers, so that a stage can be hit in its middle."""
 LONGEST_S = 180.0
 _VOLATILE = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages", "versions")
 """What run.json says of the clock and the way, not of the result."""
@@ -59,6 +68,17 @@ class Running:
         except subprocess.TimeoutExpired:
             return False
         return True
+
+    def stages(self) -> dict[str, float]:
+        """The stages that it has finished, with their seconds."""
+        finished = re.compile(r"^\[\d+/\d+\] (.+): (?:([\d.]+) s|unchanged, .+)$", re.MULTILINE)
+        return {name: float(s or 0.0) for name, s in finished.findall(self.log.read_text())}
+
+    def wait_for(self, stage: str, seconds: float) -> None:
+        """Until the stage before this one is finished, and so long after."""
+        while self.process.poll() is None and stage not in self.stages():
+            time.sleep(0.01)
+        self.wait(seconds)
 
     def children(self) -> list[int]:
         """Its worker processes; not Python's own keeper of semaphores, which works at nothing, nor the
@@ -203,6 +223,8 @@ class Trial:
     problems: list[str] = field(default_factory=list)
     ended: str = ""
     words: str = ""
+    kept: int = 0
+    again: int = 0
 
 
 class World:
@@ -211,13 +233,14 @@ class World:
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder, self.seed = folder, seed
         make_base(folder / "base", seed)
-        for name in ("tiffs",):
-            shutil.rmtree(folder / "base" / name)
+        shutil.rmtree(folder / "base" / "tiffs")
+        simulate_frames(folder / "base" / "flight", replace(FLIGHT, seed=seed))
         self.inputs = folder / "in"
         self.disk = Disk(folder / "disk")
         self.run = self.disk.folder / "run"
         self.references: dict[str, tuple[int, dict[str, str], str]] = {}
         self.length_s: dict[str, float] = {}
+        self.stages: dict[str, dict[str, float]] = {}
         self.used_kb: dict[str, int] = {}
         self._cluster: Any = None
 
@@ -225,7 +248,7 @@ class World:
         """The inputs as they were at first; nothing on the disk."""
         shutil.rmtree(self.inputs, ignore_errors=True)
         shutil.copytree(self.folder / "base" / {"frames": "survey"}.get(what, what), self.inputs)
-        if what == "frames":
+        if what != "strips":
             hold_back(self.inputs)
         self.disk.clear()
 
@@ -260,8 +283,10 @@ class World:
             fresh = self.disk.folder / "fresh"
             alone = Trial(0, trial.what, "1", trial.method)
             started, used = time.monotonic(), self.disk.used_kb()
-            ended = Running(self.command(alone, fresh), self.folder / "fresh.log").end(started)
+            running = Running(self.command(alone, fresh), self.folder / "fresh.log")
+            ended = running.end(started)
             self.length_s.setdefault(f"{trial.what} {trial.method}", ended.seconds)
+            self.stages.setdefault(f"{trial.what} {trial.method}", running.stages())
             self.used_kb.setdefault(trial.what, self.disk.used_kb() - used)
             self.references[key] = (ended.code, result_of(fresh), ended.last)
             shutil.rmtree(fresh, ignore_errors=True)
