@@ -61,39 +61,34 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class _Stop:
-    """A step is the last if it gains no more than this share of the cost and moves no frame by more than this
-    share of its position's deviation. The first alone would stop a large block while its scale is still off:
-    among 100,000 observations such a gain hides; the second alone would wait for single blunders to wander
-    off."""
+    """A step is the last if it moves no frame by more than `move` of its position's deviation, and gains no
+    more than `gain` of the cost or is no longer than `step` (`Reduced.length`). By its gain alone a large
+    block would stop while its scale is still off, as among 100,000 observations such a gain hides, and others
+    would wait for single blunders to wander off while all frames stand still."""
 
     gain: float
     move: float
+    step: float
 
 
 _ROUGH: Annotated[
     _Stop,
     Because(
-        "share of the cost, share of a position's deviation",
-        "a block that is to be judged, not to be used: what is left moves no judgement",
+        "share of the cost, share of a position's deviation, deviations of a solved frame",
+        "a block that is to be judged, or whose variance components come next: what is left moves no "
+        "judgement. With a gain of a hundredth, components were found before lenses had settled, and a block "
+        "with rolling shutters ended 0.2 deviations elsewhere",
         CHOSEN,
     ),
-] = _Stop(1e-3, 0.3)
-_BEGUN: Annotated[
-    _Stop,
-    Because(
-        "share of the cost, share of a position's deviation",
-        "a block whose variance components are to be found next: what is left is small beside what they do",
-        CHOSEN,
-    ),
-] = _Stop(1e-2, 0.3)
+] = _Stop(1e-3, 0.3, 0.0)
 _FINE: Annotated[
     _Stop,
     Because(
-        "share of the cost, share of a position's deviation",
-        "what is left is a hundredth of what a position is good to",
+        "share of the cost, share of a position's deviation, deviations of a solved frame",
+        "what is left is a hundredth of what a position is good to, given and solved",
         CHOSEN,
     ),
-] = _Stop(1e-4, 0.01)
+] = _Stop(1e-4, 0.01, 0.01)
 _STANDS: Annotated[
     float,
     Because(
@@ -255,7 +250,8 @@ def _solve(
         level=again.level_m if again else 0.0,
         swing=_first_swing(priors, again),
     )
-    settled = again is not None and same_model
+    terms = 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1]
+    settled = again is not None and same_model and len(again.factors.swing) == terms
     factors = again.factors if again and settled else _first_factors(tracks, camera_of, priors, state)
     clearance_m = clearances_m(tracks, state.positions, state.points)
     priors = replace(priors, unrest=again.unrest if again else None, clearance_m=clearance_m)
@@ -369,7 +365,7 @@ def _settle(
         priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used, reduced = _converge(
             *(tracks, camera_of, priors, state, factors),
-            *((_STEPS_BETWEEN, _ROUGH) if iterations else (_MOST_STEPS, _BEGUN)),
+            *(_STEPS_BETWEEN if iterations else _MOST_STEPS, _ROUGH),
         )
         iterations += used
         if settled:
@@ -430,7 +426,8 @@ def _converge(
             state, cost = trial, trial_cost
         whole = reduced if damping == 0.0 else None
         damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
-        stands = gain <= stop.gain * max(cost, 1.0) and moved <= stop.move
+        little = gain <= stop.gain * max(cost, 1.0) or reduced.length(*step) <= stop.step
+        stands = little and moved <= stop.move
     return state, steps, whole or reduce_normals(normals)
 
 

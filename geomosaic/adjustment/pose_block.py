@@ -264,7 +264,7 @@ def _turning_too(work: _Work) -> _Work:
     reported = work.block.poses.turns is not None
     if not (reported or turns_shown(before)):
         return work
-    turning = work.again(work.block, replace(settings, turning=True))
+    turning = work.again(work.block, replace(settings, turning=True), begun=before)
     if reported:
         return turning
     if contradicts(turning.found.bundle, before) or _leaves_open(turning, work):

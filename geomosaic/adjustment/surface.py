@@ -289,9 +289,9 @@ def tie_surface(
     return task.rated(surface, _astray(task, trial_m, curving, standing))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Heights:
-    """What a surface goes by; see `tie_surface`."""
+    """What a surface goes by; see `tie_surface`. Each is equal to itself alone."""
 
     points_m: Floats
     sd_up_m: Floats
@@ -339,7 +339,7 @@ class _Task:
     def __init__(self, heights: _Heights, spread: Spread) -> None:
         self.heights = heights
         self._spread = spread
-        self._made: dict[tuple[int, float, float, tuple[int, float]], GroundSurface] = {}
+        self._made: dict[_Trial, GroundSurface] = {}
 
     @cached_property
     def without_each_side(self) -> dict[float, tuple[Bools, _Heights]]:
@@ -354,14 +354,9 @@ class _Task:
 
     def laid(self, trials: Sequence[_Trial]) -> list[GroundSurface]:
         """The surfaces, side by side as far as they aren't there."""
-        new = [trial for trial in trials if self._key(trial) not in self._made]
-        for trial, surface in zip(new, self._spread.map("surfaces", _fitted, new), strict=True):
-            self._made[self._key(trial)] = surface
-        return [self._made[self._key(trial)] for trial in trials]
-
-    @staticmethod
-    def _key(trial: _Trial) -> tuple[int, float, float, tuple[int, float]]:
-        return id(trial.heights), trial.spacing_m, trial.curving, trial.standing
+        new = [trial for trial in trials if trial not in self._made]
+        self._made.update(zip(new, self._spread.map("surfaces", _fitted, new), strict=True))
+        return [self._made[trial] for trial in trials]
 
     def rated(self, surface: GroundSurface, astray: Callable[[Floats], Floats]) -> GroundSurface:
         """The surface with the deviations of its heights: what they are off by so far from the next point
