@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.beliefs import priors_of
 from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.bundle_model import READOUT, Begun, with_interior
+from geomosaic.adjustment.chosen_ground import flying_height_m
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.spread import Spread
@@ -22,6 +23,7 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.matching.model import TiePair, TiePoints
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 _OF_ALL_LENSES = INTERIOR.index("k1")
 BETTER: Annotated[
     float,
@@ -38,7 +40,7 @@ _SURELY: Annotated[
     float,
     Because(
         "deviations",
-        "of a median that so many tracks give, above which it has to be less: with less, a small block takes "
+        "of a median that so many places give, by which it has to be less: with less, a small block takes "
         "a model by chance; with more, it takes none",
         "normal distribution: 2 % by chance",
     ),
@@ -85,6 +87,16 @@ _SURE: Annotated[
         CHOSEN,
     ),
 ] = 0.25
+_ALIKE: Annotated[
+    float,
+    Because(
+        "flying heights",
+        "side of a place in which tracks err alike: a third of what a frame sees across, over which turns, "
+        "lenses and gusts are much the same; of smaller ones neighbours would count as independent, of "
+        "larger ones a block has too few",
+        CHOSEN,
+    ),
+] = 0.25
 _EXACT_PX: Annotated[
     float, Because("px", "residuals of a point at least, so that two exact ones have a ratio", CHOSEN)
 ] = 1e-4
@@ -105,26 +117,28 @@ class Model:
 
 @dataclass(frozen=True)
 class Judged:
-    """A model's solution (None where there is none), and the residual of each track left out of it, (t,)."""
+    """A model's solution (None where there is none), and the residual of each track left out of it, (t,);
+    place (t,): number of the place where it lies."""
 
     solved: Begun | None
     each_px: Floats
+    place: Ints
 
     @property
     def median_px(self) -> float:
         return float(np.median(self.each_px))
 
     def beats(self, other: Judged) -> bool:
-        """Whether it leaves clearly less, and not by chance."""
-        share, at_most = self.beside(other)
-        return share < BETTER and at_most < 1.0
+        """Whether it surely leaves less by what makes a model worth its unknowns."""
+        return self.beside(other)[1] < BETTER
 
     def beside(self, other: Judged) -> tuple[float, float]:
         """The share of another model's residuals that this one leaves, and what it is at most: the median of
         the tracks' own shares.
 
         So what moves in the wind, and fits no model, decides nothing. Tracks count the more the less both
-        models leave of them together, which favours neither, down to a quarter of the median.
+        models leave of them together, which favours neither, down to a quarter of the median. Those of one
+        place err alike, whatever they fit: the median is as sure as places differ, not tracks.
         """
         if self.solved is None or other.solved is None:
             return (0.0, 0.0) if self.solved is not None else (np.inf, np.inf)
@@ -133,22 +147,27 @@ class Judged:
         weight = 1.0 / np.maximum(both, _SURE * np.median(both))
         order = np.argsort(mine / others)
         shares, below = (mine / others)[order], np.cumsum(weight[order]) / weight.sum()
-        as_many = weight.sum() ** 2 / (weight**2).sum()
-        half, most = np.searchsorted(below, [0.5, 0.5 + 0.5 * _SURELY / np.sqrt(as_many)])
+        half = int(np.searchsorted(below, 0.5))
+        side = np.where(np.arange(len(shares)) < half, 0.5, -0.5) * weight[order]
+        sd = np.sqrt((np.bincount(self.place[order], side) ** 2).sum()) / weight.sum()
+        most = int(np.searchsorted(below, 0.5 + _SURELY * sd))
         return float(shares[half]), float(shares[min(most, len(shares) - 1)])
 
 
 class LeftOut:
-    """Tracks that models are solved by, and others that judge them. first: the solution by all of them."""
+    """Tracks that models are solved by, and all others, which judge them. first: the solution by both."""
 
     def __init__(self, block: Block, tracks: Tracks, first: Begun, spread: Spread) -> None:
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
         asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, _CELLS))
         few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
         out = np.random.default_rng(0).permutation(len(few)) % _LEFT_OUT == 0
-        solving, judging = (np.isin(np.arange(tracks.points), few[which]) for which in (~out, out))
+        solving = np.isin(np.arange(tracks.points), few[~out])
         self.begun = first.of_points(first.points_m[solving])
-        self._judged = partial(_judged, chosen_tracks(tracks, solving), chosen_tracks(tracks, judging))
+        place = _places(first.points_m[~solving], flying_height_m(block))
+        self._judged = partial(
+            _judged, chosen_tracks(tracks, solving), chosen_tracks(tracks, ~solving), place
+        )
         self._spread = spread
 
     def judged(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
@@ -164,8 +183,14 @@ def _without_tie_points(block: Block) -> Block:
     return replace(block, ties=TiePoints(tuple(bare)))
 
 
-def _judged(tracks: Tracks, judges: Tracks, model: Model) -> Judged:
-    """The solution with points of their own and no control, roughly, and what it leaves."""
+def _places(points_m: Floats, height_m: float) -> Ints:
+    """Number of the place of each point, (p,)."""
+    square = np.floor(points_m[:, :2] / (_ALIKE * height_m))
+    return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
+
+
+def _judged(tracks: Tracks, judges: Tracks, place: Ints, model: Model) -> Judged:
+    """The solution with points of their own and no control, and what it leaves."""
     block, before = model.block, model.before
     priors = priors_of(block, model.settings, block.lenses, before.points_m)
     lenses = tuple(_begun_lens(*both) for both in zip(block.lenses, before.cameras, strict=True))
@@ -173,11 +198,11 @@ def _judged(tracks: Tracks, judges: Tracks, model: Model) -> Judged:
     try:
         solved = solve_bundle(
             *(tracks, block.lens_of, priors, before.poses),
-            again=begun, same_model=model.same, rough=True,
+            again=begun, same_model=model.same,
         )  # fmt: skip
     except NotSolvableError:
-        return Judged(None, np.full(judges.points, np.inf))
-    return Judged(solved.of_points(solved.points_m), _left_out_px(judges, block, solved))
+        return Judged(None, np.full(judges.points, np.inf), place)
+    return Judged(solved.of_points(solved.points_m), _left_out_px(judges, block, solved), place)
 
 
 def _begun_lens(given: Camera, found: Camera) -> Camera:
