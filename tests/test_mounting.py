@@ -120,17 +120,3 @@ def test_without_velocities_a_lag_is_held_and_named() -> None:
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(gps_lag=True))
     assert _found(adjusted, "gps_lag_s")[::2] == (0.0, True)
     assert "gps_lag_s" in " ".join(w.text for w in adjusted.warnings)
-
-
-def test_a_readout_that_is_known_leaves_steps_whole() -> None:
-    """Positions a fourteenth too close: the block widens, and a readout that followed would cut each step."""
-    for readout_s in (0.0, 0.03):
-        flown = fly(3, 3, 6, points=500, readout_s=readout_s)
-        told = flown.block.poses
-        close = replace(
-            told,
-            positions_m=told.positions_m * [0.93, 0.93, 1.0],
-            positions_sd_m=told.positions_sd_m * [3.0, 3.0, 1.0],
-        )
-        adjusted = METHODS["bundle"](replace(flown.block, poses=close), Settings(model="given"))
-        assert adjusted.figures["iterations"] <= 10.0

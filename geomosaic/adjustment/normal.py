@@ -163,10 +163,11 @@ class Reduced:
         return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
 
     def length(self, pose: Floats, interior: Floats, points: Floats, level: float, mounting: Floats) -> float:
-        """Of a step as `solve` gives it, root mean square of frames' unknowns in deviations of the solved."""
+        """Of a step as `solve` gives it, in deviations of the solved: nothing of frames, or that they share,
+        nor any sum of it, moves by more."""
         shared = np.concatenate([interior.ravel(), [level], mounting])
         square = float(self.pose_side @ pose.ravel() + self.shared_side @ shared)
-        return float(np.sqrt(max(square, 0.0) / max(pose.size, 1)))
+        return float(np.sqrt(max(square, 0.0)))
 
     def covariance(self) -> tuple[Floats, Floats]:
         """Covariances for unit weight, with all correlations: each frame's own (f, d, d), and the full matrix
