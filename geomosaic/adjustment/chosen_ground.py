@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.spread import Spread
+from geomosaic.spread import Spread
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.placement.reach import heights_above_ground_m

@@ -15,7 +15,7 @@ from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.left_out import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
-from geomosaic.adjustment.spread import Spread
+from geomosaic.spread import Spread
 from geomosaic.adjustment.swing import MOST_GUSTS
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.interior import Camera

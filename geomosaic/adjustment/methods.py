@@ -16,7 +16,7 @@ from geomosaic.adjustment.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.pose_block import pose_block
-from geomosaic.adjustment.spread import Spread
+from geomosaic.spread import Spread
 from geomosaic.camera.rotation import about_z
 
 Floats = NDArray[np.float64]

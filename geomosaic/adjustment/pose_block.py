@@ -48,7 +48,7 @@ from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.shape import shape_sd_m
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
-from geomosaic.adjustment.spread import AtOnce, Spread
+from geomosaic.spread import AtOnce, Spread
 from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken

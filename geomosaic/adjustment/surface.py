@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geomosaic.adjustment.smoothed_grid import SmoothedGrid
-from geomosaic.adjustment.spread import AtOnce, Spread
+from geomosaic.spread import AtOnce, Spread
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 

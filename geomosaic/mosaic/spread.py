@@ -1,4 +1,4 @@
-"""Who makes what a composition needs of each frame: the stage's workers, or whoever asks for it."""
+"""Results that are too large to be held at once: made by a stage's workers, or by whoever asks for them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Annotated, Any, Generic, Protocol, TypeVar
 
+from geomosaic import spread
 from geomosaic.constants import CHOSEN, Because
 
 Item = TypeVar("Item")
@@ -33,19 +34,14 @@ class Kept(Protocol[Made]):
         """As load, where it is wanted again and again, in parts."""
 
 
-class Spread(Protocol):
-    """As `pipeline.Context` does it: functions of a module's own applied to items, by whoever is free."""
-
-    def map(
-        self, name: str, function: Callable[[Item], Result], items: Sequence[Item], keys: Sequence[Any]
-    ) -> list[Result]:
-        """Results in the items' order. keys: tell the items of a name apart."""
+class Spread(spread.Spread, Protocol):
+    """As `pipeline.Context` does it."""
 
     def spooled(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
     ) -> AbstractContextManager[Sequence[Kept[Result]]]:
-        """The same where results are too large to be held at once: each is loaded when it is wanted. Nobody
-        asks for items where all results are there from before."""
+        """As `map`, but each result is loaded when it is wanted. Nobody asks for items where all results are
+        there from before."""
 
 
 class _Later(Generic[Item, Result]):
@@ -92,9 +88,13 @@ class AtOnce:
                 self._latest.popitem(last=False)[1].forget()
 
     def map(
-        self, name: str, function: Callable[[Item], Result], items: Sequence[Item], keys: Sequence[Any]
+        self,
+        name: str,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        keys: Sequence[Any] | None = None,
     ) -> list[Result]:
-        """See `Spread`."""
+        """See `spread.Spread`."""
         return [_Later(function, item, self).load() for item in items]
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""Who makes what an adjustment can make side by side: the stage's workers, or this process."""
+"""Who does what can be done side by side: a stage's workers, or this process."""
 
 from __future__ import annotations
 
