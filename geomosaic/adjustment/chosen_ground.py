@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
-from geomosaic.spread import Spread
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]

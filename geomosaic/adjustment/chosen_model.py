@@ -15,11 +15,11 @@ from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.left_out import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
-from geomosaic.spread import Spread
 from geomosaic.adjustment.swing import MOST_GUSTS
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]

@@ -15,12 +15,12 @@ from geomosaic.adjustment.bundle_model import READOUT, Begun, with_interior
 from geomosaic.adjustment.chosen_ground import flying_height_m
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.spread import Spread
 from geomosaic.adjustment.tracks import Tracks, asked_tracks, chosen_tracks, frame_by_frame, nearest_to_rays
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]

@@ -16,8 +16,8 @@ from geomosaic.adjustment.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.pose_block import pose_block
-from geomosaic.spread import Spread
 from geomosaic.camera.rotation import about_z
+from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 

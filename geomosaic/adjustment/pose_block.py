@@ -48,7 +48,6 @@ from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.shape import shape_sd_m
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
-from geomosaic.spread import AtOnce, Spread
 from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
@@ -56,6 +55,7 @@ from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
+from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geomosaic.adjustment.smoothed_grid import SmoothedGrid
-from geomosaic.spread import AtOnce, Spread
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
+from geomosaic.spread import AtOnce, Spread
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
