@@ -24,7 +24,10 @@ class Spread(Protocol):
 
 
 class AtOnce:
-    """In this process, one after the other."""
+    """In this process, one after the other; check_cancelled raises to stop."""
+
+    def __init__(self, check_cancelled: Callable[[], None] | None = None) -> None:
+        self.check_cancelled = check_cancelled
 
     def map(
         self,
@@ -34,4 +37,10 @@ class AtOnce:
         keys: Sequence[Any] | None = None,
     ) -> list[Result]:
         """See `Spread`."""
-        return [function(item) for item in items]
+        return [self.made(function, item) for item in items]
+
+    def made(self, function: Callable[[Item], Result], item: Item) -> Result:
+        """One result, unless this is to stop."""
+        if self.check_cancelled is not None:
+            self.check_cancelled()
+        return function(item)

@@ -30,10 +30,10 @@ from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seam_cut import Shared, cut_pair, cut_seams
 from geomosaic.mosaic.seam_figures import seam_figures
 from geomosaic.mosaic.seam_parts import Glimpse, Part, bands, giving, glimpsed
-from geomosaic.mosaic.spread import AtOnce
 from geomosaic.mosaic.views import frame_views
 from geomosaic.mosaic.window import Window
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.spread import AtOnce
 from geomosaic.survey.model import Survey
 
 REACH_PX = 48.0

@@ -7,7 +7,7 @@ import pytest
 from adjustment_blocks import fly
 from test_chosen_model import _bent_m
 
-from geomosaic.adjustment import bundle
+from geomosaic.adjustment import bundle_steps
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.tracks import Tracks
@@ -71,5 +71,5 @@ def test_still_ground_holds_a_block_of_which_half_moves(monkeypatch: pytest.Monk
         return float(np.sqrt(np.mean(np.square(off))))
 
     told_apart = bent_m()
-    monkeypatch.setattr(bundle, "unrest", lambda tracks, points_m, *_: np.ones(len(points_m)))
+    monkeypatch.setattr(bundle_steps, "unrest", lambda tracks, points_m, *_: np.ones(len(points_m)))
     assert told_apart < 0.75 * bent_m()

@@ -19,11 +19,11 @@ from geomosaic.camera.interior import Camera
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import Mosaic
-from geomosaic.mosaic.spread import AtOnce
 from geomosaic.mosaic.views import frame_views
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
 from geomosaic.quality.verdict import CRITERIA, verdict_of
+from geomosaic.spread import AtOnce
 from geomosaic.survey.model import Warn
 
 CAMERA = Camera("cam", 800, 600, 700.0, 400.0, 300.0)

@@ -48,7 +48,7 @@ from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.tracks import Tracks
-from geomosaic.adjustment.variance import trust_in_tags
+from geomosaic.adjustment.trust import trust_in_tags
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.projection.footprint import ground_from_images

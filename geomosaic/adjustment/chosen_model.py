@@ -257,8 +257,8 @@ def _candidates(now: Model, taken: tuple[str, ...]) -> Iterator[tuple[str, Model
         yield "untold_turns", model(replace(block, poses=replace(block.poses, turns=None)), settings)
     if makers and not settings.free_lens:
         yield "lens", model(block, replace(settings, free_lens=True))
-    solved = all(c.readout_s and c.readout_sd_s for c in block.cameras)
-    if moving and not settings.rolling_shutter and not solved:
+    all_solved = all(c.readout_s and c.readout_sd_s for c in block.cameras)
+    if moving and not settings.rolling_shutter and not all_solved:
         yield "readout", model(rolling, read_settings)
     if not makers and "fisheye" not in taken:
         yield "fisheye", model(replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)

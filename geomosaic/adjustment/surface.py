@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from geomosaic.adjustment.smoothed_grid import SmoothedGrid
+from geomosaic.adjustment.trial_surface import Heights, Trial, even_ground, fitted
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
@@ -49,10 +49,6 @@ _ROUNDS: Annotated[
     int,
     Because("rounds", "of new weights, until trees and wrong matches have lost their say", CHOSEN),
 ] = 8
-_TRIAL_ROUNDS: Annotated[
-    int,
-    Because("rounds", "of new weights of a trial surface, whose misses are judged by their median", CHOSEN),
-] = 4
 _CURVINGS: Annotated[
     tuple[float, ...],
     Because(
@@ -97,16 +93,6 @@ _CLEARLY: Annotated[
         CHOSEN,
     ),
 ] = 0.9
-_GROUND_SHARE: Annotated[
-    float,
-    Because(
-        "weight",
-        "of points above a ground that is laid below them, those below it have the rest of 1: with more it "
-        "rises into the crowns, with less the lowest wrong matches carry it",
-        "chosen within 0.001 to 0.1, which Eilers and Boelens 2005 (Baseline Correction with Asymmetric "
-        "Least Squares Smoothing, unpublished report) call a good choice",
-    ),
-] = 0.05
 _LOW: Annotated[
     float,
     Because(
@@ -116,15 +102,6 @@ _LOW: Annotated[
         CHOSEN,
     ),
 ] = 0.5
-_LOWEST: Annotated[
-    float,
-    Because(
-        "share of the points",
-        "that show how ground scatters: with more, crowns are among them and the plane rises into them; "
-        "with less, ground that is rough counts as wrong",
-        CHOSEN,
-    ),
-] = 0.4
 _FEWEST: Annotated[
     int,
     Because(
@@ -276,73 +253,29 @@ def tie_surface(
     """
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
-    task = _Task(_Heights(points_m, sd_up_m, low_m, high_m, height_m), spread or AtOnce())
+    task = _Task(Heights(points_m, sd_up_m, low_m, high_m, height_m), spread or AtOnce())
     trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
     if rough:
-        return _fitted(_Trial(task.heights, trial_m, _USUAL_CURVING, _UNHELD))
+        return fitted(Trial(task.heights, trial_m, _USUAL_CURVING, _UNHELD))
     curving = _curving(task, trial_m)
     standing = _standing(task, trial_m, curving)
     fine_m = node_spacing_m(low_m, high_m, spacing, _MOST_NODES)
-    last = _Trial(task.heights, fine_m, curving, standing, _ROUNDS)
-    sides = [_Trial(known, trial_m, curving, standing) for _, known in task.without_each_side.values()]
+    last = Trial(task.heights, fine_m, curving, standing, _ROUNDS)
+    sides = [Trial(known, trial_m, curving, standing) for _, known in task.without_each_side.values()]
     surface, *_ = task.laid([last, *sides])
     return task.rated(surface, _astray(task, trial_m, curving, standing))
-
-
-@dataclass(frozen=True, eq=False)
-class _Heights:
-    """What a surface goes by; see `tie_surface`. Each is equal to itself alone."""
-
-    points_m: Floats
-    sd_up_m: Floats
-    low_m: Floats
-    high_m: Floats
-    height_m: float
-
-    def without(self, out: Bools) -> _Heights:
-        """The other points."""
-        return replace(self, points_m=self.points_m[~out], sd_up_m=self.sd_up_m[~out])
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A surface of one curving, the mean change of curvature in flying heights, and one standing."""
-
-    heights: _Heights
-    spacing_m: float
-    curving: float
-    standing: tuple[int, float]
-    rounds: int = _TRIAL_ROUNDS
-
-
-def _fitted(trial: _Trial) -> GroundSurface:
-    heights, spacing_m, (terms, off) = trial.heights, trial.spacing_m, trial.standing
-    points_m, sd_up_m, low_m, height_m = heights.points_m, heights.sd_up_m, heights.low_m, heights.height_m
-    cols, rows = (np.ceil((heights.high_m - low_m) / spacing_m).astype(int) + 1).tolist()
-    at = (points_m[:, :2] - low_m) / spacing_m
-    grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, trial.curving, off)
-    even = _even(points_m, sd_up_m, terms)
-    target, weight = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1]), 1.0 / sd_up_m**2
-    for _ in range(trial.rounds):
-        nodes = grid.fitted(target, weight, height_m)
-        miss = np.abs(target - grid.at_points(nodes))
-        scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
-        weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
-    east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-    up = grid.laid_out(nodes) + even(east, north[:, None])
-    return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
 
 
 class _Task:
     """What `tie_surface` is asked for, and surfaces that were made for it so far."""
 
-    def __init__(self, heights: _Heights, spread: Spread) -> None:
+    def __init__(self, heights: Heights, spread: Spread) -> None:
         self.heights = heights
         self._spread = spread
-        self._made: dict[_Trial, GroundSurface] = {}
+        self._made: dict[Trial, GroundSurface] = {}
 
     @cached_property
-    def without_each_side(self) -> dict[float, tuple[Bools, _Heights]]:
+    def without_each_side(self) -> dict[float, tuple[Bools, Heights]]:
         """For each way to the block's rim that is long enough: which points lie there, and the others."""
         others, heights = {}, self.heights
         for angle in _SIDES:
@@ -352,10 +285,10 @@ class _Task:
                 others[angle] = out, heights.without(out)
         return others
 
-    def laid(self, trials: Sequence[_Trial]) -> list[GroundSurface]:
+    def laid(self, trials: Sequence[Trial]) -> list[GroundSurface]:
         """The surfaces, side by side as far as they aren't there."""
         new = [trial for trial in trials if trial not in self._made]
-        self._made.update(zip(new, self._spread.map("surfaces", _fitted, new), strict=True))
+        self._made.update(zip(new, self._spread.map("surfaces", fitted, new), strict=True))
         return [self._made[trial] for trial in trials]
 
     def rated(self, surface: GroundSurface, astray: Callable[[Floats], Floats]) -> GroundSurface:
@@ -375,7 +308,7 @@ def _astray(
     """How far heights beyond the points are off, one deviation in m, by the distance from the last of them:
     a power of it, by what the surfaces without each of the block's sides and corners miss there."""
     sides, height_m = task.without_each_side.values(), task.heights.height_m
-    surfaces = task.laid([_Trial(known, spacing_m, curving, standing) for _, known in sides])
+    surfaces = task.laid([Trial(known, spacing_m, curving, standing) for _, known in sides])
     away, missed = [np.zeros(0)], [np.zeros(0)]
     for (out, known), surface in zip(sides, surfaces, strict=True):
         asked = task.heights.points_m[out]
@@ -403,7 +336,7 @@ def _curving(task: _Task, spacing_m: float) -> float:
     if out.sum() < _FEWEST or out.all():
         return _USUAL_CURVING
     known, asked = heights.without(out), heights.points_m[out]
-    surfaces = task.laid([_Trial(known, spacing_m, curving, _UNHELD) for curving in _CURVINGS])
+    surfaces = task.laid([Trial(known, spacing_m, curving, _UNHELD) for curving in _CURVINGS])
     misses = [_missed(asked, surface) for surface in surfaces]
     return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in misses]))]
 
@@ -412,12 +345,12 @@ def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float
     """The standing that predicts the low points of left-out corners best, by the median: crowns are no
     ground, and it is beyond the points that ground needs something to stand on."""
     points_m = task.heights.points_m
-    even = _even(points_m, task.heights.sd_up_m, max(terms for terms, _ in _STANDINGS))
+    even = even_ground(points_m, task.heights.sd_up_m, max(terms for terms, _ in _STANDINGS))
     above = points_m[:, 2] - even(points_m[:, 0], points_m[:, 1])
     corners = [task.without_each_side[way] for way in _CORNERS if way in task.without_each_side]
     lows = [(points_m[out & (above <= np.quantile(above, _LOW))], known) for out, known in corners]
     lows = [(low, known) for low, known in lows if len(low) >= _FEWEST]
-    trials = [_Trial(known, spacing_m, curving, standing) for _, known in lows for standing in _STANDINGS]
+    trials = [Trial(known, spacing_m, curving, standing) for _, known in lows for standing in _STANDINGS]
     asked = [low for low, _ in lows for _ in _STANDINGS]
     missed = [np.median(_missed(*both)) for both in zip(asked, task.laid(trials), strict=True)]
     total = np.reshape(missed, (-1, len(_STANDINGS))).sum(axis=0)
@@ -428,32 +361,3 @@ def _standing(task: _Task, spacing_m: float, curving: float) -> tuple[int, float
 def _missed(points_m: Floats, surface: GroundSurface) -> Floats:
     """How far a surface is off points."""
     return np.asarray(np.abs(points_m[:, 2] - surface.up_at(points_m[:, 0], points_m[:, 1])))
-
-
-def _even(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:
-    """Up by east and north on the plane (3 terms) or paraboloid (6) of the ground: laid below the points by
-    asymmetric least squares (Eilers and Boelens 2005), then by the points that lie about it."""
-    middle, size_m = points_m[:, :2].mean(axis=0), float(np.ptp(points_m[:, :2], axis=0).max()) or 1.0
-
-    def powers(east_m: Floats, north_m: Floats) -> Floats:
-        e, n = np.broadcast_arrays((east_m - middle[0]) / size_m, (north_m - middle[1]) / size_m)
-        return np.stack([np.ones_like(e), e, n, e * e, e * n, n * n][:terms])
-
-    design, up = powers(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
-
-    def by(weight: Floats) -> Floats:
-        weighed = design * weight
-        return np.asarray(np.linalg.pinv(weighed @ design.T, hermitian=True) @ (weighed @ up))
-
-    found, above = by(np.ones(len(up))), np.zeros(len(up), dtype=bool)
-    for k in range(30):
-        before, above = above, up > found @ design
-        if k and np.array_equal(above, before):
-            break
-        found = by(np.where(above, _GROUND_SHARE, 1.0 - _GROUND_SHARE))
-    for _ in range(20):
-        miss = up - found @ design
-        low = miss[miss <= np.quantile(miss, _LOWEST)]
-        scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
-        found = by(1.0 / (1.0 + (miss / scale) ** 2) ** 2)
-    return lambda east_m, north_m: np.asarray(np.tensordot(found, powers(east_m, north_m), 1))

@@ -14,7 +14,6 @@ from geomosaic.adjustment.bundle_equations import (
     lengths_px,
     normals_of,
     pose_sd,
-    present_miss,
     share_shown,
     shared_sd,
     swing_sd_rad,
@@ -23,9 +22,10 @@ from geomosaic.adjustment.bundle_equations import (
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import Reduced, reduce_normals
-from geomosaic.adjustment.robust import INFORMATION, lie_weight, student_weight
+from geomosaic.adjustment.robust import INFORMATION, student_weight
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
+from geomosaic.adjustment.trust import median_px, observed_of, own_miss, parts_of
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.placement.prior import position_assumed
@@ -136,14 +136,6 @@ _SCALINGS: Annotated[
         CHOSEN,
     ),
 ] = 12
-_MEDIAN_ONE: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median size of a residual of one number with a deviation of 1",
-        "normal distribution: Phi^-1(3/4)",
-    ),
-] = 0.6745
 
 
 def variance_components(
@@ -187,7 +179,7 @@ def variance_components(
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / MEDIAN_LENGTH))
     if image_only:
         return factors
-    miss, observed = own_miss(priors, state, factors), _observed(priors)
+    miss, observed = own_miss(priors, state, factors), observed_of(priors)
     by_group: dict[str, float] = {}
     for group, (first, *more) in GROUPS.items():
         columns = [first, *more]
@@ -294,69 +286,6 @@ def _logs(factors: Factors) -> Floats:
     return np.log([*(factors.of(g) for g in GROUPS), *factors.swing])
 
 
-def parts_of(priors: Priors) -> list[Ints]:
-    """The frames of each connected part."""
-    part = np.zeros(len(priors.poses), np.intp) if priors.part is None else priors.part
-    return [np.flatnonzero(part == k) for k in np.unique(part)]
-
-
-def _observed(priors: Priors) -> Bools:
-    """Which numbers of the poses (f, 6) somebody observed, or believes: all but assumed positions."""
-    out = np.ones((len(priors.poses), 6), dtype=bool)
-    out[:, :3] &= True if priors.assumed is None else ~priors.assumed[:, None]
-    return out
-
-
-def own_miss(priors: Priors, state: State, factors: Factors) -> Floats:
-    """Given minus present (f, 6), less what the frames of each part miss in common: a similarity of the
-    plane, a height, a heading. Frames that lie don't show what is common. Of assumed positions it is 0."""
-    miss, sd, observed = present_miss(priors, state), pose_sd(priors, factors), _observed(priors)
-    out = miss.copy()
-    for part in parts_of(priors):
-        frames = part[observed[part, 0]]
-        out[frames, :2] -= _common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
-        for column in (2, 5):
-            frames = part[observed[part, column]]
-            out[frames, column] -= _common(miss[frames, column], sd[frames, column])
-    return np.where(observed, out, 0.0)
-
-
-def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
-    """What shift, turn and scale of all positions explain of their misses (k, 2), by re-weighting from the
-    median shift on; of two frames or fewer all."""
-    k = len(at_m)
-    if k < 3 or not np.isfinite(sd_m).all():
-        return np.where(np.isfinite(sd_m), miss_m, 0.0)
-    e, n = (at_m - np.median(at_m, axis=0)).T
-    zero, one = np.zeros(k), np.ones(k)
-    design = np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
-    found = np.zeros((k, 2)) + np.median(miss_m, axis=0)
-    for _ in range(10):
-        length = np.linalg.norm((miss_m - found) / sd_m, axis=1)
-        weight = (
-            np.sqrt(lie_weight(length / max(float(np.median(length)) / MEDIAN_LENGTH, 1e-9)))[:, None] / sd_m
-        )
-        rows = (design * weight[:, :, None]).reshape(2 * k, 4)
-        scale = np.linalg.norm(rows, axis=0) + 1e-12
-        solved = np.linalg.lstsq(rows / scale, (miss_m * weight).ravel(), rcond=1e-10)[0] / scale
-        found = design @ solved
-    return np.asarray(found)
-
-
-def _common(miss: Floats, sd: Floats) -> float:
-    """The weighted mean of those near the median."""
-    known = np.isfinite(sd)
-    if not known.any():
-        return 0.0
-    miss, sd = miss[known], sd[known]
-    found = float(np.median(miss))
-    for _ in range(5):
-        length = np.abs(miss - found) / sd
-        weight = lie_weight(length / max(float(np.median(length)) / _MEDIAN_ONE, 1e-9)) / sd**2
-        found = float((weight * miss).sum() / weight.sum())
-    return found
-
-
 def _believed(factor: float, redundancy: float) -> float:
     """A factor estimated from so many redundant observations, drawn to 1 where it may as well be chance.
 
@@ -368,25 +297,6 @@ def _believed(factor: float, redundancy: float) -> float:
     evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))
     wrong = 1.0 / (1.0 + np.sqrt(redundancy) * np.exp(-min(evidence, 500.0)))
     return float(np.exp(wrong * np.log(variance) / 2.0))
-
-
-def trust_in_tags(priors: Priors, state: State, factors: Factors) -> Floats:
-    """Weights of each frame's position and attitude, (f, 6), by groups: a wild tag loses its say.
-
-    A frame is wild against the bulk of the others, never all at once: else a whole block that shrinks
-    or tips over would free itself from its positions.
-    """
-    miss = own_miss(priors, state, factors) / pose_sd(priors, factors)
-    tied = np.concatenate(
-        [frames for frames in parts_of(priors) if len(frames) > 2] or [np.arange(len(miss))]
-    )
-    trust, observed = np.ones_like(miss), _observed(priors)
-    for columns in map(list, GROUPS.values()):
-        length = np.linalg.norm(miss[:, columns], axis=1)
-        typical = MEDIAN_LENGTH if len(columns) == 2 else _MEDIAN_ONE
-        bulk = max(1.0, median_px(length[tied[observed[tied, columns[0]]]]) / typical)
-        trust[:, columns] = lie_weight(length / bulk)[:, None]
-    return trust
 
 
 def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Bools:
@@ -415,12 +325,6 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
         out[free[left[worst]]] = True
         left = np.delete(left, worst)
     return out
-
-
-def median_px(lengths_px: Floats) -> float:
-    """Median of what is known, else 0."""
-    known = lengths_px[np.isfinite(lengths_px)]
-    return float(np.median(known)) if known.size else 0.0
 
 
 def common_error(bundle: Bundle, given: Poses) -> Floats:

@@ -16,7 +16,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.plugins import SEAMS_GROUP, Named
 from geomosaic.mosaic.seam_parts import Part, to_8_bits
-from geomosaic.mosaic.spread import AtOnce, Spread
+from geomosaic.spread import AtOnce, Spread
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]

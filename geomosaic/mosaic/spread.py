@@ -54,9 +54,7 @@ class _Later(Generic[Item, Result]):
 
     def load(self) -> Result:
         """See `Kept`."""
-        if self._at_once.check_cancelled is not None:
-            self._at_once.check_cancelled()
-        return self._function(self._item)
+        return self._at_once.made(self._function, self._item)
 
     def look(self) -> Result:
         """See `Kept`."""
@@ -71,11 +69,11 @@ class _Later(Generic[Item, Result]):
         self._made = None
 
 
-class AtOnce:
+class AtOnce(spread.AtOnce):
     """In this process: spooled results are made when they are loaded, and again if they are loaded again."""
 
     def __init__(self, check_cancelled: Callable[[], None] | None = None) -> None:
-        self.check_cancelled = check_cancelled
+        super().__init__(check_cancelled)
         self._latest: OrderedDict[int, _Later[Any, Any]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -86,16 +84,6 @@ class AtOnce:
             self._latest.move_to_end(id(one))
             while len(self._latest) > _LATEST:
                 self._latest.popitem(last=False)[1].forget()
-
-    def map(
-        self,
-        name: str,
-        function: Callable[[Item], Result],
-        items: Sequence[Item],
-        keys: Sequence[Any] | None = None,
-    ) -> list[Result]:
-        """See `spread.Spread`."""
-        return [_Later(function, item, self).load() for item in items]
 
     @contextmanager
     def spooled(

@@ -20,11 +20,11 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
-from geomosaic.mosaic.spread import AtOnce, Spread
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.lattice import MapLattice
 from geomosaic.projection.resample import resample
 from geomosaic.quality.ssim import luma
+from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 

@@ -1,0 +1,113 @@
+"""Which positions and attitudes are believed: what each misses by itself, who is wild."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.bundle_equations import pose_sd, present_miss
+from geomosaic.adjustment.bundle_model import GROUPS, Factors, Priors, State
+from geomosaic.adjustment.robust import lie_weight
+from geomosaic.constants import MEDIAN_LENGTH, Because
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
+MEDIAN_ONE: Annotated[
+    float,
+    Because(
+        "deviations",
+        "median size of a residual of one number with a deviation of 1",
+        "normal distribution: Phi^-1(3/4)",
+    ),
+] = 0.6745
+
+
+def parts_of(priors: Priors) -> list[Ints]:
+    """The frames of each connected part."""
+    part = np.zeros(len(priors.poses), np.intp) if priors.part is None else priors.part
+    return [np.flatnonzero(part == k) for k in np.unique(part)]
+
+
+def observed_of(priors: Priors) -> Bools:
+    """Which numbers of the poses (f, 6) somebody observed, or believes: all but assumed positions."""
+    out = np.ones((len(priors.poses), 6), dtype=bool)
+    out[:, :3] &= True if priors.assumed is None else ~priors.assumed[:, None]
+    return out
+
+
+def own_miss(priors: Priors, state: State, factors: Factors) -> Floats:
+    """Given minus present (f, 6), less what the frames of each part miss in common: a similarity of the
+    plane, a height, a heading. Frames that lie don't show what is common. Of assumed positions it is 0."""
+    miss, sd, observed = present_miss(priors, state), pose_sd(priors, factors), observed_of(priors)
+    out = miss.copy()
+    for part in parts_of(priors):
+        frames = part[observed[part, 0]]
+        out[frames, :2] -= _common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
+        for column in (2, 5):
+            frames = part[observed[part, column]]
+            out[frames, column] -= _common(miss[frames, column], sd[frames, column])
+    return np.where(observed, out, 0.0)
+
+
+def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
+    """What shift, turn and scale of all positions explain of their misses (k, 2), by re-weighting from the
+    median shift on; of two frames or fewer all."""
+    k = len(at_m)
+    if k < 3 or not np.isfinite(sd_m).all():
+        return np.where(np.isfinite(sd_m), miss_m, 0.0)
+    e, n = (at_m - np.median(at_m, axis=0)).T
+    zero, one = np.zeros(k), np.ones(k)
+    design = np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
+    found = np.zeros((k, 2)) + np.median(miss_m, axis=0)
+    for _ in range(10):
+        length = np.linalg.norm((miss_m - found) / sd_m, axis=1)
+        weight = (
+            np.sqrt(lie_weight(length / max(float(np.median(length)) / MEDIAN_LENGTH, 1e-9)))[:, None] / sd_m
+        )
+        rows = (design * weight[:, :, None]).reshape(2 * k, 4)
+        scale = np.linalg.norm(rows, axis=0) + 1e-12
+        solved = np.linalg.lstsq(rows / scale, (miss_m * weight).ravel(), rcond=1e-10)[0] / scale
+        found = design @ solved
+    return np.asarray(found)
+
+
+def _common(miss: Floats, sd: Floats) -> float:
+    """The weighted mean of those near the median."""
+    known = np.isfinite(sd)
+    if not known.any():
+        return 0.0
+    miss, sd = miss[known], sd[known]
+    found = float(np.median(miss))
+    for _ in range(5):
+        length = np.abs(miss - found) / sd
+        weight = lie_weight(length / max(float(np.median(length)) / MEDIAN_ONE, 1e-9)) / sd**2
+        found = float((weight * miss).sum() / weight.sum())
+    return found
+
+
+def trust_in_tags(priors: Priors, state: State, factors: Factors) -> Floats:
+    """Weights of each frame's position and attitude, (f, 6), by groups: a wild tag loses its say.
+
+    A frame is wild against the bulk of the others, never all at once: else a whole block that shrinks
+    or tips over would free itself from its positions.
+    """
+    miss = own_miss(priors, state, factors) / pose_sd(priors, factors)
+    tied = np.concatenate(
+        [frames for frames in parts_of(priors) if len(frames) > 2] or [np.arange(len(miss))]
+    )
+    trust, observed = np.ones_like(miss), observed_of(priors)
+    for columns in map(list, GROUPS.values()):
+        length = np.linalg.norm(miss[:, columns], axis=1)
+        typical = MEDIAN_LENGTH if len(columns) == 2 else MEDIAN_ONE
+        bulk = max(1.0, median_px(length[tied[observed[tied, columns[0]]]]) / typical)
+        trust[:, columns] = lie_weight(length / bulk)[:, None]
+    return trust
+
+
+def median_px(lengths_px: Floats) -> float:
+    """Median of what is known, else 0."""
+    known = lengths_px[np.isfinite(lengths_px)]
+    return float(np.median(known)) if known.size else 0.0
