@@ -19,6 +19,7 @@ from geomosaic.cli.options import (
     cores,
     name_choices,
 )
+from geomosaic.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.given import Given
@@ -33,6 +34,7 @@ STAGES = (
     "matching.sift",
     "adjustment.solve",
     "adjustment.rig",
+    "surface.dense",
     "mosaic.tones",
     "mosaic.seams",
     "mosaic.compose",
@@ -43,7 +45,9 @@ STAGES = (
     "export.report",
 )
 """What `geomosaic mosaic` does; quality.compare only against a reference, matching.flying_height unless the
-ground's height is given."""
+ground's height is given, surface.dense where it is asked for."""
+
+SURFACES = ("ties", "dense")
 
 Adjust = Annotated[
     str | None,
@@ -96,6 +100,14 @@ def mosaic(
     aoi: Aoi = None,
     align_to: AlignTo = None,
     adjust: Adjust = None,
+    surface: Annotated[
+        str,
+        typer.Option(
+            help="ground that frames are laid on: ties, smooth through tie points, or dense, matched between "
+            "frames",
+            metavar="|".join(SURFACES),
+        ),
+    ] = "ties",
     reference: Annotated[
         Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
     ] = None,
@@ -125,7 +137,13 @@ def mosaic(
         "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to},
         "quality.compare": {"reference": reference},
     }
-    unasked = {"quality.compare": reference is None, "matching.flying_height": ground_height is not None}
+    if surface not in SURFACES:
+        raise UnknownNameError("surface", surface, SURFACES)
+    unasked = {
+        "quality.compare": reference is None,
+        "matching.flying_height": ground_height is not None,
+        "surface.dense": surface != "dense",
+    }
     stages = [id for id in STAGES if not unasked.get(id)]
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)
     execute(recipe, output, workers, dask, fixed_time, overwrite)

@@ -21,7 +21,7 @@ from geomosaic.survey.model import Frame
 
 Mask = NDArray[np.uint8]
 
-_REDUCTIONS: Annotated[
+REDUCTIONS: Annotated[
     tuple[int, ...],
     Because(
         "px by px that become one",
@@ -47,8 +47,8 @@ def read_pixels(frame: Frame, reduction: int = 1, *, luma: bool = False) -> tupl
     BT.601, which it holds by itself; other files give all of theirs.
     Raises: `FileError` when the file can't be decoded whole; `ValueError` for another reduction.
     """
-    if reduction not in _REDUCTIONS:
-        raise ValueError(f"reduction is one of {_REDUCTIONS}, not {reduction}")
+    if reduction not in REDUCTIONS:
+        raise ValueError(f"reduction is one of {REDUCTIONS}, not {reduction}")
     path = Path(frame.path)
     for named in filter(None, (frame.path, frame.valid_mask)):
         if not Path(named).is_absolute():  # in the current folder lies what nobody named
