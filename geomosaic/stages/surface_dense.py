@@ -10,14 +10,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.fused import SURE, fused, with_coarse
+from geomosaic.surface.fused import fused, unmatched, with_coarse
 from geomosaic.surface.levels import Level, levels
+from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.tile import Heights, Picture, Search, matched, picture
 from geomosaic.surface.verticals import Sighted
 from geomosaic.survey.model import Frame, Survey
@@ -30,8 +32,9 @@ class SurfaceDense(Stage):
     id = "surface.dense"
     display_name = "Match the surface"
     group = "Surface"
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
-    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface}
+    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -59,11 +62,8 @@ class SurfaceDense(Stage):
         outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], base)[:, :2] for i in used]
         seen = np.vstack([np.zeros((0, 2)), *outlines])
         seen = seen[np.isfinite(seen).all(axis=1)]
-        if len(used) < 2 or not len(seen):
-            context.warn(
-                "surface-not-matched", "", "no two frames to match a surface between: it is as before"
-            )
-            return {"ground": base}
+        if not len(seen):
+            raise InputError("no frame sees the ground", mend="run without --surface dense")
         low, high = seen.min(axis=0), seen.max(axis=0)
         wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
         cell_m = node_spacing_m(low, high, wanted_m)
@@ -72,6 +72,9 @@ class SurfaceDense(Stage):
             context.warn("surface-coarse", "", text)
         cols, rows = np.ceil((high - low) / cell_m).astype(int).tolist()
         cells = Cells(float(low[0]), float(low[1]), cell_m, rows, cols)
+        if len(used) < 2:
+            context.warn("surface-not-matched", "", "one frame shows no surface: it is as before")
+            return {"ground": base, "surface": unmatched(cells, base)}
         places = adjusted.poses.positions_m[used]
         flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
         frames = [survey.frames[i] for i in used]
@@ -83,11 +86,10 @@ class SurfaceDense(Stage):
             found.append(_matched(context, f"level {number + 1}", level, base, sighted, frames, above))
         coarse, fine = found
         whole = with_coarse(fine, coarse)
-        alike = whole.alike[whole.alike > -1.0]
-        context.metric("surface.cell_m", cell_m)
-        context.metric("surface.matched", float(np.mean(alike >= SURE)) if alike.size else 0.0)
         surface = fused(whole, cells, base)
-        return {"ground": surface}
+        context.metric("surface.cell_m", cell_m)
+        context.metric("surface.matched", float(np.mean(surface.views[whole.alike > -1.0] > 0)))
+        return {"ground": surface.ground(), "surface": surface}
 
 
 def _reduction(level: Level, gsd_m: float) -> int:

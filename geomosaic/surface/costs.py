@@ -37,8 +37,8 @@ _UNSEEN_BITS: Annotated[
     int,
     Because(
         "bits",
-        "of a frame that doesn't see a point: as much as by chance. With more, heights are preferred that more "
-        "frames see, whatever they show there; with less, those that few see",
+        "of a frame that doesn't see a point: as much as by chance. With more, heights are preferred that "
+        "more frames see, whatever they show there; with less, those that few see",
         "half of the census's bits",
     ),
 ] = 12

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -11,21 +11,11 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.model import DenseSurface
+from geomosaic.surface.refinement import SURE
 from geomosaic.surface.tile import Heights
 
 Floats32 = NDArray[np.float32]
-DENSE: Final = "dense"
-"""The kind of such a surface."""
-SURE: Annotated[
-    float,
-    Because(
-        "correlation",
-        "of what frames show, from which on a height is taken over: of those above nine in ten are right to "
-        "1 m, of those below six in ten or fewer",
-        "computed of a simulated town, 120 m x 120 m, cells of 0.4 m: 10 % off above 0.6, 31 % from 0.5 to "
-        "0.6, 58 % below 0.3",
-    ),
-] = 0.6
 _LEAST_SD: Annotated[
     float,
     Because(
@@ -77,12 +67,17 @@ def with_coarse(fine: Heights, coarse: Heights) -> Heights:
     up = cv2.resize(coarse.up_m, size, interpolation=cv2.INTER_LINEAR)[:rows, :cols]
     alike = cv2.resize(coarse.alike, size, interpolation=cv2.INTER_NEAREST)[:rows, :cols]
     taken = (fine.alike < SURE) & (alike >= SURE)
-    return Heights(np.where(taken, up, fine.up_m), np.where(taken, np.float32(SURE), fine.alike))
+    views = cv2.resize(coarse.views, size, interpolation=cv2.INTER_NEAREST)[:rows, :cols]
+    return Heights(
+        np.where(taken, up, fine.up_m),
+        np.where(taken, np.float32(SURE), fine.alike),
+        np.where(taken, views, fine.views),
+    )
 
 
-def fused(found: Heights, cells: Cells, base: GroundSurface) -> GroundSurface:
-    """A surface with a node in each cell's middle: what was matched surely; elsewhere the base, raised by
-    what lies around, and as unsure as heights around vary."""
+def fused(found: Heights, cells: Cells, base: GroundSurface) -> DenseSurface:
+    """What was matched surely; elsewhere the base, raised by what lies around, and as unsure as heights
+    around vary."""
     east, north = cells.axes_m()
     base_m = base.up_at(east, north[:, None])
     base_sd_m = np.nan_to_num(base.sd_at(east, north[:, None]))
@@ -94,13 +89,20 @@ def fused(found: Heights, cells: Cells, base: GroundSurface) -> GroundSurface:
     varying = _filled(np.where(sure, over_m**2, np.float32(0.0)), weight) - filled_m**2
     own_sd_m = cells.cell_m * (_LEAST_SD + _SD_UNLIKE * (1.0 - found.alike))
     other_sd_m = np.hypot(base_sd_m, np.sqrt(np.maximum(varying, 0.0)))
-    return GroundSurface(
-        DENSE,
-        float(east[0]),
-        float(north[0]),
-        cells.cell_m,
-        base_m + filled_m,
-        np.where(sure, own_sd_m, other_sd_m),
+    return DenseSurface(
+        cells,
+        (base_m + filled_m).astype(np.float32),
+        np.where(sure, own_sd_m, other_sd_m).astype(np.float32),
+        np.where(sure, found.views, np.uint8(0)),
+    )
+
+
+def unmatched(cells: Cells, base: GroundSurface) -> DenseSurface:
+    """The base, where nothing is matched."""
+    east, north = cells.axes_m()
+    up, sd = base.up_at(east, north[:, None]), base.sd_at(east, north[:, None])
+    return DenseSurface(
+        cells, up.astype(np.float32), sd.astype(np.float32), np.zeros(up.shape, dtype=np.uint8)
     )
 
 

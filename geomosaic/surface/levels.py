@@ -96,9 +96,11 @@ class Level:
         east, north = self.cells.axes_m()
         up = base.up_at(east, north[:, None]).astype(np.float32)
         alike = np.full(up.shape, -1.0, dtype=np.float32)
+        views = np.zeros(up.shape, dtype=np.uint8)
         for task, heights in zip(tasks, found, strict=True):
-            up[task.tile.at], alike[task.tile.at] = heights.up_m, heights.alike
-        return Heights(up, alike)
+            at = task.tile.at
+            up[at], alike[at], views[at] = heights.up_m, heights.alike, heights.views
+        return Heights(up, alike, views)
 
 
 @dataclass(frozen=True)

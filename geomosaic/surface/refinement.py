@@ -52,16 +52,26 @@ _NOISE_GREY: Annotated[
         CHOSEN,
     ),
 ] = 2.0
+SURE: Annotated[
+    float,
+    Because(
+        "correlation",
+        "of what frames show, from which on a height is taken over: of those above nine in ten are right to "
+        "1 m, of those below six in ten or fewer",
+        "computed of a simulated town, 120 m x 120 m, cells of 0.4 m: 10 % off above 0.6, 31 % from 0.5 to "
+        "0.6, 58 % below 0.3",
+    ),
+] = 0.6
 
 
 def refined(
     verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32, step_m: float
-) -> tuple[Floats32, Floats32]:
-    """Heights over the base, and how alike the frames are there, (rows, cols) each: see `likeness`.
+) -> tuple[Floats32, Floats32, Bytes]:
+    """Heights over the base, how alike the frames are there, and how many: see `likeness`; (rows, cols) each.
 
     Args: pictures: grey, of the frames in the verticals' order; height_m (rows, cols): good to half a step.
     """
-    alike = np.zeros_like(height_m)
+    alike = middle = np.zeros_like(height_m)
     for k in range(_ROUNDS):
         by = np.float32(0.5 * step_m / 2.0**k)
         below, middle, above = (_correlations(verticals, pictures, height_m + s * by) for s in (-1, 0, 1))
@@ -71,14 +81,19 @@ def refined(
         peak = bend < 0.0
         off = np.where(peak, (low - high) / (2.0 * np.where(peak, bend, 1.0)), np.sign(high - low))
         height_m = np.asarray(height_m + np.nan_to_num(off).clip(-1.0, 1.0) * by, dtype=np.float32)
-    return height_m, alike
+    return height_m, alike, _views(middle)
 
 
-def likeness(verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32) -> Floats32:
+def likeness(verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32) -> tuple[Floats32, Bytes]:
     """The mean correlation with the first frame of those that are most like it, -1 to 1; -1 where the first
-    one, or all others, don't see a cell."""
+    one, or all others, don't see a cell. And how many frames agree there, the first one with them."""
     found = _correlations(verticals, pictures, height_m)
-    return _mean_of(found, _most_alike(found))
+    return _mean_of(found, _most_alike(found)), _views(found)
+
+
+def _views(correlations: Floats32) -> Bytes:
+    agreeing = (correlations >= SURE).sum(axis=0, dtype=np.uint8)
+    return np.asarray(agreeing + (agreeing > 0), dtype=np.uint8)
 
 
 def _most_alike(correlations: Floats32) -> NDArray[np.intp]:

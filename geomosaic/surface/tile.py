@@ -70,10 +70,12 @@ class Search:
 
 @dataclass(frozen=True)
 class Heights:
-    """Of cells (rows, cols): up_m in the work frame; alike, how alike the frames are there, from -1 to 1."""
+    """Of cells (rows, cols): up_m in the work frame; alike, how alike the frames are there, from -1 to 1;
+    views, how many agree."""
 
     up_m: Floats32
     alike: Floats32
+    views: Bytes
 
 
 def matched(
@@ -86,12 +88,12 @@ def matched(
     height_m = _smoothed(cheapest(aggregated(costs, steps), steps) * np.float32(search.step_m))
     greys = [p.grey for p in pictures]
     if search.fine:
-        height_m, alike = refined(verticals, greys, height_m, search.step_m)
+        height_m, alike, views = refined(verticals, greys, height_m, search.step_m)
         height_m = _smoothed(height_m)
     else:
-        alike = likeness(verticals, greys, height_m)
+        alike, views = likeness(verticals, greys, height_m)
     inner = slice(MARGIN_CELLS, -MARGIN_CELLS), slice(MARGIN_CELLS, -MARGIN_CELLS)
-    return Heights((verticals.base_m + height_m)[inner], alike[inner])
+    return Heights((verticals.base_m + height_m)[inner], alike[inner], views[inner])
 
 
 def _steps(search: Search, base_m: Floats32) -> NDArray[np.int16]:
