@@ -17,6 +17,7 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.simulate.landscape import COVERS, Bounds, Building, Landscape
 from geomosaic.simulate.relief import RasterRelief, Relief
 from geomosaic.simulate.spread import in_threads
+from geomosaic.simulate.standing import heights_on_grid
 from geomosaic.simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, cover_mask
 from geomosaic.simulate.write import whole
 
@@ -190,26 +191,10 @@ def write_heights(
         "predictor": 3,
         "bigtiff": "if_safer",
     }
-    east_m = west + (np.arange(cols) + 0.5) * spacing_m
-    roofs = [(b, float(relief.height_at(b.easting_m, b.northing_m)) + b.height_m) for b in buildings]
     with whole(path) as part, rasterio.open(part, "w", **profile) as out:
         out.update_tags(1, HEIGHTS="ellipsoidal, WGS 84, metres")
         for top in range(0, rows, _DEM_ROWS):
             n = min(_DEM_ROWS, rows - top)
-            north_m = north - (top + np.arange(n) + 0.5) * spacing_m
-            height = relief.height_at(east_m[None, :], north_m[:, None]).astype(np.float32)
-            height = np.ascontiguousarray(height)
-            for b, roof in roofs:
-                px = (b.outline_m() - [west, north]) / [spacing_m, -spacing_m] - [0.5, top + 0.5]
-                if px[:, 1].max() > -1 and px[:, 1].min() < n:
-                    cv2.fillPoly(height, [np.round(px * 64.0).astype(np.int32)], (roof,), shift=6)
-            for x, y, radius, tall in () if trees is None else trees:
-                row, col = np.abs(north_m - y) < radius, np.abs(east_m - x) < radius
-                if row.any() and col.any():
-                    crown_at = np.s_[
-                        row.argmax() : n - row[::-1].argmax(), col.argmax() : cols - col[::-1].argmax()
-                    ]
-                    away_sq = (east_m[crown_at[1]] - x) ** 2 + ((north_m[crown_at[0]] - y) ** 2)[:, None]
-                    crown = float(relief.height_at(x, y)) + tall * (1.0 - away_sq / radius**2)
-                    height[crown_at] = np.maximum(height[crown_at], crown)
+            place = west, north - top * spacing_m, spacing_m, (n, cols)
+            height, _ = heights_on_grid(relief, buildings, trees, *place)
             out.write(height, 1, window=Window(0, top, cols, n))
