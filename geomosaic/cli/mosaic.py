@@ -35,6 +35,7 @@ STAGES = (
     "adjustment.solve",
     "adjustment.rig",
     "surface.dense",
+    "surface.terrain",
     "mosaic.tones",
     "mosaic.seams",
     "mosaic.compose",
@@ -143,6 +144,7 @@ def mosaic(
         "quality.compare": reference is None,
         "matching.flying_height": ground_height is not None,
         "surface.dense": surface != "dense",
+        "surface.terrain": surface != "dense",
     }
     stages = [id for id in STAGES if not unasked.get(id)]
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)

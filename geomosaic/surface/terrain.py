@@ -1,0 +1,296 @@
+"""The land under houses and trees: a ground model of a surface that shows their tops.
+
+The progressive morphological filter (Zhang et al. 2003, A progressive morphological filter for removing
+nonground measurements from airborne lidar data, IEEE TGRS 41, 4): the surface is opened by ever larger
+windows, and what falls by more than a slope allows from one to the next stands on the ground. As in the
+simple morphological filter (Pingel, Clarke and McBride 2013, ISPRS Journal 77) it works on low squares of a
+metre, and cells are judged by the ground between those. Twice: first with what the steepest land allows, then
+strictly, with the hills of the first time taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.cells import Cells
+from geomosaic.surface.model import DenseSurface
+
+Bools = NDArray[np.bool_]
+Floats32 = NDArray[np.float32]
+TERRAIN: Final = "terrain"
+"""The kind of ground that such a model is."""
+WIDEST_M: Annotated[
+    float,
+    Because(
+        "m",
+        "width of what may stand on the ground: wider halls and woods without a gap stay, with more, tops of "
+        "hills go where land is rough",
+        "Pingel et al. 2013, section 3.1: windows of 18 m radius for towns; some more here for halls",
+    ),
+] = 50.0
+_SQUARE_M: Annotated[
+    float,
+    Because(
+        "m",
+        "side of the squares whose low cells are opened: with larger ones lanes and gaps between crowns are "
+        "lost, smaller ones take time and show noise",
+        "Pingel et al. 2013, section 3.1: cells of 1 m",
+    ),
+] = 1.0
+_LOW: Annotated[
+    float,
+    Because(
+        "share",
+        "of a square's cells that lie lower than what stands for it: with less, blunders count as "
+        "ground, with half, shrubs and rims of crowns",
+        CHOSEN,
+    ),
+] = 0.25
+_PIT_M: Annotated[
+    float,
+    Because(
+        "m",
+        "by which single squares lie below all around and count as blunders: with more, pits pull the ground "
+        "down; less is a ditch",
+        CHOSEN,
+    ),
+] = 1.0
+_SLOPES: Annotated[
+    tuple[float, float],
+    Because(
+        "m per m",
+        "by which land may rise beyond what was taken off: 0.5 is steep for land, 0.1 is rough for what is "
+        "left of it without its hills. With 0.2 at once hills of 25 m lose their sides, with 0.5 woods keep "
+        "their gaps' leaves",
+        "computed of six simulated towns, hills of 10 and 25 m: of the cells under trees 94 % are within "
+        "0.3 m, with 0.5 alone 76 %",
+    ),
+] = (0.5, 0.1)
+_STEP_M: Annotated[
+    float,
+    Because(
+        "m",
+        "that rise besides the slope, at least: kerbs, furrows and noise; with less, rough land goes, with "
+        "more, hedges stay",
+        "Zhang et al. 2003, table 2: 0.2 to 0.5 m; computed of the same towns: 0.15 and 0.2 m are alike",
+    ),
+] = 0.2
+_HILLS_M: Annotated[
+    float,
+    Because(
+        "m",
+        "deviation of the Gaussian that makes hills of the first time's ground: narrower, what stayed by "
+        "mistake is taken off with them; wider, sides of hills are left",
+        "computed of the same towns: under trees 90 to 100 % are within 0.3 m, with 5 m 84 to 100 %",
+    ),
+] = 10.0
+_OFF_M: Annotated[
+    float,
+    Because(
+        "m",
+        "by which a cell may miss the ground between squares and still be ground, at least: with 0.5 rims of "
+        "crowns and walls count and lift what lies between, with less, rough land goes",
+        "computed of the same towns, before rims were left out: under houses 43 to 84 % are within 0.3 m, "
+        "with 0.5 m 29 to 69 %",
+    ),
+] = 0.3
+_OFF_PER_SLOPE: Annotated[
+    float,
+    Because(
+        "m",
+        "more for a slope of 1, where half a square lies as much higher than its middle",
+        "half of _SQUARE_M; Pingel et al. 2013, section 3.3, scale so too",
+    ),
+] = 0.5
+_NOISES: Annotated[
+    float,
+    Because(
+        "deviations", "of heights that are noise and no step: of all cells 3 in a thousand exceed it", CHOSEN
+    ),
+] = 3.0
+_RIM_M: Annotated[
+    float,
+    Because(
+        "m",
+        "about what stands that is no ground: matching smears edges over two or three cells; without, houses "
+        "and crowns lift the ground around and beneath them",
+        "computed of the same towns: under trees 59 to 100 % are within 0.3 m, with 0 m 35 to 93 %",
+    ),
+] = 1.0
+_EVENED: Annotated[
+    int,
+    Because(
+        "rounds",
+        "of means of four neighbours at each size of a gap's filling: with fewer, coarser squares are seen "
+        "in it, more change nothing",
+        CHOSEN,
+    ),
+] = 30
+_BEND: Annotated[
+    float,
+    Because(
+        "1 / m",
+        "curvature of land that nothing shows: what was laid over a gap is off by half of it times the "
+        "squared distance from ground that was seen",
+        "computed of the same towns: 68 % are within 0.07 m at 3 to 5 m, 0.13 at 5 to 8, 0.3 at 8 to 12, "
+        "0.7 at 12 to 20",
+    ),
+] = 0.008
+_CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_SQUARE: Final = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
+_NEIGHBOURS: Final = _CROSS.astype(np.float32) / _CROSS.sum()
+
+
+@dataclass(frozen=True)
+class TerrainModel:
+    """The ground, (rows, cols) each, from the south up, on the cells of a surface: up_m in the work frame;
+    sd_m, its deviation (m), NaN where none is known; seen: where the surface showed it, elsewhere it is laid
+    through what was seen around."""
+
+    cells: Cells
+    up_m: Floats32
+    sd_m: Floats32
+    seen: Bools
+
+    def ground(self) -> GroundSurface:
+        """As what rays are projected on: a node in each cell's middle."""
+        east, north = self.cells.axes_m()
+        corner = float(east[0]), float(north[0])
+        up, sd = self.up_m.astype(np.float64), self.sd_m.astype(np.float64)
+        return GroundSurface(TERRAIN, *corner, self.cells.cell_m, up, sd)
+
+
+def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainModel:
+    """The ground below what is up to widest_m wide.
+
+    Half a second and 60 MB a million cells.
+    """
+    cell_m = surface.cells.cell_m
+    matched = surface.views > 0
+    sd = surface.sd_m[matched & np.isfinite(surface.sd_m)]
+    noise_m = _NOISES * float(np.median(sd)) if sd.size else 0.0
+    squares = _Squares(surface.up_m.shape, max(1, round(_SQUARE_M / cell_m)))
+    low_m, square_m = squares.low(surface.up_m), cell_m * squares.by
+    hills_m = np.zeros_like(low_m)
+    for slope in _SLOPES:
+        standing = _standing(
+            low_m - hills_m, square_m, widest_m / 2.0, slope, max(_STEP_M, noise_m / squares.by)
+        )
+        ground_m = hills_m + filled(low_m - hills_m, ~_grown(standing, 1))
+        hills_m = np.asarray(cv2.GaussianBlur(ground_m, (0, 0), _HILLS_M / square_m), dtype=np.float32)
+    about_m = squares.between(ground_m)
+    slope_of = np.hypot(*np.gradient(about_m, cell_m)) if min(about_m.shape) > 1 else np.zeros_like(about_m)
+    may_miss_m = max(_OFF_M, noise_m) + _OFF_PER_SLOPE * slope_of
+    over_m = surface.up_m - about_m
+    high = cv2.morphologyEx((over_m > may_miss_m).astype(np.uint8), cv2.MORPH_OPEN, _SQUARE) > 0
+    ground = (np.abs(over_m) <= may_miss_m) & ~_grown(high, round(_RIM_M / cell_m))
+    up_m = about_m + filled(over_m, ground)
+    return TerrainModel(surface.cells, up_m, _deviation(surface, ground), ground & matched)
+
+
+def filled(values: Floats32, known: Bools) -> Floats32:
+    """Values (rows, cols) where they are known, and between them what is as even as can be: Laplace's
+    equation, from coarse to fine. Zeros where nothing is known."""
+    if known.all() or not known.any():
+        return np.where(known, values, np.float32(0.0))
+    found = _halved_and_filled(values, known) if min(values.shape) > 1 else _mean(values, known)
+    for _ in range(_EVENED):
+        around = cv2.filter2D(found, -1, _NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
+        found = np.where(known, values, np.asarray(around, dtype=np.float32))
+    return found
+
+
+def _mean(values: Floats32, known: Bools) -> Floats32:
+    return np.where(known, values, values[known].mean())
+
+
+def _halved_and_filled(values: Floats32, known: Bools) -> Floats32:
+    halves = _Squares(values.shape, 2)
+    number = halves.apart(known).sum(axis=-1, dtype=np.float32)
+    sums = halves.apart(np.where(known, values, np.float32(0.0))).sum(axis=-1)
+    coarse = filled(np.asarray(sums / np.maximum(number, 1.0), dtype=np.float32), number > 0.0)
+    return np.where(known, values, halves.between(coarse))
+
+
+class _Squares:
+    """Cells (rows, cols) by squares of by x by; those past the last row and col are as the last."""
+
+    def __init__(self, shape: tuple[int, ...], by: int) -> None:
+        self.by = by
+        self._shape = shape
+        self._sides = tuple(-(-n // by) for n in shape)
+
+    def apart(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(rows, cols) of squares and their cells."""
+        wider = [(0, n * self.by - m) for n, m in zip(self._sides, self._shape, strict=True)]
+        rows, cols = self._sides
+        parts = np.pad(values, wider, mode="edge").reshape(rows, self.by, cols, self.by)
+        return np.asarray(parts.transpose(0, 2, 1, 3).reshape(rows, cols, -1))
+
+    def low(self, values: Floats32) -> Floats32:
+        """What stands for each square."""
+        parts = self.apart(values)
+        place = int(_LOW * (parts.shape[-1] - 1))
+        return np.ascontiguousarray(np.partition(parts, place, axis=-1)[..., place])
+
+    def between(self, values: Floats32) -> Floats32:
+        """Values of squares at the cells, bilinear."""
+        rows, cols = self._sides
+        wide = cv2.resize(values, (cols * self.by, rows * self.by), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(wide, dtype=np.float32)[: self._shape[0], : self._shape[1]]
+
+
+def _standing(low_m: Floats32, square_m: float, reach_m: float, slope: float, step_m: float) -> Bools:
+    """What falls by more than a slope allows when windows grow up to a radius, and pits.
+
+    Past the border heights go back as they came: what it cuts stands as wide again beyond.
+    """
+    margin = min(int(np.ceil(reach_m / square_m)), *(n - 1 for n in low_m.shape))
+    wide = np.pad(low_m, margin, mode="reflect") if margin > 0 else low_m
+    found = -_opened(-wide, 1) - wide > _PIT_M
+    last, radius = filled(wide, ~found), 0
+    while radius * square_m < reach_m:
+        by = max(1, radius // 8)
+        radius += by
+        opened = _opened(last, radius)
+        found |= last - opened > slope * by * square_m + step_m
+        last = opened
+    return found[margin : margin + low_m.shape[0], margin : margin + low_m.shape[1]]
+
+
+def _opened(heights: Floats32, radius: int) -> Floats32:
+    """Without what is narrower than an octagon of a radius."""
+    return _repeated(cv2.dilate, _repeated(cv2.erode, heights, radius), radius)
+
+
+def _repeated(change: Callable[..., Any], heights: Floats32, times: int) -> Floats32:
+    for k in range(times):
+        heights = change(heights, _SQUARE if k % 2 else _CROSS)
+    return heights
+
+
+def _grown(places: Bools, by: int) -> Bools:
+    """And so many cells around."""
+    if by < 1:
+        return places
+    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * by + 1, 2 * by + 1))
+    return np.asarray(cv2.dilate(places.astype(np.uint8), window)) > 0
+
+
+def _deviation(surface: DenseSurface, ground: Bools) -> Floats32:
+    """That of the surface where it shows the ground; elsewhere that of the ground around, and more the
+    farther away that is."""
+    known = ground & np.isfinite(surface.sd_m)
+    if not known.any():
+        return np.full(surface.sd_m.shape, np.nan, dtype=np.float32)
+    away_m = cv2.distanceTransform((~ground).astype(np.uint8), cv2.DIST_L2, 5) * surface.cells.cell_m
+    around = filled(np.where(known, surface.sd_m, np.float32(0.0)), known)
+    return np.asarray(np.hypot(around, np.float32(_BEND / 2.0) * away_m**2), dtype=np.float32)
