@@ -132,7 +132,7 @@ def test_a_damaged_chunk_is_named_and_the_others_are_read(
     scene: Path, chunk_ends: list[int], tmp_path: Path
 ) -> None:
     data = bytearray(scene.read_bytes())
-    data[chunk_ends[1] - 500] ^= 0x40
+    data[chunk_ends[2] - 500] ^= 0x40
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
     recording = read_recording(path)

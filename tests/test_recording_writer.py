@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from recording_scene import ARTEFACT, CAMERA, FRAMES, RECIPE, record, written
 
 from geomosaic.errors import OutputError
-from geomosaic.recording import Recorder, artefact_data, read_recording, thumbnail
+from geomosaic.recording import Recorder, artefact_data, messages, read_recording, thumbnail
+from geomosaic.recording.messages import Progress
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +141,7 @@ def test_a_name_that_is_no_unicode_is_recorded_with_a_question_mark(tmp_path: Pa
 
 
 _KILLED = """
-import os, signal, sys
+import os, signal, sys, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from recording_scene import record
@@ -149,6 +151,9 @@ record(recorder)
 recorder.stage_started("mosaic.compose", 1, {{}}, {{}})
 for i in range(20):
     recorder.log("info", f"window {{i}}")
+recorder.progress(7, 20, "windows")
+time.sleep(1.3)
+recorder.progress(8, 20, "windows")
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -160,9 +165,106 @@ def test_a_killed_process_loses_nothing_of_a_finished_stage(tmp_path: Path) -> N
     assert done.returncode == -signal.SIGKILL
     recording = read_recording(path)
     assert recording.problem == "it was cut off" and not recording.whole
-    assert [s.finished for s in recording.stages] == [True, True]
+    assert [s.finished for s in recording.stages] == [True, True, False]
     assert recording.recipe_yaml == RECIPE and len(recording.rounds) == 3
     assert artefact_data(recording, recording.artefacts[0]) == ARTEFACT
+
+
+def test_a_killed_process_says_where_it_was_to_the_second(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    script = _KILLED.format(tests=str(Path(__file__).parent), path=str(path))
+    assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == -signal.SIGKILL
+    (beat,) = (Progress.FromString(data) for _, _, data in messages(path, "geomosaic.Progress"))
+    assert (beat.stage_id, beat.stage_index, beat.text) == ("mosaic.compose", 2, "windows")
+    assert (beat.done, beat.total) == (7, 20) and 0.9 < beat.seconds < 10.0
+    assert read_recording(path).log[-1].text == "window 19", "the heartbeat takes along what came before it"
+
+
+def test_a_killed_process_has_begun_the_stage_that_it_was_in(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    script = _KILLED.format(tests=str(Path(__file__).parent), path=str(path)).replace(
+        "sleep(1.3)", "sleep(0)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == -signal.SIGKILL
+    last = read_recording(path).stages[-1]
+    assert (last.stage_id, last.finished) == ("mosaic.compose", False)
+
+
+def test_no_signs_of_life_with_fixed_times(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", fixed_time=True) as recorder:
+        recorder.begin_run("", {}, {})
+        recorder.stage_started("toy.slow", 1, {}, {})
+        time.sleep(1.3)
+        recorder.stage_finished("toy.slow", {}, 1.3, False, peak_memory_bytes=5)
+    assert not list(messages(tmp_path / "run.mcap", "geomosaic.Progress"))
+    assert not decoded(tmp_path / "run.mcap", "/stages")[1].HasField("peak_memory_bytes")
+
+
+@pytest.mark.parametrize(
+    ("level", "topics"),
+    [
+        ("summary", {"/stages", "/log", "/tables/pairs", "/metrics"}),
+        ("normal", {"/stages", "/log", "/tables/pairs", "/metrics", "/artefacts", "/frames"}),
+        ("full", {"/stages", "/log", "/tables/pairs", "/metrics", "/artefacts", "/frames", "/tie_points"}),
+    ],
+)
+def test_levels(tmp_path: Path, level: str, topics: set[str]) -> None:
+    with Recorder(tmp_path / "run.mcap", level=level) as recorder:
+        told(recorder)
+    assert set(read_recording(tmp_path / "run.mcap").topics) == topics
+
+
+def test_the_level_off_writes_no_file(tmp_path: Path) -> None:
+    with Recorder(None, level="off") as recorder:
+        told(recorder)
+    assert not list(tmp_path.iterdir())
+
+
+def told(recorder: Recorder) -> None:
+    """One of everything that levels tell apart."""
+    recorder.begin_run(RECIPE, {}, {})
+    recorder.stage_started("toy", 1, {}, {})
+    recorder.image("/frames", FRAMES[0], thumbnail(np.zeros((8, 8, 3), np.uint8)))
+    recorder.tie_points(
+        FRAMES[0], FRAMES[1], np.zeros((3, 2)), np.ones((3, 2)), weight=np.array([1, 0, np.nan])
+    )
+    recorder.table("pairs", FRAMES[:1], {"rms_m": [0.5], "ties": [3]}, others=FRAMES[1:2], notes=["off"])
+    recorder.metric("toy.figure", 2.5)
+    recorder.log("info", "a line")
+    recorder.artefact("toy", "out", "toy:Out", "ab" * 20, b"bytes")
+    recorder.stage_finished("toy", {"out": "ab" * 20}, 0.1, False)
+
+
+def test_a_table_holds_its_columns_one_after_the_other(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        recorder.stage_started("toy", 1, {}, {})
+        recorder.table("frames", FRAMES, {"a_m": [1, 2, np.nan], "b_px": 7.0}, notes=("x", "", "z"))
+    (table,) = decoded(path, "/tables/frames")
+    assert (table.stage_id, list(table.row), list(table.other)) == ("toy", list(FRAMES), [])
+    assert list(table.column) == ["a_m", "b_px"] and list(table.note) == ["x", "", "z"]
+    assert np.array_equal(table.value, [1, 2, np.nan, 7, 7, 7], equal_nan=True)
+
+
+def test_figures_are_numbers_where_they_are_and_json_always(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        recorder.stage_started("toy", 1, {}, {})
+        recorder.metric("toy.sigma_px", np.float64(0.5))
+        recorder.metric("verdict", {"grade": "good"})
+    number, entry = decoded(path, "/metrics")
+    assert (number.name, number.number, number.json) == ("toy.sigma_px", 0.5, "0.5")
+    assert not entry.HasField("number") and json.loads(entry.json) == {"grade": "good"}
+
+
+def test_steps_are_counted_within_their_stage(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        for stage in ("a", "b"):
+            recorder.stage_started(stage, 1, {}, {})
+            recorder.iteration(stage, "all", 9.0, sigma_px=0.5)
+            recorder.iteration(stage, "all", 4.0)
+    assert [(i.iteration, i.cost) for i in decoded(path, "/iterations/b")] == [(0, 9.0), (1, 4.0)]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -25,11 +26,13 @@ class MessageFile:
 
     Log times rise strictly, and the sequence number counts all messages: the wall clock, or with
     `fixed_time` steps of 1 ms from the epoch. A message's own `timestamp`, if it has one, is its log time.
+    Threads may write at once. A path of None is no file.
     Every method raises OutputError where the file can't be written, and from then on always.
     """
 
-    def __init__(self, path: Path, profile: str, fixed_time: bool) -> None:
-        self._path = path
+    def __init__(self, path: Path | None, profile: str, fixed_time: bool) -> None:
+        self._path = path or Path(os.devnull)
+        self._lock = threading.RLock()
         self._fixed_time = fixed_time
         self._time_ns = 0
         self._sequence = 0
@@ -38,9 +41,11 @@ class MessageFile:
         self._failure: OutputError | None = None
         self._closed = False
         with self._writing():
-            if path.is_file() or path.is_fifo():  # another name of the same file keeps its content
-                path.unlink()
-            self._file = path.open("wb")
+            if (
+                self._path.is_file() or self._path.is_fifo()
+            ):  # another name of the same file keeps its content
+                self._path.unlink()
+            self._file = self._path.open("wb")
             self._writer: Any = Writer(  # partly untyped
                 self._file,
                 chunk_size=CHUNK_BYTES,
@@ -69,6 +74,10 @@ class MessageFile:
 
     def write(self, topic: str, message: Any) -> None:
         """A protobuf message; the first on a topic settles the topic's schema."""
+        with self._lock:
+            self._written(topic, message)
+
+    def _written(self, topic: str, message: Any) -> None:
         now = self._now_ns()
         if "timestamp" in message.DESCRIPTOR.fields_by_name:
             message.timestamp.FromNanoseconds(now)
@@ -82,21 +91,25 @@ class MessageFile:
             )
         self._sequence += 1
 
-    def flush(self) -> None:
-        """End the chunk and put everything on the disk."""
-        with self._writing():
+    def flush(self, sync: bool = True) -> None:
+        """End the chunk and give everything to the system, which keeps it if this process is killed; with
+        `sync` also put it on the disk, which keeps it if the machine is."""
+        with self._lock, self._writing():
             self._writer.flush()
-            os.fsync(self._file.fileno())
+            self._file.flush()
+            if sync and self._path.is_file():
+                os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Write summary and footer. Closing twice is harmless."""
         if self._closed:
             return
         self._closed = True
-        with self._writing():
+        with self._lock, self._writing():
             self._writer.finish()
             self._file.flush()
-            os.fsync(self._file.fileno())
+            if self._path.is_file():
+                os.fsync(self._file.fileno())
             self._file.close()
 
     def _now_ns(self) -> int:

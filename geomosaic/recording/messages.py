@@ -43,6 +43,85 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "bool reads_run",
         "repeated Fingerprint written",
         "repeated string lineage",
+        "optional uint64 peak_memory_bytes",
+    ),
+    # How far a stage is: `done` of `total` of what `text` names, `seconds` after its start, and the memory
+    # that all processes hold now (0: unknown). At most one a second; none in a recording with fixed times.
+    "Progress": (
+        "string stage_id",
+        "uint32 stage_index",
+        "string text",
+        "uint64 done",
+        "uint64 total",
+        "double seconds",
+        "uint64 memory_bytes",
+    ),
+    # One figure of a stage, or a whole entry of run.json, as it comes: `json` is its value, `number` too if
+    # it is one. The same stand in the stage's `notes_json`.
+    "Metric": (
+        "string stage_id",
+        "uint32 stage_index",
+        "string name",
+        "optional double number",
+        "string json",
+    ),
+    # One step of a solve; `iteration` counts through all solves of a stage. `cost` is what is minimised,
+    # in cost_unit ("" for a sum of weighted squares), `sigma_px` the deviation of image coordinates,
+    # `step_m` the largest move of a frame. NaN where a method has no such thing.
+    "Iteration": (
+        "string stage",
+        "uint32 stage_index",
+        "uint32 iteration",
+        "string solve",
+        "double cost",
+        "string cost_unit",
+        "double sigma_px",
+        "double damping",
+        "double step_m",
+        "double share_down_weighted",
+    ),
+    # Any table: rows are frames, or pairs of `row` and `other`. Values stand column by column, NaN where
+    # unknown; the columns' names end in units. `note` has a text for each row, or is empty.
+    "Table": (
+        "string stage_id",
+        "uint32 stage_index",
+        "repeated string row",
+        "repeated string other",
+        "repeated string column",
+        "repeated double value",
+        "repeated string note",
+    ),
+    # Rings or lines in the work frame, one behind the other: `vertices` says how many points each has.
+    "Outlines": (
+        "string stage_id",
+        "uint32 stage_index",
+        "repeated string name",
+        "repeated uint32 vertices",
+        "repeated float east_m",
+        "repeated float north_m",
+    ),
+    # Where in both frames the halves of the image before it on /chips are from, and the tie points in them.
+    # Each half is a square of side_px; the corner of the left one is at (left_col_px, left_row_px) of its
+    # frame; the right one's likewise, then turned by right_quarters times 90 degrees anticlockwise. Places
+    # (x, y) are the image's. weight: of the solve, 1 for a good tie point, NaN if it took no part.
+    "ChipTies": (
+        "uint32 rank",
+        "string left",
+        "string right",
+        "uint32 side_px",
+        "double left_col_px",
+        "double left_row_px",
+        "double right_col_px",
+        "double right_row_px",
+        "uint32 right_quarters",
+        "repeated float left_x_px",
+        "repeated float left_y_px",
+        "repeated float right_x_px",
+        "repeated float right_y_px",
+        "repeated float residual_east_m",
+        "repeated float residual_north_m",
+        "repeated float weight",
+        "uint32 stage_index",
     ),
     # One round of an adjustment: (left, right, east_m, north_m) are the misalignments of the pairs
     # before the moves, right minus left, NaN where unknown; (frame, move_east_m, move_north_m) the moves.
@@ -63,7 +142,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "uint32 stage_index",
     ),
     # Tie points of one pair: col and row in the full frames, corner origin. Residuals, where given,
-    # are on the ground: right minus left.
+    # are on the ground: right minus left; weight: of the solve, NaN for those that took no part.
     "TiePoints": (
         "string left",
         "string right",
@@ -74,6 +153,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
         "repeated float residual_east_m",
         "repeated float residual_north_m",
         "uint32 stage_index",
+        "repeated float weight",
     ),
     # Offsets of one pair of CCD strips, right against left, at some of the left strip's lines; `sd` is one
     # standard deviation, label 0 measured, 1 bridged, 2 unreliable. `pair` counts from 0.
@@ -167,3 +247,9 @@ StripOffsets = _classes["StripOffsets"]
 StripResiduals = _classes["StripResiduals"]
 JitterSpectrum = _classes["JitterSpectrum"]
 Artefact = _classes["Artefact"]
+Progress = _classes["Progress"]
+Metric = _classes["Metric"]
+Iteration = _classes["Iteration"]
+Table = _classes["Table"]
+Outlines = _classes["Outlines"]
+ChipTies = _classes["ChipTies"]
