@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -38,6 +39,8 @@ CONTRACT = (
     "frame status lon_deg lat_deg height_ellipsoidal_m easting_m northing_m yaw_deg pitch_deg roll_deg "
     "omega_deg phi_deg kappa_deg sd_e_m sd_n_m sd_u_m sd_omega_deg sd_phi_deg sd_kappa_deg moved_m turned_deg"
 )
+
+LARGER = {"1": "true to scale", "2": "2 times larger"}
 
 
 def one_frame(lon: float, lat: float, yaw_deg: float, pitch_deg: float, roll_deg: float):
@@ -152,7 +155,9 @@ def test_every_layer_has_its_crs_and_spatial_index(package):
     assert counts == {
         "frames": 6, "footprints": 6, "nadir_points": 6, "error_ellipses": 6, "tie_points": 6,
         "residuals": 6, "image_residuals": 0, "control": 0, "control_residuals": 0, "seamlines": 6,
+        "layer_styles": 10,
     }  # fmt: skip
+    del names["layer_styles"]
     for name, layer in names.items():
         assert layer.GetSpatialRef().GetAuthorityCode(None) == "32632", name
     with sqlite3.connect(path) as db:
@@ -172,7 +177,8 @@ def test_frames_say_where_and_how(package):
     assert feature["frame"] == "frame 03.tif"
     assert (feature["status"], feature["flight_line"], feature["sequence"]) == ("placed", 1, 2)
     assert feature["source_index"] == 4
-    assert feature["time_utc"] == "2023-11-14T22:13:26.000+00:00"
+    assert feature.GetFieldDefnRef("time_utc").GetType() == ogr.OFTDateTime
+    assert feature["time_utc"] == "2023/11/14 22:13:26+00"
     lon, lat, height = HOME.geodetic_from_enu(adjusted.poses.positions_m[3])
     assert (feature["lon_deg"], feature["lat_deg"]) == pytest.approx((lon, lat), abs=1e-10)
     geometry = feature.GetGeometryRef()
@@ -181,6 +187,23 @@ def test_frames_say_where_and_how(package):
     )
     assert geometry.GetZ() == pytest.approx(height, abs=1e-6)
     assert feature["sd_e_m"] == pytest.approx(0.7, abs=0.01)
+
+
+def test_arrows_run_from_the_given_to_the_adjusted_position(package, tmp_path):
+    _, (survey, placement, ties, adjusted, mosaic) = package
+    prior = replace(placement.poses, positions_m=placement.poses.positions_m - [3.0, -4.0, 1.5])
+    write_layers(tmp_path / "l.gpkg", survey, replace(placement, poses=prior), ties, adjusted, mosaic)
+    dataset = ogr.Open(str(tmp_path / "l.gpkg"))
+    feature = dataset.GetLayer("nadir_points").GetFeature(1)
+    # The work frame's north is turned by the convergence (0.52 deg) against the grid's.
+    found = [feature[f"moved_{axis}_m"] for axis in "enu"]
+    assert found == pytest.approx([3.0 + 4.0 * 0.0091, -4.0 + 3.0 * 0.0091, 1.5], abs=3e-3)
+    (style,) = (row for row in dataset.GetLayer("layer_styles") if row["f_table_name"] == "nadir_points")
+    drawn = ElementTree.fromstring(style["styleQML"]).find(".//layer[@class='VectorField']/Option")
+    options = {option.get("name"): option.get("value") for option in drawn}
+    assert (options["x_attribute"], options["y_attribute"]) == ("moved_e_m", "moved_n_m")
+    assert style["description"] == f"Arrows from given to adjusted positions, {LARGER[options['scale']]}"
+    assert style["useAsDefault"] == 1
 
 
 def test_residuals_run_from_left_to_right_true_to_scale(package):
@@ -287,5 +310,5 @@ def test_no_ties_at_all_still_gives_every_layer(package, tmp_path):
     alone = replace(adjusted, residuals_m=())
     write_layers(tmp_path / "l.gpkg", survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=()))
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
-    assert dataset.GetLayerCount() == 10
+    assert dataset.GetLayerCount() == 11
     assert dataset.GetLayer("tie_points").GetFeatureCount() == 0

@@ -16,7 +16,7 @@ from solved_block import ALONE, WORK, solved_block
 
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.export import residual_layers
-from geomosaic.export.ellipses import ErrorEllipses, error_ellipses, exaggeration
+from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
@@ -63,10 +63,9 @@ def test_ellipses_are_the_covariances_principal_axes(major, share, azimuth):
 def test_ellipses_are_drawn_as_large_as_their_neighbours_leave_room():
     at = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [np.nan, 0.0]])
     size = np.array([0.3, 0.3, 0.2, np.nan])
-    e = ErrorEllipses(size, size / 2.0, np.zeros(4))
-    assert exaggeration(e, at) == 100.0, "0.4 * 100 m / 0.3 m = 133"
-    assert exaggeration(e, at / 200.0) == 1.0, "never smaller than life"
-    assert exaggeration(e, np.zeros((4, 2))) == 1.0
+    assert exaggeration(size, at) == 100.0, "0.4 * 100 m / 0.3 m = 133"
+    assert exaggeration(size, at / 200.0) == 1.0, "never smaller than life"
+    assert exaggeration(size, np.zeros((4, 2))) == 1.0
 
 
 def test_deviations_are_those_of_finite_differences(solved):

@@ -48,17 +48,18 @@ def error_ellipses(covariance_m2: Floats) -> ErrorEllipses:
     )
 
 
-def exaggeration(ellipses: ErrorEllipses, at_m: Floats) -> float:
-    """How many times larger to draw them: 1, 2 or 5 times a power of ten, at least 1.
+def exaggeration(lengths_m: Floats, at_m: Floats, share: float = _SHARE_OF_SPACING) -> float:
+    """How many times larger to draw lengths (k,) among places (n, 2).
 
-    The typical ellipse then reaches a good third of the way to the next place.
+    1, 2 or 5 times a power of ten, at least 1: the typical length then reaches so much of the way to the next
+    place.
     """
-    known = np.isfinite(ellipses.semi_major_m) & np.isfinite(at_m).all(axis=1)
-    places = np.unique(at_m[known].round(), axis=0)
-    if len(places) < 2:
+    known = lengths_m[np.isfinite(lengths_m)]
+    places = np.unique(at_m[np.isfinite(at_m).all(axis=1)].round(), axis=0)
+    if len(places) < 2 or not known.size:
         return 1.0
     spacing_m = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
-    most = _SHARE_OF_SPACING * spacing_m / max(float(np.median(ellipses.semi_major_m[known])), 1e-9)
+    most = share * spacing_m / max(float(np.median(known)), 1e-9)
     if most <= 1.0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(most))

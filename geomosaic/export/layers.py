@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.geopackage import GeoPackage, writing_geopackage
 from geomosaic.export.on_map import map_from_work
@@ -48,7 +49,7 @@ def write_layers(
         layers.footprints()
         layers.nadir_points()
         layers.error_ellipses()
-        add_residual_layers(package, survey, ties, adjusted, layers.gsd_m)
+        add_residual_layers(package, survey, ties, adjusted, layers.gsd_m, adjusted_orientation.map_m)
         layers.seamlines()
 
 
@@ -77,7 +78,9 @@ class _Layers:
     def frames(self) -> None:
         o = self.orientation
         points = shapely.points(np.column_stack([o.map_m, o.lon_lat_height[:, 2]]))
-        self.package.add_layer("frames", "Adjusted projection centres", "PointZ", points, self._orientation())
+        self.package.add_layer(
+            "frames", "Adjusted projection centres", "PointZ", points, self._orientation(), looks.frames()
+        )
 
     def footprints(self) -> None:
         outlines = []
@@ -86,7 +89,9 @@ class _Layers:
             ring = map_from_work(self.survey, ground[np.isfinite(ground).all(axis=1)])
             outlines.append(shapely.Polygon(ring) if len(ring) >= 3 else None)
         fields = {**self._frame_fields(), "area_m2": [np.nan if p is None else p.area for p in outlines]}
-        self.package.add_layer("footprints", "What each frame sees", "Polygon", outlines, fields)
+        self.package.add_layer(
+            "footprints", "What each frame sees", "Polygon", outlines, fields, looks.footprints()
+        )
 
     def nadir_points(self) -> None:
         at = self.placement.poses.positions_m.copy()
@@ -98,14 +103,19 @@ class _Layers:
             "pos_source": [f.position.source for f in self.survey.frames],
             "attitude_source": [f.attitude.source for f in self.survey.frames],
             "moved_m": self.orientation.moved_m,
+            **dict(zip(("moved_e_m", "moved_n_m", "moved_u_m"), self._moved().T, strict=True)),
         }
         points = shapely.points(map_from_work(self.survey, at))
-        self.package.add_layer("nadir_points", "Ground below the POS positions", "Point", points, fields)
+        flat_m = np.hypot(fields["moved_e_m"], fields["moved_n_m"])
+        style = looks.nadir_points(exaggeration(flat_m, self.orientation.map_m))
+        self.package.add_layer(
+            "nadir_points", "Ground below the POS positions", "Point", points, fields, style
+        )
 
     def error_ellipses(self) -> None:
         """Of the frames' horizontal positions; a factor says how much larger than life they are drawn."""
         o, ellipses = self.orientation, self.ellipses
-        factor = exaggeration(ellipses, o.map_m)
+        factor = exaggeration(ellipses.semi_major_m, o.map_m)
         outlines = ellipses.outlines_m(o.map_m, factor)
         known = np.asarray(np.isfinite(outlines).all(axis=(1, 2)))
         fields = {**self._ellipse(), "sd_u_m": o.sd_m[:, 2], "scale": np.full(len(known), factor)}
@@ -116,6 +126,7 @@ class _Layers:
             "Polygon",
             np.asarray(shapely.polygons(outlines[known])),
             {name: np.asarray(values)[known] for name, values in fields.items()},
+            looks.error_ellipses(factor),
         )
 
     def seamlines(self) -> None:
@@ -128,8 +139,23 @@ class _Layers:
             "area_m2": np.array([s.area for s in shapes], dtype=float),
         }
         self.package.add_layer(
-            "seamlines", "Where each frame gives the mosaic", "MultiPolygon", shapes, fields
+            "seamlines",
+            "Where each frame gives the mosaic",
+            "MultiPolygon",
+            shapes,
+            fields,
+            looks.seamlines(),
         )
+
+    def _moved(self) -> Floats:
+        """From where the POS put each frame along the map's axes and up (n, 3); NaN where nothing did."""
+        prior = self.placement.poses
+        at = self.survey.work_frame.geodetic_from_enu(
+            np.stack([prior.positions_m, self.adjusted.poses.positions_m])
+        )
+        plan_m = self.orientation.map_m - map_from_work(self.survey, prior.positions_m)
+        moved = np.column_stack([plan_m, at[1, :, 2] - at[0, :, 2]])
+        return np.where(np.isfinite(self.orientation.moved_m)[:, None], moved, np.nan)
 
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames
@@ -140,7 +166,7 @@ class _Layers:
             "source_index": np.arange(1, len(frames) + 1),
             "flight_line": np.array(self.placement.lines, dtype=int),
             "sequence": [turn.get(i, -1) for i in range(len(frames))],
-            "time_utc": [_utc(f.time_s) for f in frames],
+            "time_utc": times_utc([f.time_s for f in frames]),
             "camera": [f.camera for f in frames],
             "gsd_m": self.gsd_m,
         }
@@ -168,5 +194,7 @@ class _Layers:
         return {**fields, **self._ellipse(), "moved_m": o.moved_m, "turned_deg": o.turned_deg}
 
 
-def _utc(time_s: float | None) -> str:
-    return "" if time_s is None else datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds")
+def times_utc(times_s: Sequence[float | None]) -> NDArray[np.datetime64]:
+    """Seconds since 1970 UTC as times to the millisecond, NaT where there is none."""
+    known = [np.datetime64("NaT") if t is None else np.datetime64(round(1e3 * t), "ms") for t in times_s]
+    return np.array(known, dtype="datetime64[ms]")

@@ -9,6 +9,8 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.export import looks
+from geomosaic.export.ellipses import exaggeration
 from geomosaic.export.geopackage import GeoPackage
 from geomosaic.export.on_map import grid_from_work, map_from_work
 from geomosaic.matching.model import TiePoints
@@ -19,24 +21,26 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MOST_POINTS = 200_000
 """Of more the layers show an even share: a map can't show them, and a GIS opens the file slowly."""
+_SHARE_OF_SPACING = 0.1
+"""How long the typical residual is drawn, of the way to the next frame: thousands of arrows stay apart."""
 
 
 def add_residual_layers(
-    package: GeoPackage, survey: Survey, ties: TiePoints, adjusted: Adjusted, gsd_m: Floats
+    package: GeoPackage, survey: Survey, ties: TiePoints, adjusted: Adjusted, gsd_m: Floats, frames_m: Floats
 ) -> None:
     """The layers tie_points, residuals, image_residuals, control and control_residuals.
 
-    Args: gsd_m (n,): each frame's ground sampling distance.
+    Args: gsd_m (n,): each frame's ground sampling distance; frames_m (n, 2): where it is on the map.
     """
-    layers = _ResidualLayers(package, survey, adjusted)
+    layers = _ResidualLayers(package, survey, adjusted, frames_m)
     layers.tie_points(ties, gsd_m)
     layers.image_residuals()
     layers.control()
 
 
 class _ResidualLayers:
-    def __init__(self, package: GeoPackage, survey: Survey, adjusted: Adjusted) -> None:
-        self.package, self.survey, self.adjusted = package, survey, adjusted
+    def __init__(self, package: GeoPackage, survey: Survey, adjusted: Adjusted, frames_m: Floats) -> None:
+        self.package, self.survey, self.adjusted, self.frames_m = package, survey, adjusted, frames_m
         self.names = np.array([f.name for f in survey.frames])
 
     def tie_points(self, ties: TiePoints, gsd_m: Floats) -> None:
@@ -65,17 +69,11 @@ class _ResidualLayers:
             "right_row_px": right_px[:, 1],
         }
         middle = shapely.points((left_map + right_map) / 2.0)
-        for name, text, kind, shapes, columns in (
-            ("tie_points", "Tie points on the ground", "Point", middle, {**fields, **place}),
-            (
-                "residuals",
-                "From left to right frame's place",
-                "LineString",
-                _lines(left_map, right_map),
-                fields,
-            ),
-        ):
-            self.package.add_layer(name, text + thinned, kind, shapes, columns)
+        style = looks.tie_points(exaggeration(length, self.frames_m, _SHARE_OF_SPACING))
+        text = "Tie points on the ground" + thinned
+        self.package.add_layer("tie_points", text, "Point", middle, {**fields, **place}, style)
+        text, lines = "From left to right frame's place" + thinned, _lines(left_map, right_map)
+        self.package.add_layer("residuals", text, "LineString", lines, fields, looks.residuals())
 
     def image_residuals(self) -> None:
         """At the place on the ground where the frame of each observation puts it."""
@@ -100,7 +98,7 @@ class _ResidualLayers:
         }
         text = "Tie points' image coordinates, measured minus computed" + thinned
         points = np.asarray(shapely.points(map_from_work(self.survey, at[hit])))
-        self.package.add_layer("image_residuals", text, "Point", points, fields)
+        self.package.add_layer("image_residuals", text, "Point", points, fields, looks.image_residuals())
 
     def control(self) -> None:
         """The surveyed places, and lines from where the images put them: the way a residual points."""
@@ -135,7 +133,8 @@ class _ResidualLayers:
             "sd_u_m": sd[:, 2],
         }  # fmt: skip
         at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
-        self.package.add_layer("control", "Surveyed control and check points", "PointZ", at, fields)
+        style = looks.control(exaggeration(fields["residual_m"], self.frames_m))
+        self.package.add_layer("control", "Surveyed control and check points", "PointZ", at, fields, style)
         seen = np.isfinite(residual).all(axis=1)
         self.package.add_layer(
             "control_residuals",
@@ -143,6 +142,7 @@ class _ResidualLayers:
             "LineString",
             _lines(found_map[seen], surveyed_map[seen]),
             {name: values[seen] for name, values in fields.items()},
+            looks.control_residuals(),
         )
 
     def _ground(self, frame: NDArray[Any], image_px: Floats) -> Floats:

@@ -9,6 +9,7 @@ import shapely
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines, lonlat_by_rpc
+from geomosaic.export import looks
 from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.quality.strip_figures import SEGMENT_LINES
@@ -42,6 +43,7 @@ def write_strip_layers(
             "Polygon",
             outline,
             {k: v[: len(outline)] for k, v in size.items()},
+            looks.scene(),
         )
         ccds = list(rings.ccds)
         package.add_layer(
@@ -55,6 +57,7 @@ def write_strip_layers(
                 "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
                 "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
             },
+            looks.ccd_strips(),
         )
         pairs, firsts, misplaced = _segments(quality)
         if rpc is None:
@@ -70,6 +73,7 @@ def write_strip_layers(
                 "misplacement_px": misplaced,
                 "above_1px": (misplaced > 1.0).astype(np.int64),
             },
+            looks.seam_segments(),
         )
 
 

@@ -113,7 +113,7 @@ def _ellipses(adjusted: Adjusted, orientation: Orientations, footprints_m: Seque
     if adjusted.pose_covariance is None:
         return ""
     ellipses = error_ellipses(orientation.covariance_m2[:, :2, :2])
-    factor = exaggeration(ellipses, orientation.map_m)
+    factor = exaggeration(ellipses.semi_major_m, orientation.map_m)
     return ellipse_map(
         orientation.map_m,
         ellipses.outlines_m(orientation.map_m, factor),

@@ -23,7 +23,7 @@ class ExportStripLayers(Stage):
     id = "export.strip_layers"
     display_name = "Write the strips' layers"
     group = "Export"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "strips": StripGeometry, "strip_mosaic": StripMosaic, "outlines": Outlines,
         "strip_quality": StripQuality, "mosaic_file": RunFile,

@@ -1,0 +1,131 @@
+"""What each layer of layers.gpkg looks like in a GIS: thin lines over the mosaic, arrows for what moved."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from geomosaic.export.styles import (
+    Style,
+    arrow,
+    categories,
+    labels,
+    line,
+    marker,
+    outline,
+    ranges,
+    single,
+    vector,
+)
+
+_GREEN: Final = "40,160,60,255"
+_AMBER: Final = "245,160,20,255"
+_RED: Final = "215,30,40,255"
+_GREY: Final = "130,130,130,255"
+_CYAN: Final = "0,200,230,170"
+_YELLOW: Final = "255,225,0,230"
+_MAGENTA: Final = "215,0,160,255"
+_ORANGE: Final = "255,120,0,220"
+_RESIDUALS: Final = (
+    (0.0, 0.5, "up to 0.5 px", "70,180,90,255"),
+    (0.5, 1.0, "0.5 to 1 px", "190,205,40,255"),
+    (1.0, 2.0, "1 to 2 px", "250,160,20,255"),
+    (2.0, 1e9, "more than 2 px", "215,30,40,255"),
+)
+_NAME: Final = "regexp_replace(\"frame\", '\\\\.[^.]*$', '')"
+"""A frame's name without its file's ending, as QGIS computes it."""
+
+
+def _times(scale: float) -> str:
+    return "true to scale" if scale == 1.0 else f"{scale:,.0f} times larger"
+
+
+def frames() -> Style:
+    """By status, with names."""
+    states = {"tied": _GREEN, "placed": _AMBER, "rejected": _RED}
+    symbols = {state: (state, marker("circle", color)) for state, color in states.items()}
+    return Style(categories('"status"', symbols), labels(_NAME), "By status, with the frames' names")
+
+
+def footprints() -> Style:
+    """Hollow."""
+    return Style(single(outline(_CYAN, 0.35)), text="Outlines, the mosaic is seen through them")
+
+
+def nadir_points(scale: float) -> Style:
+    """Crosses where the POS put frames, arrows to where the adjustment did."""
+    symbol = vector("moved_e_m", "moved_n_m", scale, _MAGENTA, 0.45, mark="cross2")
+    return Style(single(symbol), text=f"Arrows from given to adjusted positions, {_times(scale)}")
+
+
+def error_ellipses(scale: float) -> Style:
+    """As they are in the layer."""
+    return Style(single(outline(_ORANGE, 0.3)), text=f"1 sigma, {_times(scale)}")
+
+
+def tie_points(scale: float) -> Style:
+    """Arrows as long as residuals, in their colours."""
+    symbols = [
+        (low, high, label, vector("residual_e_m", "residual_n_m", scale, color, 0.2))
+        for low, high, label, color in _RESIDUALS
+    ]
+    text = f"Residuals, right minus left frame, as arrows {_times(scale)}"
+    return Style(ranges('"residual_px"', symbols), text=text)
+
+
+def residuals() -> Style:
+    """True to scale: seen only close up."""
+    symbols = [(low, high, label, line(color, 0.3)) for low, high, label, color in _RESIDUALS]
+    return Style(ranges('"residual_px"', symbols), text="Residuals, true to scale")
+
+
+def image_residuals() -> Style:
+    """Dots: their vectors lie along the image's axes and not the map's."""
+    symbols = [(low, high, label, marker("circle", color, 1.2)) for low, high, label, color in _RESIDUALS]
+    return Style(ranges('"residual_px"', symbols), text="Residuals in images, px")
+
+
+def control(scale: float) -> Style:
+    """Control and check points with names, and arrows from where images put them, laid at the point."""
+    kinds = {"control": ("triangle", _RED), "check": ("square", "40,90,220,255")}
+    symbols = {
+        kind: (f"{kind} point", vector("residual_e_m", "residual_n_m", scale, color, 0.45, mark=shape))
+        for kind, (shape, color) in kinds.items()
+    }
+    text = f"Arrows: surveyed minus found, {_times(scale)}"
+    return Style(categories('"kind"', symbols), labels('"name"'), text)
+
+
+def control_residuals() -> Style:
+    """True to scale."""
+    return Style(single(arrow(_RED, 0.3)), text="From found to surveyed, true to scale")
+
+
+def seamlines() -> Style:
+    """Where the mosaic changes from frame to frame."""
+    return Style(single(outline(_YELLOW, 0.4)), text="Each frame's part of the mosaic")
+
+
+def scene() -> Style:
+    """Of strips: the whole."""
+    return Style(single(outline(_YELLOW, 0.5)), text="The scene's outline")
+
+
+def ccd_strips() -> Style:
+    """Hollow, numbered."""
+    text = "What each CCD saw, numbered from the left"
+    return Style(single(outline(_CYAN, 0.35)), labels('"ccd"', on_it=True), text)
+
+
+def seam_segments() -> Style:
+    """By their misplacement."""
+    expression = (
+        "case when \"misplacement_px\" is null then 'unknown' when \"misplacement_px\" <= 0.5 then 'good' "
+        "when \"misplacement_px\" <= 1 then 'fair' else 'bad' end"
+    )
+    found = {
+        "good": ("up to 0.5 px", line(_GREEN, 0.8)),
+        "fair": ("0.5 to 1 px", line(_AMBER, 0.8)),
+        "bad": ("more than 1 px", line(_RED, 1.0)),
+        "unknown": ("not checked", line(_GREY, 0.5)),
+    }
+    return Style(categories(expression, found), text="Misplacement of each segment")
