@@ -81,9 +81,9 @@ class Recorder(StageCalls, StripCalls):
         self._file = MessageFile(path, PROFILE, fixed_time)
         self._heartbeat = Heartbeat(self._beat)
 
-    def wants(self, call: str) -> bool:
-        """Whether a call is recorded at this level: what costs time needn't be made if not."""
-        return wanted(call, self.level)
+    def wants(self, kind: Any) -> bool:
+        """Whether messages of a class are recorded at this level: what costs time needn't be made if not."""
+        return wanted(kind.DESCRIPTOR.full_name, self.level)
 
     def begin_run(
         self, recipe_yaml: str, environment: Mapping[str, Any], manifest: Mapping[str, Any]
@@ -175,7 +175,7 @@ class Recorder(StageCalls, StripCalls):
 
     def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: bytes) -> None:
         """An output of a stage as bytes, from which a replay can go on. Written in parts of 1 MiB."""
-        if not self.wants("artefact"):
+        if not self.wants(Artefact):
             return
         parts = max(1, -(-len(data) // ARTEFACT_PART_BYTES))
         for part in range(parts):
@@ -194,11 +194,11 @@ class Recorder(StageCalls, StripCalls):
             self._write("/artefacts", message)
 
     def _write(self, topic: str, message: Any) -> None:
-        self._file.write(topic, message)
+        if self.wants(message):
+            self._file.write(topic, message)
 
     def copy(self, topic: str, schema: str, data: bytes) -> None:
-        """A message of another recording as it is, but for its time, at any level. See
-        `reader.stage_messages`.
+        """A message of another recording as it is, but for its time. See `reader.stage_messages`.
 
         Raises InputError if it is none that a stage records, or damaged.
         """
