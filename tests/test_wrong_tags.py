@@ -11,7 +11,7 @@ from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.matching.turned import headed_wrong, reheaded
+from geomosaic.matching.turned import flown_courses_rad, headed_wrong, reheaded
 
 COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
 
@@ -86,3 +86,18 @@ def test_a_slope_and_a_jump_of_heights_are_solved_for_together() -> None:
     freed = found.freed(block).poses.positions_m[:, 2] - flown.truth.positions_m[:, 2]
     assert freed.std() < 1.0
     assert freed.mean() == pytest.approx((at - flown.truth.positions_m)[:, 2].mean(), abs=1e-9), "kept"
+
+
+def test_a_wrong_position_bends_no_course() -> None:
+    """Frame 3 lies 60 m aside of its line: its neighbours' courses are the line's, and it has none itself."""
+    at = np.column_stack([np.zeros(7), 20.0 * np.arange(7.0)])
+    told = at.copy()
+    told[3, 0] = 60.0
+    apart = np.linalg.norm(told - at, axis=1)
+    costs = [
+        (a, b, np.full((4, 4), 2.0 + abs(apart[a] - apart[b]))) for a in range(7) for b in range(a + 1, 7)
+    ]
+    course = np.degrees(flown_courses_rad(told, costs, {}))
+    assert course == pytest.approx([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0], nan_ok=True)
+    honest = np.degrees(flown_courses_rad(at, [(a, b, np.full((4, 4), 2.0)) for a, b, _ in costs], {}))
+    assert honest == pytest.approx(np.zeros(7))

@@ -16,7 +16,7 @@ from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.model import TiePair
 from geomosaic.matching.relative import averaged, joints_of
-from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.graph import connected_parts, flight_lines
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, courses_deg, heading_assumed
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
@@ -43,6 +43,15 @@ _TOLERANCE_RAD: Annotated[
         CHOSEN,
     ),
 ] = np.radians(30.0)
+_MISPLACED: Annotated[
+    float,
+    Because(
+        "times what is usual",
+        "that a frame is apart from its neighbours for its position to tell no course: fewer would leave out "
+        "honest ones, more keep wrong ones that bend their neighbours' courses",
+        CHOSEN,
+    ),
+] = 4.0
 _SEEN: Annotated[
     int,
     Because(
@@ -92,7 +101,6 @@ def seen_pairs(
 def found_turned(
     seen: Sequence[Seen],
     poses: Poses,
-    lines: tuple[int, ...],
     sizes_px: Sequence[tuple[int, int]],
     cap_m: float,
 ) -> tuple[dict[int, int], dict[int, float]]:
@@ -110,7 +118,7 @@ def found_turned(
     turns = turned_frames(n, costs, cap_m, possible_quarters(sizes_px))
     turns = {i: quarters for i, quarters in turns.items() if not assumed[i]}
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
-    course = np.where(assumed, np.nan, np.radians(courses_deg(poses.positions_m, lines)))
+    course = np.where(assumed, np.nan, flown_courses_rad(nadir, costs, turns))
     headings = headed_wrong(turns, yaw, course)
     turns = {i: quarters for i, quarters in turns.items() if i not in headings}
     if turns:
@@ -125,6 +133,29 @@ def found_turned(
         ]
         turns = turned_by_images(turns, averaged(n, joints), parts)
     return turns, headings
+
+
+def flown_courses_rad(
+    nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], turns: dict[int, int]
+) -> Floats:
+    """Courses over ground (n,) by positions that go with the images; NaN for frames whose don't.
+
+    A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs,
+    turned images righted, are all as far apart as it is off.
+
+    Args: costs_m: see `turned_frames`.
+    """
+    apart_m: list[list[float]] = [[] for _ in nadir_m]
+    for a, b, cost in costs_m:
+        for i in (a, b):
+            apart_m[i].append(float(cost[turns.get(a, 0), turns.get(b, 0)]))
+    usual_m = np.array([np.median(mine) if mine else 0.0 for mine in apart_m])
+    known = usual_m[usual_m > 0.0]
+    good = usual_m <= (_MISPLACED * np.median(known) if len(known) else 0.0)
+    out = np.full(len(nadir_m), np.nan)
+    if good.any():
+        out[good] = np.radians(courses_deg(nadir_m[good], flight_lines(nadir_m[good])))
+    return out
 
 
 def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_nadir: Floats) -> Floats:

@@ -42,7 +42,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 10
+    version = 11
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
     }  # fmt: skip
@@ -98,7 +98,7 @@ class MatchingSift(Stage):
         if any(survey.located):
             cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
         seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
-        turns, headings = found_turned(seen, placement.poses, placement.lines, sizes, cap_m)
+        turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
         self._report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
         context.metric("matching.pairs_tried", len(pairs) + len(untied))
         context.metric("matching.pairs_tied", len(pairs))
