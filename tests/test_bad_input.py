@@ -271,12 +271,15 @@ def test_a_frame_twice_in_the_pos_file(survey: Survey, refused: Refused) -> None
 
 def test_a_name_that_matches_no_file(survey: Survey, refused: Refused) -> None:
     survey.change(0, frame="G0001.jpg")
-    refused(survey.mosaic(), survey.run, survey.pos, "line 2", "G0001.jpg", "did you mean F0001.jpg?")
+    strictly = survey.mosaic("--set", "survey.read.strict=true")
+    refused(strictly, survey.run, survey.pos, "line 2", "G0001.jpg", "did you mean F0001.jpg?")
 
 
 def test_a_frame_without_a_line(survey: Survey, refused: Refused) -> None:
     survey.write(survey.rows()[:3])
-    refused(survey.mosaic(), survey.run, survey.pos, "F0004.jpg", "add them")
+    refused(
+        survey.mosaic("--set", "survey.read.strict=true"), survey.run, survey.pos, "F0004.jpg", "add them"
+    )
 
 
 def test_heights_below_the_ground(survey: Survey, refused: Refused) -> None:

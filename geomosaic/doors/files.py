@@ -10,6 +10,8 @@ from typing import Final
 
 from geomosaic.errors import FileError
 
+RUN_MARKER: Final = ".geomosaic.json"
+"""What every folder holds that geomosaic writes to: nothing in it is an input unless it is named."""
 _LONGEST_PATH: Final = 255  # shown whole
 _KINDS: Final = (
     (stat.S_ISDIR, "a folder"),

@@ -10,10 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from geomosaic import __version__
+from geomosaic.doors.files import RUN_MARKER
 from geomosaic.errors import OutputError
 from geomosaic.pipeline import files
 
-MARKER = ".geomosaic.json"
+MARKER = RUN_MARKER
 WORK = "work"
 _LOCK = f"{WORK}/lock"
 _MOST_MARKER_BYTES = 16 << 20

@@ -11,6 +11,7 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.recording.thumbnail import Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness
+from geomosaic.survey.folder import frame_folders, project_files
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
@@ -20,13 +21,19 @@ from geomosaic.survey.usable import DAMAGED
 _THUMBNAILS = 200
 
 
+def _given(params: Any) -> dict[str, Any]:
+    """All parameters but the folder; a project's own files where none are given."""
+    given = params.model_dump(exclude={"frames"})
+    return {k: project_files(params.frames).get(k) if v is None else v for k, v in given.items()}
+
+
 class SurveyRead(Stage):
     """Reads headers, positions, attitudes, cameras, DEM and control; decodes every frame small."""
 
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 12
+    version = 13
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
@@ -54,16 +61,35 @@ class SurveyRead(Stage):
             "none: all are kept",
             choices=LEAVE_OUT,
         )
+        strict: bool = param(
+            False,
+            help="frames that can't be used, frames without a line in the POS file and lines without a frame "
+            "are errors",
+        )
 
     @classmethod
     def check(cls, params: Params) -> None:
         """The frames' names and every file beside them, but for what only the frames' headers show."""
-        given = params.model_dump(exclude={"frames", "dem_offset_m", "damaged", "leave_out"})
+        given = _given(params)
+        for name in ("dem_offset_m", "damaged", "leave_out", "strict"):
+            del given[name]
         check_survey_files(params.frames, **given)
+
+    @classmethod
+    def files(cls, params: Params) -> dict[str, Path]:
+        """The folders that hold the frames, and the files beside them."""
+        given = {k: v for k, v in _given(params).items() if isinstance(v, Path)}
+        folders = frame_folders(params.frames, given.values())
+        return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | given
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
-        given = params.model_dump(exclude={"frames"})
+        given = _given(params)
+        for name in project_files(params.frames):
+            if getattr(params, name) is None:
+                context.warn(
+                    "project-file", "", f"{given[name].name} beside the frames is taken for --{name}"
+                )
         looks: dict[str, Kept[Seen]] = {}
 
         def inspect(paths: list[str]) -> list[Wholeness]:

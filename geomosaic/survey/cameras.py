@@ -25,7 +25,6 @@ from geomosaic.survey.lens_tags import (
     xmp_perspective,
 )
 from geomosaic.survey.model import Warn
-from geomosaic.survey.names import frame_name
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
@@ -120,7 +119,7 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
         found.setdefault(camera.name, camera)
         names.append(camera.name)
     if any(wrong):
-        files = [h.path.name for h in headers]
+        files = [h.name for h in headers]
         warnings.append(warn("focal-length-absurd", files, np.array([bool(w) for w in wrong]), wrong))
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
 
@@ -323,12 +322,12 @@ def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted:
     known = ", ".join(f"{c.name} ({c.width_px} x {c.height_px})" for c in candidates[:5])
     if fitting:
         raise InputError(
-            f"several cameras fit frame {frame_name(header.path)} of {size}: {known}",
+            f"several cameras fit frame {header.name} of {size}: {known}",
             file=path,
             mend="name each frame's in the POS file's column 'camera'",
         )
     raise InputError(
-        f"no camera for frame {frame_name(header.path)} of {size}: {known}",
+        f"no camera for frame {header.name} of {size}: {known}",
         file=path,
         mend="give a camera file of this frame size, or of a whole multiple's shape",
     )

@@ -1,4 +1,4 @@
-"""A folder of frames: which files are frames, and which are masks of frames."""
+"""A folder of frames: which files in it and its folders are frames, and which are masks of frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.doors.files import check_name, read_bytes
+from geomosaic.doors.files import RUN_MARKER, check_name, printable, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.damage import png_damage
@@ -26,66 +26,156 @@ _MOST_MASK_BYTES: Annotated[
         CHOSEN,
     ),
 ] = 256 << 20
+_HOMES: Final = ("images", "dcim")
+"""Where OpenDroneMap's projects and cameras' cards hold frames; what else they hold is made of them."""
+_PROJECT_FILES: Final = {"pos": "geo.txt", "gcp": "gcp_list.txt"}
+_DEEPEST: Annotated[
+    int,
+    Because(
+        "folders",
+        "deep that frames are sought: CARD/DCIM/100MEDIA has two, MicaSense's 0000SET/000 in a flight's "
+        "folder three; deeper ones are another survey's",
+        CHOSEN,
+    ),
+] = 4
+_MOST_FOLDERS: Annotated[
+    int,
+    Because(
+        "folders",
+        "looked at: 1,000 flights of two; a whole disk would be searched for minutes and its pictures be "
+        "taken for frames",
+        CHOSEN,
+    ),
+] = 2000
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
-def frame_files(folder: Path, other: Collection[Path] = ()) -> list[Path]:
-    """The JPEG and TIFF files of a folder, not of those inside it, in the natural order of their names.
+def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
+    """The JPEG and TIFF files of a folder, in the natural order of their paths, and what each is called.
 
-    Hidden files, masks (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are
-    no frames. Raises: `FileError` for what is no folder, `InputError` if there are no frames.
+    If the folder itself holds none, those of its folder `images` or `DCIM`, else of all folders in it, four
+    deep. A frame is called by its file's name; where several folders have it, with its folders' before it
+    (`100MEDIA_DJI_0001.JPG`). Hidden files and folders, links to folders, folders of runs, masks
+    (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are no frames.
+    Raises: `FileError` for what is no folder, `InputError` if there are no frames.
     """
     folder = folder.absolute()
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "there is no such folder"
         raise FileError(problem, file=folder, mend="give the folder that holds the frames")
-    try:
-        entries = (p for p in folder.iterdir() if p.is_file() or p.suffix.lower() in _SUFFIXES)
-        files = sorted(entries, key=lambda p: natural_key(p.name))
-    except OSError as error:
-        raise FileError(f"can't be listed ({error.strerror})", file=folder) from error
-    for path in (folder, *(p for p in files if not p.name.startswith("."))):
-        check_name(path)
+    check_name(folder)
     inputs = {p.absolute() for p in other}
-    frames = [
-        p
-        for p in files
-        if p.suffix.lower() in _SUFFIXES
-        and not p.name.startswith(".")
-        and not p.stem.casefold().endswith(_MASK_ENDINGS)
-        and p not in inputs
-    ]
+    files, folders = _listed(folder)
+    frames, top = _frames(files, inputs), folder
+    if not frames:
+        homes = [f for f in folders if f.name.casefold() in _HOMES]
+        for top in (*homes, folder):
+            frames = [p for f in _below(top) for p in _frames(_listed(f)[0], inputs)]
+            if frames:
+                break
     if not frames:
         kinds = Counter(p.suffix.lower() or "no suffix" for p in files)
-        held = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common(4))
+        held = [f"{n} {kind}" for kind, n in kinds.most_common(4)]
+        held += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
         raise InputError(
-            f"holds no JPEG or TIFF frames ({held or 'it is empty'})",
+            f"holds no JPEG or TIFF frames ({', '.join(held) or 'it is empty'})",
             file=folder,
             mend="give the folder that holds the frames themselves",
         )
+    return _called(frames, top)
+
+
+def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]:
+    """The folders that hold the frames of `frame_files`, by their paths from `folder`; "" is that itself."""
+    folder = folder.absolute()
+    found = dict.fromkeys(p.parent for p in frame_files(folder, other))
+    return {p.relative_to(folder).as_posix() if p != folder else "": p for p in found}
+
+
+def project_files(folder: Path) -> dict[str, Path]:
+    """The POS and the control file of an OpenDroneMap project, as far as its folder holds them."""
+    found = {kind: folder / name for kind, name in _PROJECT_FILES.items()}
+    return {kind: path for kind, path in found.items() if path.is_file()}
+
+
+def unused_folders(folder: Path) -> list[str]:
+    """The folders in a folder of frames that hold JPEG or TIFF files too, which are not looked at."""
+    files, folders = _listed(folder.absolute())
+    return [f.name for f in folders if _frames(_listed(f)[0], ())] if _frames(files, ()) else []
+
+
+def _listed(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Files and folders in a folder, in natural order; not the hidden, nor links to folders, nor runs."""
+    files, folders = [], []
+    try:
+        for path in sorted(folder.iterdir(), key=lambda p: natural_key(p.name)):
+            if path.name.startswith("."):
+                continue
+            if path.is_dir() and path.suffix.lower() not in _SUFFIXES:
+                folders += [path] * (not path.is_symlink() and not (path / RUN_MARKER).exists())
+            elif path.is_file() or path.suffix.lower() in _SUFFIXES:
+                files.append(path)
+    except OSError as error:
+        raise FileError(f"can't be listed ({error.strerror})", file=folder) from error
+    for path in files:
+        check_name(path)
+    return files, folders
+
+
+def _below(folder: Path) -> list[Path]:
+    """A folder and those inside it, four deep; `InputError` where there are too many."""
+    found, level = [folder], [folder]
+    for _ in range(_DEEPEST):
+        level = [inner for outer in level for inner in _listed(outer)[1]]
+        found += level
+        if len(found) > _MOST_FOLDERS:
+            raise InputError(
+                f"holds no frames, but more than {_MOST_FOLDERS} folders to look for them",
+                file=folder,
+                mend="give the folder of the flight",
+            )
+    return found
+
+
+def _frames(files: Collection[Path], inputs: Collection[Path]) -> list[Path]:
+    return [
+        p
+        for p in files
+        if p.suffix.lower() in _SUFFIXES and not p.stem.casefold().endswith(_MASK_ENDINGS) and p not in inputs
+    ]
+
+
+def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
     alike = Counter(frame_name(p) for p in frames)
-    twice = next((p for p in frames if alike[frame_name(p)] > 1), None)
+    called = {
+        p: frame_name(p)
+        if alike[frame_name(p)] == 1 or p.parent == top
+        else printable("_".join(p.relative_to(top).parts))
+        for p in frames
+    }
+    again = Counter(called.values())
+    twice = next((name for name in called.values() if again[name] > 1), None)
     if twice is not None:
-        raise InputError(
-            "its name reads like that of another frame", file=frame_name(twice), mend="rename it"
-        )
-    return frames
+        raise InputError("its name reads like that of another frame", file=twice, mend="rename it")
+    return called
 
 
 def masks(headers: list[FrameHeader]) -> dict[str, str]:
-    """Frame name -> path of its mask, for the frames of one folder that have one.
+    """Frame name -> path of its mask, for the frames that have one beside them.
 
     Raises: `FileError` for a mask that can't be read, is damaged or isn't of its frame's size.
     """
-    by_name = {p.name.casefold(): p for p in headers[0].path.parent.iterdir()}
+    folders = {header.path.parent for header in headers}
+    by_name = {(f, p.name.casefold()): p for f in folders for p in f.iterdir()}
     found = {}
     for header in headers:
         stem = header.path.stem.casefold()
         names = (f"{stem}{ending}{suffix}" for ending in _MASK_ENDINGS for suffix in sorted(_MASK_SUFFIXES))
-        mask = next((by_name[n] for n in names if n in by_name), None)
+        folder = header.path.parent
+        mask = next((by_name[folder, n] for n in names if (folder, n) in by_name), None)
         if mask is not None:
             _check_size(mask, header)
-            found[header.path.name] = str(mask)
+            found[header.name] = str(mask)
     return found
 
 

@@ -14,6 +14,7 @@ from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.jpeg import read_structure
+from geomosaic.survey.names import frame_name
 from geomosaic.survey.xmp import Xmp, parse_xmp
 
 JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
@@ -78,7 +79,10 @@ _EXIF_BYTES: Annotated[
 
 @dataclass(frozen=True)
 class FrameHeader:
-    """What a frame's file says before its pixels. bands are without an alpha band; xmp None: unreadable."""
+    """What a frame's file says before its pixels. bands are without an alpha band; xmp None: unreadable.
+
+    called: the frame's name where its file's alone would be another's too.
+    """
 
     path: Path
     width_px: int
@@ -88,6 +92,12 @@ class FrameHeader:
     nodata: float | None
     exif: Exif
     xmp: Xmp | None
+    called: str = ""
+
+    @property
+    def name(self) -> str:
+        """What the frame is called everywhere."""
+        return self.called or frame_name(self.path)
 
 
 def read_header(path: Path) -> FrameHeader:

@@ -32,9 +32,10 @@ class FrameNames:
 
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
-        name = PurePosixPath(text.replace("\\", "/")).name
-        if name in self._exact:
-            return name
+        *folders, name = PurePosixPath(text.replace("\\", "/")).parts or ("",)
+        for i in range(len(folders) + 1):  # a name that several folders have stands with them
+            if "_".join([*folders[i:], name]) in self._exact:
+                return "_".join([*folders[i:], name])
         folded = name.casefold()
         stem = _IMAGE.sub("", folded)
         found = self._by_name.get(folded) or self._by_stem.get(folded) or self._by_stem.get(stem) or []

@@ -15,7 +15,7 @@ from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Attitude, Position, Warn
-from geomosaic.survey.names import FrameNames, frame_name, some
+from geomosaic.survey.names import FrameNames, some
 from geomosaic.survey.onboard import (
     UNKNOWN_ATTITUDE,
     onboard_attitude,
@@ -70,11 +70,14 @@ def observe(
     pos: PosFile | None,
     left_out: Sequence[str] = (),
     anywhere: tuple[float, float] = (0.0, 0.0),
+    *,
+    strict: bool = False,
 ) -> Observations:
     """Put EXIF, XMP and the POS file together.
 
-    With a POS file every frame needs a row and every row a frame, or an image that is left out. The row's
-    position counts; a height or an attitude it doesn't have is the frame's own. A frame that has no position
+    The POS file's position counts; a height or an attitude it doesn't have is the frame's own. Rows without a
+    frame (or an image that is left out) and frames without a row, of which what they say themselves counts,
+    are warned of; strict: neither may be. A frame that has no position
     is taken to be between those before and after it, or `anywhere` (longitude, latitude) where none has one,
     with a deviation that says how little that is worth.
 
@@ -89,14 +92,15 @@ def observe(
         rows: list[PosRow | None] = [None] * len(headers)
         warnings: list[Warn] = []
     else:
-        given = _matched(headers, pos, left_out)
-        warnings = [*pos.warnings, *_against_exif(headers, own, given, pos)]
-        positions = [_position(row, p) for row, p in zip(given, own, strict=True)]
-        attitudes = [_attitude(row, a) for row, a in zip(given, attitudes, strict=True)]
-        rows = [*given]
+        rows, unmatched = _matched(headers, pos, left_out, strict=strict)
+        warnings = [*pos.warnings, *unmatched, *_against_exif(headers, own, rows, pos)]
+        positions = _with_missing(
+            [p if row is None else _position(row, p) for row, p in zip(rows, own, strict=True)], anywhere
+        )
+        attitudes = [a if row is None else _attitude(row, a) for row, a in zip(rows, attitudes, strict=True)]
     _check_extent(headers, positions)
     warnings += _doubts(headers, positions, attitudes)
-    names = [h.path.name for h in headers]
+    names = [h.name for h in headers]
     kept, high = plausible_positions(names, positions)
     upright, tilted = plausible_attitudes(names, attitudes, UNKNOWN_ATTITUDE)
     cameras = tuple(None if row is None else row.camera for row in rows)
@@ -123,20 +127,22 @@ def _with_missing(own: Sequence[Position | None], anywhere: tuple[float, float])
     ]
 
 
-def _matched(headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str]) -> list[PosRow]:
-    names = FrameNames([*(frame_name(h.path) for h in headers), *left_out])
+def _matched(
+    headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str], *, strict: bool
+) -> tuple[list[PosRow | None], list[Warn]]:
+    """Each frame's row, and what is said of rows and frames that have none of the other."""
+    own = [h.name for h in headers]
+    names = FrameNames([*own, *left_out])
     rows: dict[str, PosRow] = {}
+    strangers = []
     for row in pos.rows:
         try:
             frame = names.find(row.name)
         except InputError as error:
             raise InputError(f"line {row.line}: {error.problem}", file=pos.path, mend=error.mend) from error
         if frame is None:
-            raise InputError(
-                f"line {row.line}: '{row.name}' is no frame in {headers[0].path.parent}",
-                file=pos.path,
-                mend=f"remove the line or add the frame; {names.near(row.name)}",
-            )
+            strangers.append(row)
+            continue
         if frame in rows:
             raise InputError(
                 f"frame {frame} stands in line {rows[frame].line} and again in line {row.line}",
@@ -144,14 +150,28 @@ def _matched(headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[st
                 mend="remove one of them",
             )
         rows[frame] = row
-    lacking = [frame_name(h.path) for h in headers if frame_name(h.path) not in rows]
-    if lacking:
+    lacking = [name for name in own if name not in rows]
+    if strangers and (strict or not rows):
+        row = strangers[0]
         raise InputError(
-            f"no line for {len(lacking)} of {len(headers)} frames: {some(lacking)}",
+            f"line {row.line}: '{row.name}' is no frame in {headers[0].path.parent}",
+            file=pos.path,
+            mend=f"remove the line or add the frame; {names.near(row.name)}",
+        )
+    if lacking and strict:
+        raise InputError(
+            f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}",
             file=pos.path,
             mend="add them, or take these frames out of the folder",
         )
-    return [rows[frame_name(h.path)] for h in headers]
+    warnings = []
+    if strangers:
+        text = f"{len(strangers)} of {len(pos.rows)} lines name no frame: {some(r.name for r in strangers)}"
+        warnings.append(Warn("pos-line-without-frame", "", f"{pos.path.name}: {text}"))
+    if lacking:
+        text = f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}; their own tags count"
+        warnings.append(Warn("pos-frame-without-line", "", f"{pos.path.name}: {text}"))
+    return [rows.get(name) for name in own], warnings
 
 
 def _position(row: PosRow, own: Position | None) -> Position:
@@ -194,10 +214,15 @@ def _attitude(row: PosRow, own: Attitude) -> Attitude:
 
 
 def _against_exif(
-    headers: Sequence[FrameHeader], own: Sequence[Position | None], rows: Sequence[PosRow], pos: PosFile
+    headers: Sequence[FrameHeader],
+    own: Sequence[Position | None],
+    rows: Sequence[PosRow | None],
+    pos: PosFile,
 ) -> list[Warn]:
     """Swapped columns, and positions far from where the frames say they were."""
-    both = [(r, p, frame_name(h.path)) for r, p, h in zip(rows, own, headers, strict=True) if p is not None]
+    both = [
+        (r, p, h.name) for r, p, h in zip(rows, own, headers, strict=True) if r is not None and p is not None
+    ]
     if not both:
         return []
     given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
@@ -247,7 +272,7 @@ def _doubts(
     headers: Sequence[FrameHeader], positions: Sequence[Position], attitudes: Sequence[Attitude]
 ) -> list[Warn]:
     """What is assumed or doubtful, once each for all frames it concerns."""
-    names = [frame_name(h.path) for h in headers]
+    names = [h.name for h in headers]
     heights = [onboard_heights(h.exif, h.xmp or {}) for h in headers]
     from_exif = [
         p.height_ellipsoidal_m == h.height_m and p.source != "pos"

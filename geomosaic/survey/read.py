@@ -18,11 +18,11 @@ from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import CameraChoice, cameras_from_file, cameras_from_headers
 from geomosaic.survey.control import LEAST_POINTS, check_control, lonlat_of_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
-from geomosaic.survey.folder import frame_files, masks
+from geomosaic.survey.folder import frame_files, masks, unused_folders
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
-from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
+from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import lonlat_of, observe
 from geomosaic.survey.places import check_area
 from geomosaic.survey.pos import PosFile, read_pos
@@ -73,7 +73,7 @@ def check_survey_files(
     if dem is not None:
         check_dem(dem)
     if gcp is not None:
-        read_control(gcp, FrameNames(frame_name(file) for file in files))
+        read_control(gcp, FrameNames(files.values()))
 
 
 def read_survey(
@@ -89,12 +89,13 @@ def read_survey(
     attitude_convention: str = "auto",
     damaged: str = "leave_out",
     leave_out: str = "auto",
+    strict: bool = False,
     inspect: Inspect = inspect_all,
     progress: Progress | None = None,
 ) -> Survey:
     """Read everything a survey is made of; nothing is written. Every frame is decoded once, small.
 
-    Frames are the folder's JPEG and TIFF files, in order of capture (time, then name; by name alone
+    Frames are those of `frame_files`, in order of capture (time, then name; by name alone
     where a frame has no time). The work frame lies at the median position, at the median height of the
     ground as far as it is known (DEM, else absolute less relative heights, else control), else at height 0.
     Where no frame has a position it lies amid the control points; without those it is nowhere, and the map's
@@ -103,7 +104,8 @@ def read_survey(
     Args: pos, camera, dem, gcp: files as docs/inputs.md describes them; dem_offset_m: what is added to
     the DEM's values to have ellipsoidal heights; crs: the map's, `auto` for the UTM zone of the
     middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; damaged: one of
-    `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; inspect: `damage.wholeness` of many frames;
+    `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; strict: frames that can't be used, frames without
+    a line in pos and lines without a frame are errors; inspect: `damage.wholeness` of many frames;
     progress: called with frames done, frames in all, and what is being done.
     Raises: `InputError` and `FileError`, one line that names the file and the mend.
     """
@@ -111,7 +113,8 @@ def read_survey(
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
     table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
     cameras = None if camera is None else read_cameras(camera)
-    found = usable(files, inspect, mask_damaged=damaged == "mask", progress=progress)
+    inner = unused_folders(folder)
+    found = usable(files, inspect, mask_damaged=damaged == "mask", strict=strict, progress=progress)
     headers, by_time = _in_order(found.headers)
     strays = [] if leave_out == "none" else other_kinds(headers)
     headers = without(headers, strays)
@@ -123,9 +126,9 @@ def read_survey(
         headers = without(headers, strays)
     _check_alike(headers)
     left_out = (*found.left_out, *(out for _, out in strays))
-    names = [frame_name(h.path) for h in headers]
+    names = [h.name for h in headers]
     control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
-    observed = observe(headers, table, [out.name for out in left_out])
+    observed = observe(headers, table, [out.name for out in left_out], strict=strict)
     located = [p for p in observed.positions if p.known]
     if not located and gcp is not None:
         used = lonlat_of_control(gcp, control)
@@ -149,7 +152,7 @@ def read_survey(
         under = [n for n, p in zip(names, observed.positions, strict=True) if p.known or not located]
         elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, under, lonlat)
     if gcp is not None:
-        sizes = {frame_name(h.path): (h.width_px, h.height_px) for h in headers}
+        sizes = {h.name: (h.width_px, h.height_px) for h in headers}
         check_control(gcp, control, lonlat if located else lonlat[:0], sizes)
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
@@ -158,7 +161,7 @@ def read_survey(
     sidecars = masks(headers)
     frames = tuple(
         Frame(
-            name=frame_name(h.path),
+            name=h.name,
             path=str(h.path),
             width_px=h.width_px,
             height_px=h.height_px,
@@ -168,11 +171,11 @@ def read_survey(
             position=position,
             attitude=attitude,
             time_s=h.exif.time_s,
-            valid_mask=sidecars.get(h.path.name),
+            valid_mask=sidecars.get(h.name),
             nodata=h.nodata,
             velocity_m_per_s=velocity_of(h),
             turns=turns_of(h),
-            whole_rows=found.whole_rows.get(h.path.name),
+            whole_rows=found.whole_rows.get(h.name),
         )
         for h, name, position, attitude in zip(
             headers, choice.names, observed.positions, observed.attitudes, strict=True
@@ -198,6 +201,7 @@ def read_survey(
         band=band,
         other_bands=other_bands,
         warnings=(
+            *([Warn("frames-in-folders", "", _inner_words(inner))] if inner else []),
             *lost,
             *([Warn("local-frame", "", _LOCAL)] if local else []),
             *found.warnings,
@@ -212,6 +216,10 @@ def read_survey(
     )
 
 
+def _inner_words(inner: Sequence[str]) -> str:
+    return f"pictures in folders beside the frames aren't used: {some(inner)}; give one above to use all"
+
+
 def _bands(
     rig: Captures,
     frames: Sequence[Frame],
@@ -220,7 +228,7 @@ def _bands(
     """What the frames show, and the rig's other bands, each with a camera of its own."""
     bands = []
     for name, by_own in rig.others.items():
-        files = [by_own.get(Path(f.path).name) for f in frames]
+        files = [by_own.get(f.name) for f in frames]
         some_file = next(f for f in files if f is not None)
         camera = lenses([some_file.header], [name]).cameras[0]
         shown = tuple(
@@ -235,7 +243,7 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
     """The same capture's file of another band."""
     return replace(
         frame,
-        name=frame_name(header.path),
+        name=header.name,
         path=str(header.path),
         width_px=header.width_px,
         height_px=header.height_px,
@@ -251,12 +259,12 @@ def _strays(
 ) -> list[Stray]:
     """Images that don't belong to the survey. Args: headers of one kind, in order of capture; with_lens: a
     camera file gives the lenses."""
-    out = copies(headers, [found.looks[h.path.name] for h in headers])
+    out = copies(headers, [found.looks[h.name] for h in headers])
     rest = without(headers, out)
     if not with_lens:
         out += without_camera(rest)
         rest = without(headers, out)
-    out += blurred(rest, [found.looks[h.path.name] for h in rest])
+    out += blurred(rest, [found.looks[h.name] for h in rest])
     rest = without(headers, out)
     observed = observe(rest, table, [o.name for o in (*found.left_out, *(o for _, o in out))])
     return out + misplaced(rest, observed.positions, observed.attitudes)
@@ -269,7 +277,7 @@ def _check_alike(headers: Sequence[FrameHeader]) -> None:
         return
     usual = kinds.most_common(1)[0][0]
     odd = [h for h in headers if (h.bands, h.dtype) != usual]
-    few = f" ({len(odd)} such: {some(h.path.name for h in odd)})" if len(odd) > 1 else ""
+    few = f" ({len(odd)} such: {some(h.name for h in odd)})" if len(odd) > 1 else ""
     raise InputError(
         f"has {_kind(odd[0].bands, odd[0].dtype)}, {kinds[usual]} other frames have {_kind(*usual)}{few}",
         file=odd[0].path,
@@ -282,12 +290,10 @@ def _kind(bands: int, dtype: str) -> str:
 
 
 def _in_order(headers: Sequence[FrameHeader]) -> tuple[list[FrameHeader], bool]:
-    times = {frame_name(h.path): h.exif.time_s for h in headers}
+    times = {h.name: h.exif.time_s for h in headers}
     if any(t is None for t in times.values()):
-        return sorted(headers, key=lambda h: natural_key(frame_name(h.path))), False
-    return sorted(
-        headers, key=lambda h: (times[frame_name(h.path)] or 0.0, natural_key(frame_name(h.path)))
-    ), True
+        return sorted(headers, key=lambda h: natural_key(h.name)), False
+    return sorted(headers, key=lambda h: (times[h.name] or 0.0, natural_key(h.name))), True
 
 
 def _check_local(local: bool, folder: Path, crs: str, dem: Path | None) -> None:

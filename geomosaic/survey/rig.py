@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Annotated, Final
 
 from geomosaic.constants import Because
@@ -70,14 +71,14 @@ def captures(headers: Sequence[FrameHeader]) -> Captures | None:
     others: dict[str, dict[str, BandHeader]] = {}
     for file in sorted(files, key=lambda f: (f.wavelength_nm or 0.0, f.index or 0.0, natural_key(f.band))):
         if file.band != own_band and file.capture in own:
-            others.setdefault(file.band, {})[own[file.capture].header.path.name] = file
+            others.setdefault(file.band, {})[own[file.capture].header.name] = file
     lost = tuple(f.header for f in files if f.capture not in own)
     return Captures(tuple(own.values()), others, lost)
 
 
 def incomplete_words(lost: Sequence[FrameHeader]) -> str:
     """What is said of files that are not used."""
-    return f"{len(lost)} files of captures without the rig's first band: {some(h.path.name for h in lost)}"
+    return f"{len(lost)} files of captures without the rig's first band: {some(h.name for h in lost)}"
 
 
 def _grouped(files: Sequence[BandHeader]) -> bool:
@@ -106,7 +107,7 @@ def _by_tags(header: FrameHeader) -> BandHeader | None:
 
 
 def _by_name(header: FrameHeader) -> BandHeader | None:
-    match = _SUFFIX.fullmatch(header.path.stem)
+    match = _SUFFIX.fullmatch(PurePath(header.name).stem)
     if match is None:
         return None
     index = float(match[2]) if match[2].isdigit() else None

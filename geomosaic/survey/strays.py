@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Final
 
 import numpy as np
@@ -25,7 +24,7 @@ from geomosaic.survey.damage import Look
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
 from geomosaic.survey.model import Attitude, LeftOut, Position, Warn
-from geomosaic.survey.names import frame_name, natural_key, some
+from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.plausible import Limit
 
 Floats = NDArray[np.float64]
@@ -126,7 +125,7 @@ Stray = tuple[str, LeftOut]
 def without(headers: Sequence[FrameHeader], strays: Sequence[Stray]) -> list[FrameHeader]:
     """The frames that are left."""
     names = {out.name for _, out in strays}
-    return [h for h in headers if frame_name(h.path) not in names]
+    return [h for h in headers if h.name not in names]
 
 
 def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
@@ -199,14 +198,14 @@ def copies(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list
             else:
                 out[i] = of
     return [
-        _out("frame-copy", headers[i], f"is the same image as {frame_name(headers[j].path)}")
+        _out("frame-copy", headers[i], f"is the same image as {headers[j].name}")
         for i, j in sorted(out.items())
     ]
 
 
 def _own_name(header: FrameHeader) -> tuple[object, ...]:
     """Copies have longer names than what they are copies of."""
-    return len(header.path.name), natural_key(header.path.name)
+    return len(header.name), natural_key(header.name)
 
 
 def _of_equal_bytes(headers: Sequence[FrameHeader], alike: Sequence[int]) -> list[list[int]]:
@@ -344,4 +343,4 @@ def _kind(bands: int, dtype: str) -> str:
 
 
 def _out(code: str, header: FrameHeader, reason: str) -> Stray:
-    return code, LeftOut(frame_name(Path(header.path)), reason)
+    return code, LeftOut(header.name, reason)

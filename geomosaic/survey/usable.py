@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -29,7 +29,7 @@ _LEAST_WHOLE: Annotated[
 @dataclass(frozen=True)
 class Usable:
     """headers of the frames that are used; whole_rows of those among them whose lower part is masked; looks
-    by the names of their files."""
+    by the frames' names."""
 
     headers: list[FrameHeader]
     whole_rows: dict[str, int]
@@ -44,29 +44,31 @@ def inspect_all(paths: list[str]) -> list[Wholeness]:
 
 
 def usable(
-    files: Sequence[Path],
+    files: Mapping[Path, str],
     inspect: Inspect,
     *,
     mask_damaged: bool = False,
+    strict: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Usable:
     """The frames that can be read whole; of damaged ones the whole part, if asked for and if that is known.
 
-    Raises: `InputError` of the first, if none can be used.
+    Args: files: what frames are called, by their files. Raises: `InputError` of the first that can't be used,
+    if none can or if strict.
     """
     headers: list[FrameHeader] = []
     unreadable: dict[str, InputError] = {}
-    for i, file in enumerate(files):
+    for i, (file, name) in enumerate(files.items()):
         try:
             check_regular(file, "take it out of the folder")
-            headers.append(read_header(file))
+            headers.append(replace(read_header(file), called=name))
         except InputError as error:
-            unreadable[file.name] = error
+            unreadable[name] = error
         if progress is not None:
             progress(i + 1, len(files), "reading headers")
     used, whole_rows, looks, warnings = [], {}, {}, []
     for header, found in zip(headers, inspect([str(h.path) for h in headers]), strict=True):
-        name, rows = header.path.name, found.whole_rows
+        name, rows = header.name, found.whole_rows
         looks[name] = found.look
         if not found.damage:
             used.append(header)
@@ -81,8 +83,9 @@ def usable(
                 problem += f" (where is not known, or above row {_LEAST_WHOLE * header.height_px:.0f})"
             mend = "copy it again from the camera, or take it out of the folder"
             unreadable[name] = FileError(problem, file=header.path, mend=mend)
-    if not used:
-        raise next(unreadable[file.name] for file in files if file.name in unreadable)
-    left_out = tuple(LeftOut(f.name, unreadable[f.name].problem) for f in files if f.name in unreadable)
+    lost = [name for name in files.values() if name in unreadable]
+    if lost and (strict or not used):
+        raise unreadable[lost[0]]
+    left_out = tuple(LeftOut(name, unreadable[name].problem) for name in lost)
     warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
     return Usable(used, whole_rows, looks, left_out, tuple(warnings))
