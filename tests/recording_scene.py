@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.camera.interior import Camera
 from geomosaic.recording import Recorder, thumbnail
+from geomosaic.recording.chips import SIDE_PX, chip, cuts
 
 FRAMES = ("DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG")
 CAMERA = Camera(
@@ -44,6 +45,18 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     recorder.tie_points(
         FRAMES[0], FRAMES[1], points, points - [0.0, 180.0], np.array([[0.02, -0.03], [0.01, 0.04]])
     )
+    recorder.iteration("adjustment.solve", method, 25.0, "m", step_m=1.5)
+    recorder.metric("adjustment.sigma_px", 0.5)
+    recorder.table(
+        "pairs.adjusted", FRAMES[:1], {"rms_m": [0.05], "tie_points": [2]}, others=FRAMES[1:2], notes=[""]
+    )
+    recorder.outlines("adjusted", FRAMES[:2], [np.eye(3), np.zeros((4, 2))])
+    where = cuts(points, points - [0.0, 180.0], np.array([[0.02, -0.03], [0.01, 0.04]]))
+    halves = tuple(np.full((SIDE_PX, SIDE_PX, 3), grey, np.uint8) for grey in (60, 90))
+    residual = np.array([[0.02, -0.03], [0.01, 0.04]])
+    recorder.chip(
+        0, FRAMES[0], FRAMES[1], chip(halves, where, points, points - [0.0, 180.0], residual, [1.0, np.nan])
+    )
     ring = [[-91.25, 46.5], [-91.249, 46.5], [-91.249, 46.501], [-91.25, 46.5]]
     polygon = {"type": "Polygon", "coordinates": [ring]}
     recorder.geojson(
@@ -58,6 +71,6 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
 
 def written(path: Path, **changes: object) -> Path:
     """A whole recording with fixed times."""
-    with Recorder(path, fixed_time=True) as recorder:
+    with Recorder(path, fixed_time=True, level="full") as recorder:
         record(recorder, **changes)  # type: ignore[arg-type]
     return path

@@ -60,7 +60,7 @@ def test_all_of_a_recording(scene: Path) -> None:
     assert artefact_data(recording, entry) == ARTEFACT
     assert recording.topics["/location/observed"].messages == 3
     assert recording.topics["/tie_points"].schema == "geomosaic.TiePoints"
-    assert len(list(messages(scene, "foxglove.CompressedImage"))) == 3
+    assert len(list(messages(scene, "foxglove.CompressedImage"))) == 3 + 1
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -47,6 +47,19 @@ def test_the_javascript_reader_finds_the_same(scene: Path) -> None:
     )
     assert offsets["largest_misalignment_m"] == 5.0
     assert found["first"]["/location/observed"]["longitude"] == -91.25
+    table = found["first"]["/tables/pairs.adjusted"]
+    assert (table["row"], table["other"], table["column"]) == (
+        [FRAMES[0]],
+        [FRAMES[1]],
+        ["rms_m", "tie_points"],
+    )
+    assert table["value"] == [0.05, 2.0] and table["stage_id"] == "adjustment.solve"
+    assert found["first"]["/metrics"]["number"] == 0.5 and found["first"]["/metrics"]["json"] == "0.5"
+    step = found["first"]["/iterations/adjustment.solve"]
+    assert (step["cost"], step["cost_unit"], step["step_m"]) == (25.0, "m", 1.5)
+    assert found["first"]["/outlines/adjusted"]["vertices"] == [3, 4]
+    ties = found["first"]["/chips/ties"]
+    assert (ties["side_px"], ties["left_x_px"], len(ties["weight"])) == (400, [200.0], 1)
 
 
 @pytest.fixture

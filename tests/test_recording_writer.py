@@ -40,7 +40,7 @@ def test_every_message_is_read_by_mcaps_own_reader_with_all_crcs(scene: Path) ->
     with scene.open("rb") as file:
         reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         found = list(reader.iter_decoded_messages(log_time_order=False))
-    assert len(found) == 4 + 1 + 3 + 6 + 3 + 2 + 3 + 1 + 1
+    assert len(found) == 4 + 1 + 3 + 6 + 3 + 2 + 3 + 1 + 1 + 6
     assert {channel.message_encoding for _, channel, _, _ in found} == {"protobuf"}
     with scene.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -121,7 +121,7 @@ def test_equal_runs_with_fixed_times_are_equal_bytes(tmp_path: Path) -> None:
 
 
 def test_clock_times_rise_strictly_and_every_stream_shares_the_counter(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "run.mcap") as recorder:
+    with Recorder(tmp_path / "run.mcap", level="full") as recorder:
         record(recorder)
     with (tmp_path / "run.mcap").open("rb") as file:
         found = [m for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
