@@ -14,7 +14,8 @@ from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.ownership import nearest_nadir
+from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.ownership import Ownership, nearest_nadir, owned_cells
 from geomosaic.mosaic.plan import Planned, Planning, windows
 from geomosaic.mosaic.scene import CELL_PX, Scene
 from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
@@ -52,7 +53,7 @@ def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path:
         v.frame: frame_part(warping, Asked(FrameOnMap(survey.frames[v.frame], v), seen[v.frame].cells))
         for v in views
     }
-    planning = Planning(sources, seen, halo_px, REACH_PX)
+    planning = Planning(ownership, sources, seen, halo_px, REACH_PX)
     manner = Manner(BLENDS[blend], 3, "uint8")
     mixed = 0
     for window in windows(grid, 256):
@@ -94,3 +95,22 @@ def test_boxes_hold_all_cells_once_and_leave_out_most_others() -> None:
         one_a_tile += int(np.prod(np.ptp(some, axis=0) + 1)) if len(some) else 0
     assert flags.sum() < found.sum() < 0.75 * one_a_tile
     assert len(boxes) < 30 and not list(Cells(0, 0, np.zeros((3, 3), dtype=bool)).boxes(TILE_PX))
+
+
+@pytest.mark.parametrize("cell_px", [8, 16, 64])
+def test_the_owners_of_a_window_are_those_of_its_cells_and_of_the_ones_beside_them(cell_px: int) -> None:
+    """Owners at random, in cells finer and coarser than those by which is planned, at an edge and inside."""
+    rng = np.random.default_rng(5)
+    grid = OutputGrid("EPSG:32632", 0.0, 0.0, 1.0, 40 * cell_px, 40 * cell_px)
+    owner = (rng.integers(0, 4, (40, 40)) * (rng.random((40, 40)) < 0.2)).astype(np.int32)
+    ownership = Ownership(grid, np.ones(3, dtype=bool), cell_px, owner)
+    for window in (Window(-64, -32, 256, 192), Window(5 * cell_px // 16 * 16, 128, 128, 128)):
+        numbers, owned = owned_cells(ownership, window)
+        found = dict(zip(numbers, owned, strict=True))
+        for frame in range(3):
+            for i, j in np.ndindex(window.height // CELL_PX, window.width // CELL_PX):
+                top, left = window.row + i * CELL_PX, window.col + j * CELL_PX
+                rows = np.arange(top // cell_px - 1, (top + CELL_PX - 1) // cell_px + 2).clip(0, 39)
+                cols = np.arange(left // cell_px - 1, (left + CELL_PX - 1) // cell_px + 2).clip(0, 39)
+                beside = bool((owner[np.ix_(rows, cols)] == frame + 1).any())
+                assert beside == (frame in found and bool(found[frame][i, j])), (window, frame, i, j)

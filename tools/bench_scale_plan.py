@@ -83,7 +83,7 @@ def planned(number_of_windows: int) -> dict[str, Any]:
     order = windows(scene.grid, WINDOW_PX)
     at = took("order of windows", at)
     sources = {v.frame: FrameSource(scene.grid, ownership, v) for v in scene.views}
-    planning = Planning(sources, seen, halo_px, REACH_PX)
+    planning = Planning(ownership, sources, seen, halo_px, REACH_PX)
     steps, asking = [], Asking(seen)
     for window in order:
         planned = planning.step(window)

@@ -27,6 +27,11 @@ _WORTH_A_BOX: Annotated[
 ] = 64
 
 
+def window_cells(window: Window) -> tuple[int, int]:
+    """How many cells a window has down and across."""
+    return -(-window.height // CELL_PX), -(-window.width // CELL_PX)
+
+
 @dataclass(frozen=True)
 class Cells:
     """Which of the mosaic's cells, CELL_PX a side, from row and col on, (h, w)."""
@@ -45,20 +50,13 @@ class Cells:
         """What they have in common with a window's: counted from their own first cell, and from its first."""
         own: list[slice] = []
         at: list[slice] = []
-        shape = -(-window.height // CELL_PX), -(-window.width // CELL_PX)
+        shape = window_cells(window)
         firsts = window.row // CELL_PX - self.row, window.col // CELL_PX - self.col
         for first, wanted, size in zip(firsts, shape, self.flags.shape, strict=True):
             begin, end = max(first, 0), max(min(first + wanted, size), first, 0)
             own.append(slice(begin, end))
             at.append(slice(begin - first, end - first))
         return (own[0], own[1]), (at[0], at[1])
-
-    def within(self, window: Window) -> Bools:
-        """Those of a window, (h, w)."""
-        found = np.zeros((-(-window.height // CELL_PX), -(-window.width // CELL_PX)), dtype=bool)
-        own, at = self.common(window)
-        found[at] = self.flags[own]
-        return found
 
     def boxes(self, tile_px: int) -> Iterator[Window]:
         """Boxes that hold them all, each within a tile of tile_px, and none of them twice."""

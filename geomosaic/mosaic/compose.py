@@ -128,6 +128,7 @@ def compose(
     )
     walk = _Walk(
         survey,
+        ownership,
         blending,
         Warping(replace(scene, views=()), resampling, tones, kind.dtype, reach_px / 2.0),
         spread or AtOnce(check_cancelled),
@@ -174,6 +175,7 @@ class _Walk:
     """How windows of one scene's frames are composed."""
 
     survey: Survey
+    ownership: Ownership
     blending: Blending
     warping: Warping
     spread: Spread
@@ -220,7 +222,7 @@ class _Walk:
         look = partial(seen_cells, Sighting(scene, halo_px, KERNEL_RADIUS_PX[self.warping.resampling]))
         seen = self.spread.map("what frames see", look, frames, [one.frame.path for one in frames])
         lying = dict(zip(sources, seen, strict=True))
-        planning = Planning(sources, lying, halo_px, reach_px, self.blending.area)
+        planning = Planning(self.ownership, sources, lying, halo_px, reach_px)
         plan, asking = [], Asking(lying)
         for window in order:
             if self.check_cancelled is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -72,6 +73,7 @@ _AROUND_AREA_PX: Annotated[
         "mosaic.blends: halo of multi_band",
     ),
 ] = 64
+_BESIDE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,13 @@ class Ownership:
         """The owners of all cells that a window touches, and one more on every side: row and col of the
         first, and the owners. What is outside the grid is as its edge."""
         side, (height, width) = self.cell_px, self.owner.shape
-        rows = np.arange(window.row // side - 1, (window.row + window.height - 1) // side + 2)
-        cols = np.arange(window.col // side - 1, (window.col + window.width - 1) // side + 2)
-        owner = self.owner[np.ix_(rows.clip(0, height - 1), cols.clip(0, width - 1))]
-        return int(rows[0]), int(cols[0]), owner
+        row, last_row = window.row // side - 1, (window.row + window.height - 1) // side + 2
+        col, last_col = window.col // side - 1, (window.col + window.width - 1) // side + 2
+        if row >= 0 and col >= 0 and last_row <= height and last_col <= width:
+            return row, col, self.owner[row:last_row, col:last_col]
+        rows = np.arange(row, last_row).clip(0, height - 1)
+        cols = np.arange(col, last_col).clip(0, width - 1)
+        return row, col, self.owner[np.ix_(rows, cols)]
 
 
 @dataclass(frozen=True)
@@ -209,29 +214,21 @@ def within(ownership: Ownership, area: Area) -> Ownership:
     return replace(ownership, owner=np.where(about, ownership.owner, np.int32(0)), area=area)
 
 
-def owned_cells(ownership: Ownership, window: Window, views: Sequence[FrameView]) -> Bools:
-    """Of each view, in which of the window's planning cells it may own pixels, (views, h, w): those that meet
-    its own cells or the ones beside them."""
+def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]:
+    """The frames that own any of a window or of the cells beside it, and in which of its planning cells each
+    may own pixels, (k, h, w): those that meet its own cells or the ones beside them."""
     row, col, around = ownership.around(window)
+    owners = [n for n in np.unique(around).tolist() if n]
     side = ownership.cell_px
     first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
     first_col = window.col + np.arange(-(-window.width // CELL_PX)) * CELL_PX
-    last_row, last_col = first_row + CELL_PX - 1, first_col + CELL_PX - 1
-    rows = [np.minimum(a // side - row, around.shape[0] - 1) for a in (first_row, last_row)]
-    cols = [np.minimum(a // side - col, around.shape[1] - 1) for a in (first_col, last_col)]
-    near = around == np.array([view.frame + 1 for view in views])[:, None, None]
-    near = _with_next(_with_next(near, 1), 2)
-    near = near[:, rows[0]] | near[:, rows[1]]
-    return near[:, :, cols[0]] | near[:, :, cols[1]]
-
-
-def _with_next(cells: Bools, axis: int) -> Bools:
-    """Cells, and those beside them along an axis."""
-    along = np.moveaxis(cells, axis, 0)
-    wider = along.copy()
-    wider[1:] |= along[:-1]
-    wider[:-1] |= along[1:]
-    return np.moveaxis(wider, 0, axis)
+    met = [((first_row + k) // side - row, (first_col + k) // side - col) for k in range(0, CELL_PX, side)]
+    near = np.zeros((len(owners), *around.shape), dtype=np.uint8)
+    for of, number in zip(near, owners, strict=True):
+        cv2.dilate((around == number).view(np.uint8), _BESIDE, of)
+    owned = functools.reduce(np.bitwise_or, [near[:, rows] for rows, _ in met])
+    owned = functools.reduce(np.bitwise_or, [owned[:, :, cols] for _, cols in met])
+    return [n - 1 for n in owners], owned.view(bool)
 
 
 def owner_share(ownership: Ownership, window: Window, rows: slice, cols: slice, frame: int) -> Floats32:

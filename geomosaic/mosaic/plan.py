@@ -11,11 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.mosaic.area import Area
-from geomosaic.mosaic.cells import Cells
+from geomosaic.mosaic.cells import Cells, window_cells
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import owned_cells
+from geomosaic.mosaic.ownership import Ownership, owned_cells
 from geomosaic.mosaic.scene import CELL_PX, distances_m
 from geomosaic.mosaic.sight import SeenCells
 from geomosaic.mosaic.window import Part, Step, Window
@@ -64,58 +63,93 @@ class Planned:
 
 @dataclass(frozen=True)
 class Planning:
-    """What planning goes by: the frames of one scene, what each sees, and how far about a window a blend of
-    some reach looks.
+    """What planning goes by: who owns what, the frames of one scene, what each sees, and how far about a
+    window a blend of some reach looks.
 
-    halo_px: in whole cells. area: what the mosaic is cut to, if anything: what lies farther from it than a
-    blend looks is not asked for.
+    halo_px: in whole cells. What lies farther than a blend looks from the area that the mosaic is cut to is
+    not asked for.
     """
 
+    ownership: Ownership
     sources: Mapping[int, FrameSource]
     seen: Mapping[int, SeenCells]
     halo_px: int
     reach_px: float
-    area: Area | None = None
 
     def step(self, window: Window) -> Planned:
         """What a window takes: as much around it as a blend looks at if more than one frame gives pixels
         within that, and of each frame its own pixels and those that a blend asks for: where others give some
         as near, and its own as well."""
         around, cells = window.grown(self.halo_px), self.halo_px // CELL_PX
-        close, sees, sure = self._near(around)
-        if not close:
+        giving, sees, gives = self._giving(around)
+        if not giving:
             return Planned(Step(window, window.grown(0), self.reach_px, ()), np.zeros((0, 0, 0), dtype=bool))
-        gives = _given(close, sees, sure, around)
+        inner = np.s_[cells : gives.shape[1] - cells, cells : gives.shape[2] - cells]
         side = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
-        if self.area is not None:
-            inside = self.area.cells(close[0].grid, around, CELL_PX)
-            gives &= cv2.dilate(inside.view(np.uint8), side) > 0
-        reached = np.stack([cv2.dilate(g.view(np.uint8), side) > 0 for g in gives])
-        mixed = reached.sum(axis=0) > 1
-        inner = np.s_[cells : mixed.shape[0] - cells, cells : mixed.shape[1] - cells]
+        reached = np.array([cv2.dilate(g.view(np.uint8), side) for g in gives])
+        mixed = np.add.reduce(reached, axis=0, dtype=np.uint16) > 1
         if mixed[inner].any():
             blended = np.zeros_like(mixed)
             blended[inner] = mixed[inner]
             looked_at = cv2.dilate(blended.view(np.uint8), side) > 0
             looked_at[inner] = True
-            asked = looked_at & (gives | (sees & reached & mixed))
+            asked = looked_at & (gives | (sees & reached.view(bool) & mixed))
         else:
             around, asked = window.grown(0), gives[:, *inner]
         used = asked.any(axis=(1, 2))
         asked = asked[used]
         parts = tuple(
-            Part(source, _span(where.any(axis=1)), _span(where.any(axis=0)))
-            for source, where in zip(itertools.compress(close, used), asked, strict=True)
+            Part(self.sources[number], _span(where.any(axis=1)), _span(where.any(axis=0)))
+            for number, where in zip(itertools.compress(giving, used), asked, strict=True)
         )
         return Planned(Step(window, around, self.reach_px, parts), asked)
 
-    def _near(self, window: Window) -> tuple[list[FrameSource], Bools, Bools]:
-        """The frames that may show something of a window, and in which of its cells: somewhere in them, and
-        all over them, (k, h, w)."""
-        found = [(number, *self.seen[number].within(window)) for number in self._lying.near(window)]
-        found = [one for one in found if one[1].any()]
-        sources = [self.sources[number] for number, *_ in found]
-        return sources, np.array([s for _, s, _ in found]), np.array([e for *_, e in found])
+    def _giving(self, window: Window) -> tuple[list[int], Bools, Bools]:
+        """The frames that may give pixels of a window, in which of its cells each shows something, and in
+        which it may give some, (k, h, w) each.
+
+        A frame gives what it owns and sees. Of what an owner doesn't see, the nearest frame that does. Works
+        with what is certain of each cell, so that it never leaves out a pixel.
+        """
+        numbers, own = owned_cells(self.ownership, window)
+        somewhere, everywhere = self._seen(numbers, window)
+        own &= somewhere.any(axis=(1, 2), keepdims=True)
+        sure = np.logical_or.reduce(own) & ~np.logical_or.reduce(own & ~everywhere)
+        gives = somewhere & own
+        if not sure.all():
+            numbers, somewhere, gives = self._with_nearest(
+                window, dict(zip(numbers, gives, strict=True)), sure
+            )
+        if self.ownership.area is not None:
+            side = 2 * (self.halo_px // CELL_PX) + 1
+            inside = self.ownership.area.cells(self.ownership.grid, window, CELL_PX)
+            gives &= cv2.dilate(inside.view(np.uint8), np.ones((side, side), np.uint8)).view(bool)
+        some = gives.any(axis=(1, 2))
+        return list(itertools.compress(numbers, some)), somewhere[some], gives[some]
+
+    def _with_nearest(
+        self, window: Window, owned: Mapping[int, Bools], sure: Bools
+    ) -> tuple[list[int], Bools, Bools]:
+        """The same of what is owned, and where no owner fills a cell for sure, of the frames that may be the
+        nearest that do."""
+        numbers, grid = self._lying.near(window), self.ownership.grid
+        somewhere, everywhere = self._seen(numbers, window)
+        distance = np.zeros(somewhere.shape, dtype=np.float32)
+        for of, number in zip(distance, numbers, strict=True):
+            of[:] = distances_m(grid, window, self.sources[number].view, CELL_PX)
+        surely = np.where(everywhere, distance, np.inf).min(axis=0, initial=np.inf)
+        gives = somewhere & (distance <= surely + np.sqrt(2.0) * CELL_PX * grid.gsd_m) & ~sure
+        for of, number in zip(gives, numbers, strict=True):
+            of |= owned.get(number, False)
+        return numbers, somewhere, gives
+
+    def _seen(self, numbers: Sequence[int], window: Window) -> Bools:
+        """In which of a window's cells frames may show something, and which they fill, (2, k, h, w)."""
+        found = np.zeros((2, len(numbers), *window_cells(window)), dtype=bool)
+        for k, number in enumerate(numbers):
+            if number in self.seen:
+                self.seen[number].put(window, found[:, k])
+        return found
 
     @cached_property
     def _lying(self) -> BoxIndex:
@@ -142,24 +176,6 @@ class BoxIndex:
         first, left, last, right = self.boxes.T
         close = (first < last_row) & (last > row) & (left < last_col) & (right > col)
         return [int(n) for n in self.numbers[close]]
-
-
-def _given(sources: Sequence[FrameSource], somewhere: Bools, everywhere: Bools, window: Window) -> Bools:
-    """In which cells of a window each frame may give pixels, (k, h, w).
-
-    A frame gives what it owns and sees. Of what an owner doesn't see, the nearest frame that does. Works with
-    what is certain of each cell, so that it never leaves out a pixel.
-    """
-    grid = sources[0].grid
-    own = owned_cells(sources[0].ownership, window, [s.view for s in sources])
-    sure = own.any(axis=0) & (everywhere | ~own).all(axis=0)
-    if sure.all():
-        return np.asarray(somewhere & own)
-    distance = np.stack([distances_m(grid, window, s.view, CELL_PX) for s in sources])
-    reach_m = np.sqrt(2.0) * CELL_PX * grid.gsd_m
-    surely = np.where(everywhere, distance, np.inf).min(axis=0)
-    nearest = somewhere & (distance <= surely + reach_m) & ~sure
-    return np.asarray((somewhere & own) | nearest)
 
 
 class Asking:

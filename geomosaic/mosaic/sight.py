@@ -34,11 +34,10 @@ class SeenCells:
         """Those in which it may show something."""
         return Cells(self.row, self.col, self.somewhere)
 
-    def within(self, window: Window) -> tuple[Bools, Bools]:
-        """Both, of the cells of a window."""
-        both = (Cells(self.row, self.col, of).within(window) for of in (self.somewhere, self.everywhere))
-        somewhere, everywhere = both
-        return somewhere, everywhere
+    def put(self, window: Window, to: Bools) -> None:
+        """Both into those of a window's cells that they have in common, (2, h, w)."""
+        own, at = self.cells.common(window)
+        to[0][at], to[1][at] = self.somewhere[own], self.everywhere[own]
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,9 @@ def _change_within(cols: Floats32, rows: Floats32, expected_px: float) -> Floats
     """Bound on how far the image moves between a cell's middle and its corners, (h, w)."""
     most = np.full(cols.shape, expected_px, dtype=np.float32)
     for axis in (0, 1):
-        step = np.nan_to_num(np.hypot(np.diff(cols, axis=axis), np.diff(rows, axis=axis)))
-        along = np.moveaxis(most, axis, 0)
-        for at in (slice(None, -1), slice(1, None)):
-            np.maximum(along[at], np.moveaxis(step, axis, 0), out=along[at])
+        with np.errstate(over="ignore"):
+            step = np.sqrt(np.square(np.diff(cols, axis=axis)) + np.square(np.diff(rows, axis=axis)))
+        along, step = np.moveaxis(most, axis, 0), np.moveaxis(step, axis, 0)
+        for at in (along[:-1], along[1:]):
+            np.fmax(at, step, out=at)
     return most + np.float32(1.0)
