@@ -109,6 +109,33 @@ class Jitter:
     along_px: Floats
 
 
+@dataclass(frozen=True)
+class StageProgress:
+    """How far a stage was when it was last heard of: `done` of `total` of what `text` names; memory_bytes 0
+    where unknown."""
+
+    stage_id: str
+    stage_index: int
+    text: str
+    done: int
+    total: int
+    seconds: float
+    memory_bytes: int
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A table: of frames (`row`), or of pairs of `row` and `other`; columns (rows,) by name, NaN where
+    unknown; `note` a text for each row, or empty."""
+
+    name: str
+    stage_index: int
+    row: tuple[str, ...]
+    other: tuple[str, ...]
+    columns: dict[str, Floats]
+    note: tuple[str, ...]
+
+
 @dataclass
 class ArtefactEntry:
     """An artefact in the recording, not loaded.
@@ -158,6 +185,9 @@ class Recording:
     strips: list[StripCurve] = field(default_factory=list)
     strip_residuals: list[StripResidual] = field(default_factory=list)
     jitter: list[Jitter] = field(default_factory=list)
+    iterations: list[dict[str, Any]] = field(default_factory=list)
+    tables: list[Figures] = field(default_factory=list)
+    progress: StageProgress | None = None
     artefacts: list[ArtefactEntry] = field(default_factory=list)
     topics: dict[str, Topic] = field(default_factory=dict)
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
 
@@ -15,23 +14,17 @@ from geomosaic.errors import FileError
 from geomosaic.recording.mcapfile import BROKEN, MEND, Item, items, opened, stream, unpacked
 from geomosaic.recording.messages import (
     Artefact,
+    Iteration,
     JitterSpectrum,
     PairOffsets,
+    Progress,
     StageEvent,
     StripOffsets,
     StripResiduals,
+    Table,
 )
-from geomosaic.recording.model import (
-    ArtefactEntry,
-    Jitter,
-    LogLine,
-    Recording,
-    RoundOffsets,
-    StageRecord,
-    StripCurve,
-    StripResidual,
-    Topic,
-)
+from geomosaic.recording.model import ArtefactEntry, LogLine, Recording, StageRecord, Topic
+from geomosaic.recording.parsed import curve, iteration, jitter, progress, residual, round_offsets, table
 from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, RECIPE
 
 MAX_KEPT_BYTES = 512 * 2**20
@@ -45,6 +38,8 @@ _KEPT_WHOLE = (
     "geomosaic.StripOffsets",
     "geomosaic.StripResiduals",
     "geomosaic.JitterSpectrum",
+    "geomosaic.Iteration",
+    "geomosaic.Table",
     "foxglove.Log",
 )
 _KEPT = (*_KEPT_WHOLE, "geomosaic.Artefact")
@@ -176,14 +171,21 @@ def _take(recording: Recording, item: Item) -> None:
         case "geomosaic.StageEvent":
             _take_stage(recording.stages, StageEvent.FromString(record.data))
         case "geomosaic.PairOffsets":
-            recording.rounds.append(_round(PairOffsets.FromString(record.data)))
+            recording.rounds.append(round_offsets(PairOffsets.FromString(record.data)))
         case "geomosaic.StripOffsets":
-            recording.strips.append(_curve(StripOffsets.FromString(record.data)))
+            recording.strips.append(curve(StripOffsets.FromString(record.data)))
         case "geomosaic.StripResiduals":
-            recording.strip_residuals.append(_residual(StripResiduals.FromString(record.data)))
+            recording.strip_residuals.append(residual(StripResiduals.FromString(record.data)))
         case "geomosaic.JitterSpectrum":
             what = item.topic.rpartition("/")[2]
-            recording.jitter.append(_jitter(what, JitterSpectrum.FromString(record.data)))
+            recording.jitter.append(jitter(what, JitterSpectrum.FromString(record.data)))
+        case "geomosaic.Iteration":
+            recording.iterations.append(iteration(Iteration.FromString(record.data)))
+        case "geomosaic.Table":
+            name = item.topic.removeprefix("/tables/")
+            recording.tables.append(table(name, Table.FromString(record.data)))
+        case "geomosaic.Progress":
+            recording.progress = progress(Progress.FromString(record.data))
         case "geomosaic.Artefact":
             _take_part(recording.artefacts, Artefact.FromString(record.data), item.offset, record.log_time)
         case "foxglove.Log":
@@ -226,42 +228,6 @@ def _take_stage(stages: list[StageRecord], event: Any) -> None:
     stages[-1].written = {f.name: f.fingerprint for f in event.written}
     stages[-1].lineage = tuple(event.lineage)
     stages[-1].cached, stages[-1].finished = event.cached, True
-
-
-def _round(message: Any) -> RoundOffsets:
-    pairs = tuple(zip(message.left, message.right, strict=True))
-    misalignments = np.array([message.east_m, message.north_m], dtype=np.float64).T
-    moves = np.array([message.move_east_m, message.move_north_m], dtype=np.float64).T
-    if len(misalignments) != len(pairs) or len(moves) != len(message.frame):
-        raise ValueError("offsets of unequal lengths")
-    return RoundOffsets(
-        message.stage, message.stage_index, message.round, pairs, misalignments, tuple(message.frame), moves
-    )
-
-
-def _curve(message: Any) -> StripCurve:
-    line, label = (np.array(v, dtype=np.int64) for v in (message.line, message.label))
-    offset = np.array([message.dcol_px, message.dline_px], dtype=np.float64).T
-    sd = np.array([message.sd_col_px, message.sd_line_px], dtype=np.float64).T
-    if not len(line) == len(label) == len(offset) == len(sd):
-        raise ValueError("offsets of unequal lengths")
-    return StripCurve(message.stage_index, message.pair, message.left, message.right, line, offset, sd, label)
-
-
-def _residual(message: Any) -> StripResidual:
-    line, sd = np.array(message.line, dtype=np.int64), np.array(message.sd_px, dtype=np.float64)
-    residual = np.array([message.dcol_px, message.dline_px], dtype=np.float64).T
-    if not len(line) == len(residual) == len(sd):
-        raise ValueError("residuals of unequal lengths")
-    return StripResidual(message.stage_index, message.pair, message.left, message.right, line, residual, sd)
-
-
-def _jitter(what: str, message: Any) -> Jitter:
-    values = (message.frequency_hz, message.across_px, message.along_px)
-    frequency, across, along = np.array(values, dtype=np.float64)  # ValueError if of unequal lengths
-    if not np.isfinite([frequency, across, along]).all():
-        raise ValueError("a spectrum that isn't finite")
-    return Jitter(message.stage_index, what, frequency, across, along)
 
 
 def _take_part(artefacts: list[ArtefactEntry], message: Any, offset: int, log_time: int) -> None:

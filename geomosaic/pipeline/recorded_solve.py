@@ -1,0 +1,63 @@
+"""What a recording holds of a survey's frames and their adjustment, decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.errors import FileError
+from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.artefacts import decode, type_name
+from geomosaic.placement.model import Placement
+from geomosaic.recording.model import Recording
+from geomosaic.recording.reader import artefact_data
+from geomosaic.recording.solved import Solved
+from geomosaic.survey.model import Survey
+
+Kind = TypeVar("Kind")
+
+
+def solved_of(recording: Recording) -> Solved | None:
+    """The survey of frames as far as the run got with it; None where none is recorded (strips, levels without
+    artefacts). Raises `FileError` where what is recorded can't be one run's."""
+    survey = _last(recording, "survey", Survey)
+    if survey is None:
+        return None
+    solved = Solved(
+        survey,
+        _last(recording, "prior_placement", Placement),
+        _last(recording, "placement", Placement),
+        _last(recording, "ties", TiePoints),
+        _last(recording, "adjusted", Adjusted),
+        tuple(_warned(recording)),
+    )
+    if problem := solved.problem():
+        raise FileError(problem, file=recording.path, mend="run the recipe again")
+    return solved
+
+
+def _last(recording: Recording, name: str, kind: type[Kind]) -> Kind | None:
+    """The latest whole artefact of a name and a type that recordings of this version have under it."""
+    for entry in reversed(recording.artefacts):
+        if entry.name == name and entry.type_name == type_name(kind) and entry.complete:
+            try:
+                value: Kind = decode(artefact_data(recording, entry), kind)
+            except FileError as error:
+                raise FileError(f"{name}: {error.problem}", file=recording.path, mend=error.mend) from error
+            return value
+    return None
+
+
+def _warned(recording: Recording) -> Iterator[tuple[str, str, str]]:
+    """Code, frame and text of each warning of the stages that finished; of the others by the log."""
+    done = {stage.stage_id for stage in recording.stages if stage.finished}
+    for stage in recording.stages:
+        warnings: Any = stage.notes.get("warnings") if isinstance(stage.notes, dict) else None
+        for warning in warnings if isinstance(warnings, list) else ():
+            if isinstance(warning, dict):
+                yield tuple(str(warning.get(key, "")) for key in ("code", "frame", "text"))  # type: ignore[misc]
+    for line in recording.warnings:
+        if line.level == "warning" and line.stage not in done:
+            code, _, text = line.text.partition(": ")
+            yield code, line.frame, text

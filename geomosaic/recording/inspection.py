@@ -1,0 +1,182 @@
+"""What a person asks of a recording: a stage, a frame, a pair, the worst of all, and where a run ended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.recording.model import LogLine, Recording, StageRecord
+from geomosaic.recording.solved import (
+    DOWN_WEIGHTED,
+    Solved,
+    frame_figures,
+    known,
+    pair_figures,
+    status_counts,
+)
+from geomosaic.recording.worst import faults, worst_frames, worst_pairs
+
+SHOWN = 5
+"""Faults that are shown where nobody asks for more."""
+_LAST_LINES = 3
+
+
+class Inspection:
+    """The answers of one recording, each as values that JSON knows. solved: None of strips, or where the
+    recording holds no survey; then `faults` knows of the run alone, and frames can't be asked for."""
+
+    def __init__(self, recording: Recording, solved: Solved | None) -> None:
+        self.recording, self.solved = recording, solved
+        reasons = {(t.row[i], t.other[i]): t.note[i] for t in _tried(recording) for i in range(len(t.note))}
+        self.pairs = [] if solved is None else pair_figures(solved)
+        for pair in self.pairs:
+            if not pair["tied"]:
+                pair["why_not"] = (
+                    reasons.get((pair["left"], pair["right"])) or "tried, and no tie points agree"
+                )
+        self.frames = [] if solved is None else frame_figures(solved, self.pairs)
+
+    def ended(self) -> dict[str, Any]:
+        """How the run ended: `finished`, or the stage it was in, how far, and its last words."""
+        stages = self.recording.stages
+        last = stages[-1] if stages else None
+        errors = [w for w in self.recording.log if w.level in ("error", "fatal")]
+        out: dict[str, Any] = {"finished": bool(stages) and last is not None and last.finished and not errors}
+        if out["finished"] and self.recording.whole:
+            return out
+        out["finished"] = False
+        if last is None:
+            return out | {"in_stage": None, "text": "before its first stage"}
+        out["in_stage"] = last.stage_id
+        if last.finished:
+            out |= {"in_stage": None, "after_stage": last.stage_id}
+        progress = self.recording.progress
+        if progress is not None and progress.stage_index == last.index and not last.finished:
+            out |= {
+                "done": progress.done,
+                "total": progress.total,
+                "doing": progress.text,
+                "seconds": known(progress.seconds),
+                "memory_mb": progress.memory_bytes / 1e6 if progress.memory_bytes else None,
+            }
+        out["error"] = errors[-1].text if errors else None
+        out["last_words"] = [line.text for line in self.recording.log[-_LAST_LINES:]]
+        return out | {"text": _ended_text(out)}
+
+    def worst(self, count: int) -> dict[str, Any]:
+        """The worst faults, frames and pairs, each at most `count`, and how many there are of each."""
+        found = faults(self.recording, self.solved, self.frames)
+        return {
+            "faults": found[:count],
+            "faults_found": len(found),
+            "frames": worst_frames(self.frames)[:count],
+            "frames_by_status": status_counts(self.frames),
+            "pairs": [p for p in worst_pairs(self.pairs) if p["tied"]][:count],
+            "pairs_tied": sum(p["tied"] for p in self.pairs),
+            "untied": [p for p in self.pairs if not p["tied"]][:count],
+            "pairs_untied": sum(not p["tied"] for p in self.pairs),
+        }
+
+    def stage(self, id: str) -> dict[str, Any]:
+        """All that a stage was given, made and said. Raises `UnknownNameError`."""
+        record = self._stage(id)
+        notes = record.notes if isinstance(record.notes, dict) else {}
+        sizes = {a.name: a.total_bytes for a in self.recording.artefacts if a.stage_index == record.index}
+        return {
+            "index": record.index,
+            "id": record.stage_id,
+            "version": record.version,
+            "finished": record.finished,
+            "cached": record.cached,
+            "seconds": record.seconds,
+            "params": record.params,
+            "inputs": record.inputs,
+            "outputs": {n: {"fingerprint": f, "bytes": sizes.get(n)} for n, f in record.outputs.items()},
+            "written": record.written,
+            "warnings": notes.get("warnings", []),
+            "metrics": notes.get("metrics", {}),
+            "iterations": [i for i in self.recording.iterations if i["stage_index"] == record.index],
+            "log": [_line(line) for line in self.recording.log if line.stage == record.stage_id],
+        }
+
+    def frame(self, name: str) -> dict[str, Any]:
+        """All that is known of a frame, and its pairs, the worst first. Raises as `_known`."""
+        name = self._known(name)
+        (figures,) = (f for f in self.frames if f["frame"] == name)
+        mine = [p for p in worst_pairs(self.pairs) if name in (p["left"], p["right"])]
+        log = [_line(line) for line in self.recording.log if line.frame == name]
+        about = [f for f in faults(self.recording, self.solved, self.frames) if name in f["frames"]]
+        return {**figures, "pairs": mine, "faults": about, "log": log}
+
+    def pair(self, a: str, b: str) -> dict[str, Any]:
+        """All that is known of a pair, with its residuals' spread. Raises `InputError` if it wasn't tried."""
+        names = {self._known(a), self._known(b)}
+        found = [p for p in self.pairs if {p["left"], p["right"]} == names]
+        if not found:
+            problem = f"{a} and {b} were not compared: by their positions they don't overlap"
+            raise InputError(problem, file=self.recording.path, mend="give a pair of neighbours")
+        return found[0] | self._residuals(found[0])
+
+    def _residuals(self, pair: dict[str, Any]) -> dict[str, Any]:
+        solved = self.solved
+        assert solved is not None
+        if not pair["tied"] or solved.ties is None:
+            return {}
+        at = self.pairs.index(pair)
+        left_m = solved.adjusted.residuals_m[at] if solved.adjusted else np.zeros((0, 2))
+        length = np.hypot(*left_m.T)
+        length = length[np.isfinite(length)]
+        weight = solved.weights[at]
+        out: dict[str, Any] = {"doubted": int((weight < DOWN_WEIGHTED).sum())}
+        if length.size:
+            quantiles = zip(
+                ("median_m", "p90_m", "p99_m"), np.quantile(length, [0.5, 0.9, 0.99]), strict=True
+            )
+            out |= {name: float(value) for name, value in quantiles}
+        return out
+
+    def _stage(self, id: str) -> StageRecord:
+        for record in reversed(self.recording.stages):
+            if record.stage_id == id:
+                return record
+        ids = [s.stage_id for s in self.recording.stages]
+        raise UnknownNameError("stage of this recording", id, ids, file=self.recording.path)
+
+    def _known(self, name: str) -> str:
+        """A frame's name, also without its suffix. Raises `InputError` where frames aren't recorded."""
+        if self.solved is None:
+            raise InputError(
+                "no frames are recorded",
+                file=self.recording.path,
+                mend="give a recording of frames (normal or full)",
+            )
+        names = [f["frame"] for f in self.frames]
+        near = [n for n in names if name in (n, n.rpartition(".")[0])]
+        if not near:
+            raise UnknownNameError("frame of this recording", name, names, file=self.recording.path)
+        return str(near[0])
+
+
+def _tried(recording: Recording) -> list[Any]:
+    return [
+        t for t in recording.tables if t.name == "pairs.tried" and len(t.row) == len(t.other) == len(t.note)
+    ]
+
+
+def _ended_text(ended: dict[str, Any]) -> str:
+    if ended["in_stage"] is None:
+        where = f"after {ended['after_stage']}"
+    else:
+        where = f"in {ended['in_stage']}"
+        if ended.get("total"):
+            doing = f" {ended['doing']}" if ended["doing"] else ""
+            where += f", at {ended['done']} of {ended['total']}{doing}"
+        if ended.get("seconds") is not None:
+            where += f", {ended['seconds']:.0f} s after it began"
+    return where + (f": {ended['error']}" if ended["error"] else "")
+
+
+def _line(line: LogLine) -> dict[str, Any]:
+    return {"level": line.level, "stage": line.stage, "frame": line.frame, "text": line.text}

@@ -1,0 +1,238 @@
+"""What is wrong with a survey, worst first: what it is, how sure that is, what mends it.
+
+Frames are accused by the run alone, which looked at all of them together; here it is told how sure that is.
+What the run doesn't say is told as what it is: ground without tie points, a frame that stands against its
+line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from geomosaic.camera.rotation import Rotation
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.placement.graph import flight_lines
+from geomosaic.placement.prior import courses_deg, heading_assumed
+from geomosaic.recording.bare_ground import BARE, bare_shares
+from geomosaic.recording.model import Recording
+from geomosaic.recording.solved import Solved
+from geomosaic.survey.names import some
+
+_AGAINST_RAD: Annotated[
+    float,
+    Because(
+        "rad",
+        "by which a frame stands against its line: half a turn to an eighth, so that no crosswind counts",
+        CHOSEN,
+    ),
+] = np.radians(135.0)
+_AGREE_DEG: Annotated[
+    float, Because("degrees", "by which a told heading may be off to agree: as compasses are at most", CHOSEN)
+] = 20.0
+_LEAST_OTHERS: Annotated[int, Because("frames", "of a line that say how it stands", CHOSEN)] = 3
+_TOGETHER: Annotated[
+    float, Because("length of the mean of unit vectors", "how well a line's headings go together", CHOSEN)
+] = 0.9
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong. code: stable, kebab-case; frames: whose; weight: larger is worse."""
+
+    code: str
+    frames: tuple[str, ...]
+    text: str
+    sure: str
+    mend: str
+    weight: float
+
+
+_LAID = "no need: the images laid it right; correct it in the positions' table if they are used elsewhere"
+_MENDS: dict[str, tuple[float, str]] = {
+    "bundle-failed": (95.0, "more overlap, or positions of more frames"),
+    "not-placed": (80.0, "give its position (--pos), or leave it out"),
+    "no-tie-points": (70.0, "leave it out, or fly with more overlap there"),
+    "separate-part": (68.0, "frames between the parts, or control points in each"),
+    "pose-not-determined": (66.0, "look at the frame; more overlap there"),
+    "frame-contradicted": (64.0, "look at the frame: another flight's, or a copy under another time"),
+    "position-wrong": (40.0, _LAID),
+    "yaw-wrong": (38.0, _LAID),
+    "frame-turned": (36.0, "no need: it was righted; don't let viewers turn frames when they save them"),
+    "frame-flung": (34.0, "look at the frame; leave it out if it is of another place"),
+    "frame-damaged": (32.0, "copy it from the camera's card again"),
+    "height-not-believed": (30.0, "no need: the images set it; give heights with --pos if they are known"),
+    "horizon": (12.0, "no need: only what lies on the ground is used"),
+    "frame-oblique": (20.0, "no need: it was left out"),
+    "frame-blurred": (20.0, "no need: it was left out"),
+    "frame-copy": (18.0, "no need: one of the copies is used"),
+    "frame-take-off": (18.0, "no need: it was left out"),
+    "frame-other-place": (20.0, "mosaic the other flight by itself"),
+    "frame-other-bands": (20.0, "mosaic frames of the other kind by themselves"),
+    "frame-no-camera": (20.0, "give the lens with --camera"),
+}  # fmt: skip
+"""How bad the faults of frames are, beside each other, and what mends them."""
+
+
+def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What is wrong, worst first, as JSON: code, frames, text, sure, mend.
+
+    Args: frames: `frame_figures` of `solved`.
+    """
+    found = [*_of_run(recording), *_of_verdict(recording)]
+    if solved is not None:
+        by_name = {f["frame"]: f for f in frames}
+        found += _of_frames(solved, by_name)
+        found += _against_their_lines(solved)
+        found += _bare_ground(solved)
+    found.sort(key=lambda f: (-f.weight, f.code, f.frames))
+    return [{k: v for k, v in asdict(f).items() if k != "weight"} for f in found]
+
+
+def _of_run(recording: Recording) -> Iterator[Fault]:
+    """The run itself: ended early, or its recording damaged."""
+    errors = [line for line in recording.log if line.level in ("error", "fatal")]
+    stages, again = recording.stages, "run again: finished work is kept"
+    if errors:
+        text = f"{errors[-1].stage or 'the run'} ended with: {errors[-1].text}"
+        yield Fault("run-failed", (), text, "certain", f"mend that and {again}", 100.0)
+    elif stages and not stages[-1].finished:
+        text = f"the run was killed in {stages[-1].stage_id}"
+        yield Fault("run-killed", (), text, "certain", again, 100.0)
+    elif recording.problem:
+        text = f"the recording isn't whole: {recording.problem}"
+        mend = "inspect --repair OUT makes a whole file of what is there"
+        yield Fault("recording-not-whole", (), text, "certain", mend, 99.0)
+
+
+def _of_verdict(recording: Recording) -> Iterator[Fault]:
+    """What the run's own verdict holds against its mosaic."""
+    for stage in recording.stages:
+        report = stage.notes.get("report")
+        verdict = report.get("verdict") if isinstance(report, dict) else None
+        evidence = verdict.get("evidence") if isinstance(verdict, dict) else None
+        for e in evidence if isinstance(evidence, list) else ():
+            if isinstance(e, dict) and e.get("grade") in ("doubtful", "bad"):
+                name, cause, mend = (str(e.get(key, "")) for key in ("name", "cause", "mend"))
+                figure = _figure(e.get("value"), str(e.get("unit", "")))
+                text = f"{cause} ({name} {figure})" if figure else cause
+                weight = 90.0 if e["grade"] == "bad" else 50.0
+                yield Fault(name.replace(" ", "-"), (), text, f"the mosaic is {e['grade']}", mend, weight)
+
+
+def _figure(value: Any, unit: str) -> str:
+    if not unit or not isinstance(value, int | float):
+        return ""
+    return f"{100.0 * value:.0f} %" if unit == "share" else f"{value:.2f} {unit}"
+
+
+def _of_frames(solved: Solved, frames: dict[str, dict[str, Any]]) -> Iterator[Fault]:
+    """Frames that the run accuses, once each for each thing."""
+    said: dict[tuple[str, str], str] = {}
+    for code, frame, text in solved.warned:
+        if frame and code in _MENDS:
+            said.setdefault((code, frame), text)
+    for (code, frame), text in said.items():
+        weight, mend = _MENDS[code]
+        sure, more = _sure(solved, code, frames.get(frame, {}))
+        yield Fault(code, (frame,), text, sure, mend, weight + more)
+
+
+def _sure(solved: Solved, code: str, frame: dict[str, Any]) -> tuple[str, float]:
+    """How sure an accusation is, in words, and below one, how much it weighs among its like."""
+    held = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
+    if frame.get("rms_px") is not None:
+        held += f", to {frame['rms_px']:.2f} px"
+    told, now = frame.get("told"), frame.get("found")
+    if code == "position-wrong" and told and now and None not in frame["moved_m"]:
+        off_m = float(np.hypot(*frame["moved_m"][:2]))
+        times = off_m / _together(told, now, "sd_e_m", "sd_n_m")
+        return f"{_word(times)}: {off_m:.1f} m, {times:.0f} times its deviation; {held}", _below_1(times)
+    off_deg = abs(frame.get("yaw_off_deg") or 0.0)
+    if code == "yaw-wrong" and told and now:
+        times = off_deg / _together(told, now, "sd_kappa_deg")
+        return f"{_word(times)}: {off_deg:.0f} degrees, {times:.0f} times its deviation; {held}", _below_1(
+            times
+        )
+    if code == "frame-turned" and now:
+        word = "sure" if frame["pairs_tied"] >= 3 else "likely"
+        return f"{word}: once righted its heading fits to {off_deg:.0f} degrees; {held}", 0.0
+    return ("certain" if frame.get("status") == "left_out" else "as the run says"), 0.0
+
+
+def _below_1(times: float) -> float:
+    return times / (1.0 + times)
+
+
+def _together(told: dict[str, Any], now: dict[str, Any], *names: str) -> float:
+    """The deviation of a difference of told and found values: the larger of the named ones."""
+    both = [np.hypot(told[n] or 0.0, now[n] or 0.0) for n in names]
+    return max(float(max(both)), 1e-6)
+
+
+def _word(times: float) -> str:
+    return "sure" if times >= 6.0 else "likely" if times >= 3.0 else "doubtful"
+
+
+def _against_their_lines(solved: Solved) -> Iterator[Fault]:
+    """Frames whose image stands on its head beside the others of their line, and that weren't righted."""
+    if solved.adjusted is None or solved.prior is None:
+        return
+    at_m = solved.adjusted.poses.positions_m[:, :2]
+    lines = flight_lines(at_m)
+    yaw = Rotation(solved.adjusted.poses.rotations).yaw_pitch_roll()[0]
+    off = np.exp(1j * (yaw + np.pi / 2.0 * np.array(solved.turned) - np.radians(courses_deg(at_m, lines))))
+    told = ~heading_assumed(solved.prior.poses) & np.isfinite(off)
+    fits = np.abs(solved.yawed_deg) < _AGREE_DEG
+    for i in np.flatnonzero(told):
+        others = np.flatnonzero(told & fits & (np.array(lines) == lines[i]) & (np.arange(len(lines)) != i))
+        usual = complex(np.mean(off[others])) if len(others) >= _LEAST_OTHERS else 0j
+        if abs(usual) < _TOGETHER or abs(np.angle(off[i] / usual)) < _AGAINST_RAD:
+            continue
+        here, there = (np.degrees(yaw[i] + turn) % 360.0 for turn in (0.0, np.angle(usual / off[i])))
+        tags = "its tags say so, too" if fits[i] else "its tags say neither"
+        text = (
+            f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, theirs "
+            f"{there:.0f}; {tags}): its pixels were turned after the flight, or the camera turned about there"
+        )
+        sure = f"sure that it stands so: {len(others)} others of its line don't"
+        yield Fault(
+            "against-its-line", (solved.names[i],), text, sure, "no need: it is used as it stands", 35.0
+        )
+
+
+def _bare_ground(solved: Solved) -> Iterator[Fault]:
+    """Ground that several frames see and none of them has tie points on."""
+    bare = bare_shares(solved)
+    if not bare:
+        return
+    shares = np.array(list(bare.values()))
+    total = float(shares[:, 0].sum() / max(shares[:, 1].sum(), 1.0))
+    if total <= BARE:
+        return
+    most = sorted(bare, key=lambda n: -bare[n][0] / bare[n][1])
+    most = [n for n in most if bare[n][0] > BARE * bare[n][1]]
+    text = (
+        f"{100.0 * total:.0f} % of the ground that three frames and more see has no tie points: water, or "
+        f"ground that looks alike or moves; most in {some(most)}"
+    )
+    mend = "no need on water; elsewhere heights are guessed: more overlap, or an elevation model (--dem)"
+    yield Fault("ground-without-ties", tuple(most[:10]), text, "counted", mend, 25.0 + total)
+
+
+def worst_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Frames by how far their tags are off and how badly they hold together, worst first."""
+
+    def key(f: dict[str, Any]) -> tuple[bool, bool, float, str]:
+        moved = [v for v in f.get("moved_m", ())[:2] if v is not None]
+        return f["status"] != "tied", bool(f["said"]), float(np.linalg.norm(moved)), f["frame"]
+
+    return sorted(frames, key=key, reverse=True)
+
+
+def worst_pairs(pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Tied pairs by what the adjustment leaves between them, worst first; then those that aren't tied."""
+    return sorted(pairs, key=lambda p: -(-1.0 if p.get("rms_m") is None else p["rms_m"]))
