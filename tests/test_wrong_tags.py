@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly
 
+from geomosaic.adjustment.doubts import lying_tags
 from geomosaic.adjustment.height_drift import height_drift
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.matching.turned import flown_courses_rad, headed_wrong, reheaded
 
 COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
@@ -101,3 +102,15 @@ def test_a_wrong_position_bends_no_course() -> None:
     assert course == pytest.approx([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0], nan_ok=True)
     honest = np.degrees(flown_courses_rad(at, [(a, b, np.full((4, 4), 2.0)) for a, b, _ in costs], {}))
     assert honest == pytest.approx(np.zeros(7))
+
+
+def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:
+    """Its position was wrong too, so that matching couldn't see it; the adjustment does."""
+    flown = fly(4, lines=2, per_line=6)
+    upside_down = flown.truth.rotations.copy()
+    upside_down[3] = about_z(np.pi) @ upside_down[3]
+    told = replace(flown.truth, rotations_sd_rad=np.radians(np.full((12, 3), 2.0)))
+    found = replace(told, rotations=upside_down)
+    for given, adjusted, code in ((told, found, "frame-turned"), (found, told, "yaw-wrong")):
+        said = lying_tags(replace(flown.block, poses=given), adjusted)
+        assert [(w.code, w.frame) for w in said] == [(code, "003.jpg")]

@@ -16,7 +16,8 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
-from geomosaic.placement.prior import heading_assumed, position_assumed
+from geomosaic.placement.graph import flight_lines
+from geomosaic.placement.prior import courses_deg, heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
 from geomosaic.survey.strays import UPRIGHT
 
@@ -39,6 +40,23 @@ _YAW_LIES_DEG: Annotated[
         CHOSEN,
     ),
 ] = 8.0
+_HALF_TURN_DEG: Annotated[
+    float,
+    Because(
+        "degrees",
+        "about half a turn, and about a usual heading: less than halfway to the next quarter, and more than "
+        "crosswinds turn small drones",
+        CHOSEN,
+    ),
+] = 30.0
+_TOGETHER: Annotated[
+    float,
+    Because(
+        "length of the mean of unit vectors",
+        "how well headings must go with courses to say what is usual, as in `matching.turned`: 1 where alike",
+        CHOSEN,
+    ),
+] = 0.7
 _SAME_PLACE_M: Annotated[
     float,
     Because(
@@ -137,15 +155,32 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
         for i in np.flatnonzero(far > limit)
         if i not in strayed
     ]
-    return out + [
-        Warn(
-            "yaw-wrong",
-            block.names[i],
-            f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours",
+    head_down = _head_down(block, poses, turned)
+    for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses)):
+        if i in strayed:
+            continue
+        words = (
+            f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours"
         )
-        for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses))
-        if i not in strayed
-    ]
+        if head_down[i]:
+            words = "its pixels were turned by 180 degrees after the flight; laid so by its neighbours"
+        out.append(Warn("frame-turned" if head_down[i] else "yaw-wrong", block.names[i], words))
+    return out
+
+
+def _head_down(block: Block, poses: Poses, turned_deg: Floats) -> Bools:
+    """Frames half a turn from their told heading where that goes with their course as the others' headings
+    do, (n,): their image was turned. Nothing is said of platforms whose headings go with no course."""
+    course = np.radians(courses_deg(poses.positions_m, flight_lines(poses.positions_m)))
+    told, found = (
+        np.exp(1j * (Rotation(p.rotations).yaw_pitch_roll()[0] - course)) for p in (block.poses, poses)
+    )
+    half = np.abs(np.abs(turned_deg) - 180.0) < _HALF_TURN_DEG
+    others = ~half & np.isfinite(found)
+    usual = complex(np.mean(found[others])) if others.any() else 0j
+    if abs(usual) < _TOGETHER:
+        return np.zeros(len(half), dtype=bool)
+    return np.asarray(half & (np.cos(np.angle(told / usual)) > np.cos(np.radians(_HALF_TURN_DEG))))
 
 
 def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
