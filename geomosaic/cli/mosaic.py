@@ -40,6 +40,7 @@ STAGES = (
     "mosaic.seams",
     "mosaic.compose",
     "export.cog",
+    "export.surface",
     "quality.compare",
     "quality.verdict",
     "export.layers",
@@ -145,6 +146,7 @@ def mosaic(
         "matching.flying_height": ground_height is not None,
         "surface.dense": surface != "dense",
         "surface.terrain": surface != "dense",
+        "export.surface": surface != "dense",
     }
     stages = [id for id in STAGES if not unasked.get(id)]
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)

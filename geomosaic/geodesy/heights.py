@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 
+import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geomosaic.errors import InputError
+
+Floats = NDArray[np.float64]
 
 
 def vertical_crs(crs: CRS) -> CRS | None:
@@ -24,7 +27,12 @@ def vertical_crs(crs: CRS) -> CRS | None:
 
 
 def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float:
-    """Ellipsoidal minus orthometric height at a point: the geoid's undulation, in metres.
+    """As `ellipsoidal_offsets_m`, at one point."""
+    return float(ellipsoidal_offsets_m(vertical, np.array([lon_deg]), np.array([lat_deg]))[0])
+
+
+def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Floats:
+    """Ellipsoidal minus orthometric height at points of any shape: the geoid's undulation, in metres.
 
     Only transformations with a stated operation count: a ballpark one, which leaves heights as they
     are, is never used. Among several the most accurate one whose grids are here is taken.
@@ -39,19 +47,19 @@ def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float
             mend="convert them to metres upwards first",
         )
     if not vertical.is_vertical or "ellips" in vertical.name.lower():
-        return 0.0
+        return np.zeros(lon_deg.shape)
     heights = CompoundCRS(name="heights of a vertical datum", components=["EPSG:4326", vertical])
-    south, north = max(lat_deg - 0.01, -90.0), min(lat_deg + 0.01, 90.0)
-    near = AreaOfInterest(lon_deg - 0.01, south, lon_deg + 0.01, north)
+    south, north = max(float(lat_deg.min()) - 0.01, -90.0), min(float(lat_deg.max()) + 0.01, 90.0)
+    near = AreaOfInterest(float(lon_deg.min()) - 0.01, south, float(lon_deg.max()) + 0.01, north)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a better grid is missing: judged below
         group = TransformerGroup(
             heights, "EPSG:4979", always_xy=True, area_of_interest=near, allow_ballpark=False
         )
     for transformer in group.transformers:
-        height = transformer.transform(lon_deg, lat_deg, 0.0)[2]
-        if math.isfinite(height):
-            return float(height)
+        height = np.asarray(transformer.transform(lon_deg, lat_deg, np.zeros(lon_deg.shape))[2])
+        if np.isfinite(height).all():
+            return height
     grids = {
         grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available
     }

@@ -1,0 +1,199 @@
+"""The surface, its deviation and the ground model as rasters on the map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from osgeo import gdal, osr
+from rasterio.windows import Window
+
+from geomosaic.doors.gdal_failures import close, gdal_failures
+from geomosaic.doors.raster import OWN, Raster, reading
+from geomosaic.export.surface_heights import HeightSystem
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.mosaic.model import OutputGrid
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.warp import ground_window
+from geomosaic.surface.cells import Cells
+from geomosaic.surface.model import DenseSurface
+from geomosaic.surface.terrain import TerrainModel
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+NODATA: Final = -9999.0
+_BLOCK_PX: Final = 512
+_MOSAIC_PX: Final = 4096
+"""Side of a block in the mosaic's pixels, at most: 64 MB of colours."""
+_GRAIN: Final = np.float32(1024.0)
+"""Heights are whole parts of a metre: what lies below the noise would take half of the file."""
+
+
+def surface_grid(mosaic: OutputGrid, cell_m: float) -> tuple[OutputGrid, int]:
+    """The grid of a surface over a mosaic's, from the same corner, and how many of its pixels one is along a
+    side: as many as come nearest to a cell."""
+    by = max(1, round(cell_m / mosaic.gsd_m))
+    size = -(-mosaic.width_px // by), -(-mosaic.height_px // by)
+    return OutputGrid(mosaic.crs, mosaic.west_m, mosaic.north_m, mosaic.gsd_m * by, *size), by
+
+
+@dataclass(frozen=True)
+class SurfaceBlock:
+    """Part of the grid, (rows, cols) each: the pixels' heights, those of the ground below, what deviates and
+    how many frames agree, and where the ground was seen; valid: where there is a surface."""
+
+    row: int
+    col: int
+    height_m: Floats32
+    terrain_m: Floats32
+    sd_m: Floats32
+    views: NDArray[np.uint8]
+    ground: Bools
+    valid: Bools
+
+
+@dataclass(frozen=True)
+class SurfaceOnMap:
+    """A surface and the ground below it as the map's pixels see them; by: the mosaic's in one of grid's."""
+
+    grid: OutputGrid
+    by: int
+    work_frame: LocalFrame
+    surface: DenseSurface
+    terrain: TerrainModel
+    heights: HeightSystem
+
+    def blocks(self, mosaic: Raster) -> Iterator[SurfaceBlock]:
+        """All of it, row by row; what neither a frame nor the mosaic shows isn't valid."""
+        top, ground = self.surface.ground(), self.terrain.ground()
+        side = min(_BLOCK_PX, max(1, _MOSAIC_PX // self.by))
+        for row in range(0, self.grid.height_px, side):
+            for col in range(0, self.grid.width_px, side):
+                size = min(side, self.grid.height_px - row), min(side, self.grid.width_px - col)
+                yield self._block(row, col, size, top, ground, _shown(mosaic, row, col, size, self.by))
+
+    def _block(
+        self,
+        row: int,
+        col: int,
+        size: tuple[int, int],
+        top: GroundSurface,
+        ground: GroundSurface,
+        shown: Bools,
+    ) -> SurfaceBlock:
+        height_m, at = self._heights(top, row, col, size)
+        terrain_m, below = self._heights(ground, row, col, size)
+        within = _inside(self.surface.cells, *at)
+        place, place_below = _cell_of(self.surface.cells, *at), _cell_of(self.terrain.cells, *below)
+        views = self.surface.views[place]
+        return SurfaceBlock(
+            row, col, height_m, terrain_m, self.surface.sd_m[place], views,
+            self.terrain.seen[place_below], within & (shown | (views > 0)),
+        )  # fmt: skip
+
+    def _heights(
+        self, ground: GroundSurface, row: int, col: int, size: tuple[int, int]
+    ) -> tuple[Floats32, tuple[Floats, Floats]]:
+        """Heights of pixels as they are written, and where in the work frame they lie."""
+        grid = self.grid
+        corner = grid.west_m + col * grid.gsd_m, grid.north_m - row * grid.gsd_m
+        window = ground_window(grid.crs, self.work_frame, ground, *corner, grid.gsd_m, size[1], size[0])
+        assert window.relief_m is not None
+        level_m = self.work_frame.geodetic_from_enu(window.polynomial[0])[2]
+        undulation_m = self.heights.undulation_at(grid, row, col, *size)
+        height_m = level_m + window.relief_m.astype(np.float64) - undulation_m
+        points = window.points_m()
+        return np.round(height_m * _GRAIN).astype(np.float32) / _GRAIN, (points[..., 0], points[..., 1])
+
+
+def _inside(cells: Cells, east: Floats, north: Floats) -> Bools:
+    col, row = (east - cells.west_m) / cells.cell_m, (north - cells.south_m) / cells.cell_m
+    return np.asarray((col >= 0.0) & (col <= cells.cols) & (row >= 0.0) & (row <= cells.rows))
+
+
+def _cell_of(cells: Cells, east: Floats, north: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and col of the cell that a place lies in, or is nearest to."""
+    col = np.floor((east - cells.west_m) / cells.cell_m).astype(np.intp)
+    row = np.floor((north - cells.south_m) / cells.cell_m).astype(np.intp)
+    return row.clip(0, cells.rows - 1), col.clip(0, cells.cols - 1)
+
+
+def mosaic_window(mosaic: Raster, row: int, col: int, size: tuple[int, int], by: int) -> Window:
+    """The mosaic's pixels below part of the surface's grid, as far as the mosaic goes."""
+    height = min(size[0] * by, mosaic.height - row * by)
+    width = min(size[1] * by, mosaic.width - col * by)
+    return Window(col * by, row * by, width, height)
+
+
+def _shown(mosaic: Raster, row: int, col: int, size: tuple[int, int], by: int) -> Bools:
+    """Where any of the mosaic's pixels in one of the grid's is valid."""
+    found = np.zeros((size[0] * by, size[1] * by), dtype=bool)
+    with reading(Path(mosaic.name), OWN.problem, OWN.mend):
+        valid = mosaic.dataset_mask(window=mosaic_window(mosaic, row, col, size, by)) > 0
+    found[: valid.shape[0], : valid.shape[1]] = valid
+    return np.asarray(found.reshape(size[0], by, size[1], by).any(axis=(1, 3)))
+
+
+@dataclass(frozen=True)
+class Bands:
+    """A raster's bands: what stands in each, and its unit."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Callable[[SurfaceBlock], Sequence[NDArray[Any]]]
+
+
+RASTERS: Final[Mapping[str, Bands]] = {
+    "surface": Bands(("height of the surface",), ("m",), lambda b: (b.height_m,)),
+    "surface_confidence": Bands(
+        ("deviation of the height", "frames that agree, 0 where what lies around holds the height"),
+        ("m", ""),
+        lambda b: (b.sd_m, b.views),
+    ),
+    "terrain": Bands(("height of the ground",), ("m",), lambda b: (b.terrain_m,)),
+}
+
+
+@contextmanager
+def writing_rasters(
+    paths: Mapping[str, Path], grid: OutputGrid, heights: HeightSystem
+) -> Iterator[Callable[[SurfaceBlock], None]]:
+    """Plain rasters of `RASTERS`, whole when the block ends; gives what writes one block to all of them.
+
+    Raises: `OSError` where one of them can't be written.
+    """
+    with gdal_failures(next(iter(paths.values()))):
+        made = {name: _created(path, grid, heights, RASTERS[name]) for name, path in paths.items()}
+
+        def write(block: SurfaceBlock) -> None:
+            for name, dataset in made.items():
+                for number, values in enumerate(RASTERS[name].values(block), start=1):
+                    known = np.where(block.valid & np.isfinite(values), values, NODATA)
+                    dataset.GetRasterBand(number).WriteArray(known.astype(np.float32), block.col, block.row)
+
+        yield write
+        for dataset in made.values():
+            close(dataset)
+
+
+def _created(path: Path, grid: OutputGrid, heights: HeightSystem, bands: Bands) -> Any:
+    options = ["TILED=YES", f"BLOCKXSIZE={_BLOCK_PX}", f"BLOCKYSIZE={_BLOCK_PX}", "BIGTIFF=IF_SAFER"]
+    size = grid.width_px, grid.height_px, len(bands.names)
+    dataset = gdal.GetDriverByName("GTiff").Create(str(path), *size, gdal.GDT_Float32, options)
+    reference = osr.SpatialReference()
+    reference.SetFromUserInput(heights.crs)
+    dataset.SetSpatialRef(reference)
+    dataset.SetGeoTransform(grid.geotransform)
+    dataset.SetMetadataItem("HEIGHTS", heights.text)
+    for number, (name, unit) in enumerate(zip(bands.names, bands.units, strict=True), start=1):
+        band = dataset.GetRasterBand(number)
+        band.SetNoDataValue(NODATA)
+        band.SetDescription(name)
+        band.SetUnitType(unit)
+    return dataset

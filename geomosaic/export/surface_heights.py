@@ -1,0 +1,112 @@
+"""What the heights of a written surface count from: the ellipsoid, or a geoid that PROJ has a grid of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError
+
+from geomosaic.errors import InputError
+from geomosaic.geodesy.heights import ellipsoidal_offsets_m
+from geomosaic.geodesy.mapcrs import MapProjection, is_local
+from geomosaic.mosaic.model import OutputGrid
+
+Floats = NDArray[np.float64]
+ELLIPSOIDAL: Final = "ellipsoidal"
+_GEOID_NODES: Final = 33
+"""Along each side of a grid: in 30 km one a kilometre, where geoids bend by millimetres."""
+_SAME_M: Final = 0.01
+"""Heights over two ellipsoids that differ by less count as the same."""
+
+
+@dataclass(frozen=True)
+class HeightSystem:
+    """crs: what a GeoTIFF's tags can say, the map's alone for ellipsoidal heights; crs_in_space: the map's
+    with them, empty where tags say all there is to say, or no CRS can. text says it in words. undulation_m:
+    (33, 33) over the grid from its upper left corner, what heights lie below the ellipsoidal ones."""
+
+    crs: str
+    crs_in_space: str
+    text: str
+    undulation_m: Floats
+
+    def undulation_at(self, grid: OutputGrid, row: int, col: int, rows: int, cols: int) -> Floats:
+        """At the pixels of part of a grid, bilinear between nodes."""
+        nodes = np.linspace(0.0, 1.0, _GEOID_NODES)
+        right = (col + np.arange(cols) + 0.5) / grid.width_px
+        down = (row + np.arange(rows) + 0.5) / grid.height_px * (_GEOID_NODES - 1)
+        at_nodes = np.stack([np.interp(right, nodes, line) for line in self.undulation_m])
+        above = np.minimum(down.astype(np.intp), _GEOID_NODES - 2)
+        share = (down - above)[:, None]
+        return np.asarray((1.0 - share) * at_nodes[above] + share * at_nodes[above + 1])
+
+
+def vertical_of(text: str) -> CRS | None:
+    """The vertical CRS of a name such as `EPSG:5773`; None for ellipsoidal heights.
+
+    Raises: `InputError` for anything else.
+    """
+    if text == ELLIPSOIDAL:
+        return None
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(
+            f"'{text}' is no vertical coordinate reference system",
+            mend="give ellipsoidal, or an EPSG code such as EPSG:5773",
+        ) from error
+    if not crs.is_vertical or crs.is_compound:
+        raise InputError(
+            f"'{crs.name}' has no heights alone", mend="give a vertical CRS such as EPSG:5773 (EGM96)"
+        )
+    return crs
+
+
+def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
+    """What heights on a grid count from.
+
+    Raises: `InputError` where the geoid's grid isn't installed, or the grid lies nowhere on the Earth.
+    """
+    vertical, none = vertical_of(heights), np.zeros((_GEOID_NODES, _GEOID_NODES))
+    if is_local(grid.crs):
+        if vertical is not None:
+            raise InputError(
+                "a mosaic in a local frame has no heights above a geoid", mend="leave heights ellipsoidal"
+            )
+        return HeightSystem(grid.crs, "", "above the local frame's origin, in its unit", none)
+    share = np.linspace(0.0, 1.0, _GEOID_NODES)
+    pixel = np.stack(np.meshgrid(share * grid.width_px, share * grid.height_px), axis=-1)
+    lonlat = MapProjection(grid.crs).geodetic_from_map(*np.moveaxis(grid.map_from_pixel(pixel), -1, 0))
+    if vertical is None:
+        return HeightSystem(grid.crs, _in_space(grid.crs, lonlat[0, 0]), "ellipsoidal, WGS 84, metres", none)
+    try:
+        undulation_m = ellipsoidal_offsets_m(vertical, lonlat[..., 0], lonlat[..., 1])
+    except InputError as error:
+        mend = "write ellipsoidal heights (export.surface.heights=ellipsoidal), or install its grid"
+        raise InputError(error.problem, mend=mend) from error
+    plane = CRS.from_user_input(grid.crs).to_2d()
+    both = CompoundCRS(name=f"{plane.name} + {vertical.name}", components=[plane, vertical])
+    return HeightSystem(both.to_wkt(), "", f"{vertical.name}, metres", undulation_m)
+
+
+def write_sidecar(path: Path, heights: HeightSystem) -> None:
+    """What GDAL looks for beside a raster whose tags can't hold its CRS: GeoTIFF has no projected CRS with
+    ellipsoidal heights."""
+    dataset = ElementTree.Element("PAMDataset")
+    reference = ElementTree.SubElement(dataset, "SRS", dataAxisToSRSAxisMapping="1,2,3")
+    reference.text = heights.crs_in_space
+    path.write_bytes(ElementTree.tostring(dataset, "utf-8") + b"\n")
+
+
+def _in_space(crs: str, lonlat: Floats) -> str:
+    """A map CRS with ellipsoidal heights, if they are those over WGS 84's ellipsoid; else nothing."""
+    space = CRS.from_user_input(crs).to_2d().to_3d()
+    height = Transformer.from_crs("EPSG:4979", space, always_xy=True).transform(lonlat[0], lonlat[1], 0.0)[2]
+    return str(space.to_wkt()) if abs(height) < _SAME_M else ""
