@@ -1,11 +1,13 @@
 """The reduced normal equations against the whole ones as one dense matrix."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from geomosaic.adjustment.collinearity import image_from_ground, project, readout_of
+from geomosaic.adjustment.levers import Levers
 from geomosaic.adjustment.normal import Normals, build_normals, reduce_normals
 from geomosaic.adjustment.sightings import Sightings
 from geomosaic.camera.exterior import Poses
@@ -26,14 +28,22 @@ def random_normals(
     frame, point = frame[order], point[order]
     camera_of = np.arange(frames) % cameras
     m, fd, ck = len(frame), d * frames, numbers * cameras
-    parts = rng.normal(0, 1, (m, 2, d)), rng.normal(0, 1, (m, 2, numbers)), rng.normal(0, 1, (m, 2, 3))
-    residual, weight = rng.normal(0, 1, (m, 2)), rng.uniform(0.5, 2.0, m)
+    levers = Levers(rng.normal(0, 1, (3, m)), rng.normal(0, 1, ((d - 6) // 3, m)))
+    by_interior, by_point = rng.normal(0, 1, (2, numbers, m)), rng.normal(0, 1, (2, 3, m))
+    by_pose = levers.by_pose(by_point)
+    residual, weight = rng.normal(0, 1, (2, m)), rng.uniform(0.5, 2.0, m)
     n = build_normals(
         Sightings.of(frame, point, frames, points),
         camera_of,
         (cameras, numbers),
-        lambda which: (residual[which], weight[which], *(a[which] for a in parts)),
-        d,
+        lambda which: (
+            residual[:, which],
+            weight[which],
+            Levers(levers.arms_m[:, which], levers.terms[:, which]),
+            by_interior[..., which],
+            by_point[..., which],
+        ),
+        (d - 6) // 3,
     )
     level_point = rng.normal(0, 0.1, (points, 3))
     for block, prior in ((n.pose, 0.3), (n.interior, 0.2), (n.points, 1.0)):
@@ -53,11 +63,11 @@ def random_normals(
     design = np.zeros((2 * m, shared + 3 * points))
     for i in range(m):
         rows = slice(2 * i, 2 * i + 2)
-        design[rows, d * frame[i] : d * frame[i] + d] = parts[0][i]
+        design[rows, d * frame[i] : d * frame[i] + d] = by_pose[..., i]
         at = fd + numbers * camera_of[frame[i]]
-        design[rows, at : at + numbers] = parts[1][i]
+        design[rows, at : at + numbers] = by_interior[..., i]
         at = shared + 3 * point[i]
-        design[rows, at : at + 3] = parts[2][i]
+        design[rows, at : at + 3] = by_point[..., i]
     p = np.repeat(weight, 2)
     dense = design.T @ (p[:, None] * design)
     priors = [np.full(fd, 0.3), np.full(ck, 0.2), [7.0], np.zeros(MOUNTING), np.full(3 * points, 1.0)]
@@ -67,7 +77,7 @@ def random_normals(
     dense[here, here] = n.mounting
     dense[:fd, here] = by_mounting
     dense[here, :fd] = by_mounting.T
-    side = design.T @ (p * residual.ravel())
+    side = design.T @ (p * residual.T.ravel())
     side[fd + ck] = 1.3
     side[here] = n.mounting_side
     return n, np.column_stack([dense, side])
@@ -165,3 +175,31 @@ def test_a_wild_point_that_came_to_lie_at_a_camera_stops_nothing() -> None:
     plain, wild = reduce_normals(n).solve(), reduce_normals(replace(n, points=points)).solve()
     assert all(np.isfinite(a).all() for a in wild)
     assert np.abs(wild[0] - plain[0]).max() < np.abs(plain[0]).max()
+
+
+def test_equations_of_many_sightings_are_held_by_few_numbers_each() -> None:
+    """Of the 36 derivatives of each, by pose, interior and point, 6 are left, and where it lies (3); of each
+    point, here a fifth as many, 45 numbers."""
+
+    def most_bytes(points: int, frames: int = 40, views: int = 5, k: int = 9) -> int:
+        rng = np.random.default_rng(5)
+        first = np.sort(rng.integers(0, frames - views + 1, points))
+        frame, point = (first[:, None] + np.arange(views)).ravel(), np.repeat(np.arange(points), views)
+        sightings = Sightings.of(frame, point, frames, points)
+
+        def linearised(which: np.ndarray) -> tuple[np.ndarray, np.ndarray, Levers, np.ndarray, np.ndarray]:
+            n = len(which)
+            levers = Levers(rng.normal(0, 1, (3, n)), np.zeros((0, n)))
+            by_interior, by_point = rng.normal(0, 1, (2, k, n)), rng.normal(0, 1, (2, 3, n))
+            return rng.normal(0, 1, (2, n)), np.ones(n), levers, by_interior, by_point
+
+        tracemalloc.start()
+        normals = build_normals(sightings, np.zeros(frames, np.intp), (1, k), linearised)
+        normals.pose[:, range(6), range(6)] += 1.0
+        reduce_normals(replace(normals, level=1.0)).solve()
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    more = 8_000
+    assert (most_bytes(12_000 + more) - most_bytes(12_000)) / (5 * more) < 24 * 8

@@ -36,7 +36,7 @@ PARTS = {
     "start_poses": "start: block of similarities",
     "_points_on_ground": "start: points on the ground",
     "solve_bundle": "solves, in all",
-    "project": "  derivatives",
+    "project_by_levers": "  derivatives",
     "image_from_ground": "  image coordinates alone",
     "build_normals": "  normal equations",
     "reduce_normals": "  points eliminated",

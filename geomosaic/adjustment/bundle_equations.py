@@ -14,9 +14,10 @@ from geomosaic.adjustment.collinearity import (
     image_from_ground,
     interior_of,
     kinds_of,
-    project,
+    project_by_levers,
     readout_of,
 )
+from geomosaic.adjustment.levers import Levers
 from geomosaic.adjustment.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.normal import Normals, build_normals
 from geomosaic.adjustment.robust import INFORMATION, student_cost, student_weight
@@ -68,22 +69,22 @@ def normals_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, fa
     sd_px, shown = image_sd_px(tracks, priors, factors), share_shown(tracks, priors)
     seen = seen_px(tracks, camera_of, priors, state)
 
-    def linearised(which: Ints) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def linearised(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
         some = part_of(tracks, which)
         here = in_own_rows(some, camera_of, priors, state, seen[which])
-        image, by_pose, by_interior, by_point = project(*here)
-        residual, sd = some.image_px - image, sd_px[which]
-        counts = np.isfinite(residual).all(axis=1) & has_say(some, priors)
-        length = np.linalg.norm(residual, axis=1) / (sd * np.sqrt(shown[which]))
+        image, levers, by_interior, by_point = project_by_levers(*here)
+        residual, sd = some.image_px.T - image, sd_px[which]
+        counts = np.isfinite(residual).all(axis=0) & has_say(some, priors)
+        length = np.linalg.norm(residual, axis=0) / (sd * np.sqrt(shown[which]))
         weight = np.where(counts, student_weight(length) / sd**2, 0.0)
         residual /= INFORMATION
-        for a in (residual, by_pose, by_interior, by_point):
-            a[~counts] = 0.0
-        return residual, weight, by_pose, by_interior, by_point
+        for a in (residual, levers.arms_m, by_interior, by_point):
+            a[..., ~counts] = 0.0
+        return residual, weight, levers, by_interior, by_point
 
     sightings = tracks.sightings(len(state.positions), len(state.points))
-    d = 6 if state.swing is None else 6 + state.swing[0].size
-    n = build_normals(sightings, camera_of, state.interior.shape, linearised, d)
+    terms = 0 if state.swing is None else state.swing.shape[1]
+    n = build_normals(sightings, camera_of, state.interior.shape, linearised, terms)
     n = _with_priors(n, camera_of, priors, state, factors)
     if priors.terrain is None:
         return replace(n, level=1.0)

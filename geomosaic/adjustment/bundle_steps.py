@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -203,9 +204,7 @@ def _converge(
     """Steps until `stop`, or `most`: the state, how many, and the last one's equations, not damped."""
     sd_m = pose_sd(priors, factors)[:, :3]
     damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
-    steps, stands = 0, False
-    while steps < most and not stands:
-        steps += 1
+    for steps in itertools.count(1):
         normals = normals_of(tracks, camera_of, priors, state, factors)
         gain, moved = 0.0, 0.0
         while True:
@@ -228,11 +227,12 @@ def _converge(
         if trial_cost < cost:
             gain, moved = cost - trial_cost, _share_moved(step, sd_m)
             state, cost = trial, trial_cost
-        whole = reduced if damping == 0.0 else None
-        damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
         little = gain <= stop.gain * max(cost, 1.0) or reduced.length(*step) <= stop.step
-        stands = little and moved <= stop.move
-    return state, steps, whole or reduce_normals(normals)
+        if steps >= most or (little and moved <= stop.move):
+            return state, steps, reduced if damping == 0.0 else reduce_normals(normals)
+        damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
+        del normals, reduced  # the next ones take as much
+    raise AssertionError
 
 
 def _of_unknowns(

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.levers import Levers
 from geomosaic.adjustment.swing import recorded_share, terms_at
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
@@ -185,9 +186,27 @@ def project(
     Returns: image_px (m, 2); by_pose (m, 2, 6 + 3 t): position, turn in rad, and the frame's swing;
         by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
     """
+    seen = project_by_levers(positions_m, rotations, interior, points_m, read, kinds)
+    image, levers, by_interior, by_point = seen
+    return (
+        _by_number(image), _by_number(levers.by_pose(by_point)), _by_number(by_interior), _by_number(by_point)
+    )  # fmt: skip
+
+
+def project_by_levers(
+    positions_m: Floats,
+    rotations: Floats,
+    interior: Floats,
+    points_m: Floats,
+    read: Readout | None = None,
+    kinds: Ints | None = None,
+) -> tuple[Floats, Levers, Floats, Floats]:
+    """As `project`, one column an observation, (..., m), and without derivatives by the poses: these follow
+    from the points' by `Levers`."""
     turned, numbers = by_component(rotations), by_component(interior)
     d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
     f, terms = numbers[0], None if read is None else read.terms
+    levers = Levers(d, np.zeros((0, len(u))) if terms is None else by_component(terms))
     bent, slopes = _bends(u, v, numbers, kinds, slopes=True)
     image = bent * f + numbers[1:3]
     by_interior = np.zeros((2, len(INTERIOR), len(u)))
@@ -199,25 +218,16 @@ def project(
     by_u, by_v, scale = slopes[:2], slopes[1:], f / z
     by_camera = np.stack([-by_u, by_v, -(by_u * u + by_v * v)], axis=1) * scale
     by_point = np.einsum("ajm,ijm->aim", by_camera, turned)
-    by_pose = np.empty((2, 6 + 3 * (0 if terms is None else terms.shape[1]), len(u)))
-    np.negative(by_point, out=by_pose[:, :3])
-    for axis in range(3):
-        one, two = (axis + 1) % 3, (axis + 2) % 3
-        by_pose[:, 3 + axis] = by_point[:, one] * d[two] - by_point[:, two] * d[one]
     by_interior[:, 0] = bent
     by_interior[0, 1] = by_interior[1, 2] = 1.0
     if read is not None:
-        shares = read.shares
-        by_interior[:, 8] = np.einsum("ajm,jm->am", by_pose[:, 3:6], read.rates_rad_per_s.T * shares)
-        by_interior[:, 8] -= np.einsum("ajm,jm->am", by_point, read.velocities_m_per_s.T * shares)
+        shown = np.concatenate([read.velocities_m_per_s, read.rates_rad_per_s], axis=1).T * read.shares
+        by_interior[:, 8] = np.einsum("ajm,jm->am", by_point, Levers(d, levers.terms[:0]).as_points_m(shown))
         by_row = _by_row(read, turned, numbers, d, u, v, z, slopes)
-        for derivatives in (by_pose[:, :6], by_interior, by_point):
+        for derivatives in (by_interior, by_point):
             _in_own_row(derivatives, by_row)
         image = read.seen_px(image, by_row)
-    if terms is not None:
-        swung = by_component(terms)[None, :, None] * by_pose[:, None, 3:6]
-        by_pose[:, 6:] = swung.reshape(2, -1, len(u))
-    return _by_number(image), _by_number(by_pose), _by_number(by_interior), _by_number(by_point)
+    return image, levers, by_interior, by_point
 
 
 def _directions(

@@ -14,7 +14,8 @@ from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.dissected import Dissected
-from geomosaic.adjustment.sightings import Sightings
+from geomosaic.adjustment.levers import Levers
+from geomosaic.adjustment.sightings import Group, Sightings
 from geomosaic.constants import Because
 
 Floats = NDArray[np.float64]
@@ -30,13 +31,18 @@ _LEAST_OF_POINTS: Annotated[
     ),
 ] = 1e-12
 
+_LOWER = np.tril_indices(3)
+_SQUARE = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
+"""Where the numbers of a symmetric matrix (3, 3) stand in its lower triangle."""
+
 
 @dataclass(frozen=True)
 class Normals:
     """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and
     what all frames share: the ground's level and q unknowns of the mounting, which meet the poses alone.
 
-    The m observations' own blocks (point by frame) are kept, in order of frames, for the reduction.
+    The m observations' own blocks (point by pose) follow from `point_point` and `levers`, in the order of
+    the sightings.
     """
 
     sightings: Sightings
@@ -49,8 +55,10 @@ class Normals:
     """(p, 3, 3)"""
     pose_interior: Floats
     """(f, d, k), each frame with its own camera"""
-    point_pose: Floats
-    """(m, 3, d), a sighting each"""
+    point_point: Floats
+    """(6, m), what each sighting adds to its point's block: its lower triangle, row by row"""
+    levers: Levers
+    """(m) of the sightings"""
     interior_point: Floats
     """(c, p, k, 3)"""
     pose_side: Floats
@@ -67,56 +75,66 @@ class Normals:
     mounting_side: Floats
     """(q,)"""
 
+    def point_pose(self, sighting: int) -> Floats:
+        """Its block, (3, d)."""
+        it = slice(sighting, sighting + 1)
+        return self.levers.of(it).by_pose(self.point_point[_SQUARE, it])[..., 0]
+
 
 def build_normals(
     sightings: Sightings,
     camera_of: Ints,
     counts: tuple[int, int],
-    linearised: Callable[[Ints], tuple[Floats, Floats, Floats, Floats, Floats]],
-    d: int = 6,
+    linearised: Callable[[Ints], tuple[Floats, Floats, Levers, Floats, Floats]],
+    terms: int = 0,
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
     mounting (none here) with them.
 
-    Derivatives are asked for some frames at a time, so that no array of all of them is ever made.
+    Derivatives are asked for some points at a time, so that no array of all of them is ever made.
 
-    Args: camera_of (f,); counts: cameras, numbers of a camera; d: unknowns of a frame. linearised: of some
-        observations (n,) residuals (n, 2) observed minus computed, weights (n,), and derivatives by pose,
-        interior and point as `collinearity.project` gives them.
+    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing. linearised: of
+        some observations (n,) residuals (2, n) observed minus computed, weights (n,), levers, and derivatives
+        by interior (2, k, n) and point (2, 3, n) as `collinearity.project_by_levers` gives them.
     """
-    (c, k), f, p = counts, sightings.frames, sightings.points
-    point_pose = np.empty((len(sightings.order), 3, d))
-    in_frame, in_point = np.empty((f, d + k + 1, d + k + 1)), np.zeros((c * p, 3 * (k + 4)))
-    for batch in sightings.batches(camera_of):
-        residual, weight, *derivatives = linearised(sightings.order[batch.span])
+    (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
+    d = 6 + 3 * terms
+    point_point, levers = np.empty((6, m)), Levers(np.empty((3, m)), np.empty((terms, m)))
+    in_frame = np.zeros((f, d + k + 1, d + k + 1))
+    interior_point, points, point_side = np.empty((c, p, k, 3)), np.empty((p, 3, 3)), np.empty((p, 3))
+    for group in sightings.groups:
+        residual, weight, its, by_interior, by_point = linearised(sightings.order[group.span].astype(np.intp))
+        levers.arms_m[:, group.span], levers.terms[:, group.span] = its.arms_m, its.terms
         rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)
-        first = 0
-        for part in (*derivatives[:2], residual[:, :, None], derivatives[2]):
-            last = first + part.shape[2]
-            np.multiply(part.transpose(1, 2, 0), root, out=rows[:, first:last])
-            first = last
-        starts = sightings.starts[batch.first : batch.last + 1] - batch.span.start
-        for i, (here, end) in enumerate(pairwise(starts), batch.first):
+        np.multiply(by_point, root, out=rows[:, -3:])
+        np.multiply(by_interior, root, out=rows[:, d:-4])
+        np.multiply(residual, root, out=rows[:, -4])
+        rows[:, :d] = its.by_pose(rows[:, -3:])
+        for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
             across, down = rows[:, :-3, here:end]
-            in_frame[i] = across @ across.T + down @ down.T
-        by_rows = np.einsum("aim,ajm->ijm", rows[:, -3:], rows)
-        point_pose[batch.span] = by_rows[:, :d].transpose(2, 0, 1)
-        in_point[batch.met] += batch.summed(by_rows[:, d:].reshape(3 * (k + 4), -1))
+            in_frame[i] += across @ across.T + down @ down.T
+        by_rows = np.einsum("aim,ajm->ijm", rows[:, -3:], rows[:, d:])
+        point_point[:, group.span] = by_rows[:, -3:][_LOWER]
+        which = sightings.point[group.span] - group.points.start
+        summed = _summed(by_rows[:, k:].reshape(12, -1), which, group.size).reshape(-1, 3, 4)
+        points[group.points], point_side[group.points] = summed[..., 1:], summed[..., 0]
+        which = which + group.size * camera_of[sightings.frame[group.span]]
+        summed = _summed(by_rows[:, :k].reshape(3 * k, -1), which, c * group.size)
+        interior_point[:, group.points] = np.swapaxes(summed.reshape(c, group.size, 3, k), 2, 3)
     of_camera = np.eye(c)[camera_of].T
-    by_camera = in_point.reshape(c, p, 3, k + 4)
-    both = by_camera[..., k:].sum(axis=0)
     return Normals(
         sightings=sightings,
         camera_of=camera_of,
         pose=in_frame[:, :d, :d].copy(),
         interior=np.tensordot(of_camera, in_frame[:, d:-1, d:-1], axes=1),
-        points=both[..., 1:].copy(),
+        points=points,
         pose_interior=in_frame[:, :d, d:-1],
-        point_pose=point_pose,
-        interior_point=np.swapaxes(by_camera[..., :k], 2, 3),
+        point_point=point_point,
+        levers=levers,
+        interior_point=interior_point,
         pose_side=in_frame[:, :d, -1].copy(),
         interior_side=of_camera @ in_frame[:, d:-1, -1],
-        point_side=both[..., 0].copy(),
+        point_side=point_side,
         level_point=np.zeros((p, 3)),
         level=0.0,
         level_side=0.0,
@@ -143,7 +161,7 @@ class Reduced:
 
     @cached_property
     def _factors(self) -> Dissected:
-        return Dissected(self.poses, self.normals.sightings.shared_points.dissection)
+        return Dissected(self.poses, self.normals.sightings.dissection)
 
     def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
         """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
@@ -155,9 +173,12 @@ class Reduced:
         n = self.normals
         dp = pose.reshape(len(n.pose), -1)
         dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
-        by_pose = (n.point_pose @ dp[n.sightings.frame][:, :, None])[:, :, 0]
-        side = n.point_side - _summed(by_pose, n.sightings.point, len(n.points))
-        side -= np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
+        side = n.point_side - np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
+        for group in n.sightings.groups:
+            moved_m = n.levers.of(group.span).as_points_m(dp[n.sightings.frame[group.span]].T)
+            by_pose = np.einsum("ijm,jm->im", n.point_point[_SQUARE, group.span], moved_m)
+            which = n.sightings.point[group.span] - group.points.start
+            side[group.points] -= _summed(by_pose, which, group.size)
         side -= level * n.level_point
         points = np.einsum("pij,pj->pi", self.points_inverse, side)
         return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
@@ -225,16 +246,19 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     what it takes away leaves no direction of the poses negative.
     """
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
-    pose, interior = (_damped(a, damping) for a in (n.pose, n.interior))
-    root = _inverse_root(_damped(n.points, max(damping, _LEAST_OF_POINTS)))
-    by_camera = n.interior_point.transpose(1, 3, 0, 2).reshape(len(root), 3, c * k)
-    met = np.concatenate([by_camera, n.level_point[:, :, None], n.point_side[:, :, None]], axis=2)
-    beside = root @ met
-    own, across, less_beside = _met_through_points(n, root, beside)
-    flat = beside.reshape(3 * len(beside), -1)
-    less_shared = flat.T @ flat
-    columns, starts, order = n.sightings.shared_points.matrix
-    blocks = np.concatenate([pose - own, -across, -np.swapaxes(across, 1, 2)])[order]
+    s, (pose, interior) = n.sightings, (_damped(a, damping) for a in (n.pose, n.interior))
+    across, less_beside = np.zeros((len(s.left), d, d)), np.zeros((f, d, c * k + 2))
+    less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
+    for group in s.groups:
+        root = _inverse_root(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
+        points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
+        beside = root @ _beside_points(n, group.points)
+        flat = beside.reshape(3 * len(beside), -1)
+        less_shared += flat.T @ flat
+        _less_through_points(n, group, root, beside, (pose, across, less_beside))
+    columns, starts, order = s.matrix
+    blocks = np.concatenate([pose, -across, -np.swapaxes(across, 1, 2)])[order]
+    less_beside = less_beside.reshape(d * f, -1)
     border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
     for i in range(c):
         rows = np.flatnonzero(n.camera_of == i)
@@ -250,7 +274,7 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         shared=corner,
         pose_side=n.pose_side.ravel() - less_beside[:, -1],
         shared_side=shared_side,
-        points_inverse=np.swapaxes(root, 1, 2) @ root,
+        points_inverse=points_inverse,
         normals=n,
     )
 
@@ -270,37 +294,41 @@ def _inverse_root(points: Floats) -> Floats:
     return np.ascontiguousarray(np.moveaxis(out, -1, 0))
 
 
-def _met_through_points(n: Normals, root: Floats, beside: Floats) -> tuple[Floats, Floats, Floats]:
-    """W V^-1 W' and W V^-1 times what lies beside, with W the poses' rows in the columns of the points and V
-    the points' own blocks: of each frame (f, d, d), of each pair that shares points (k, d, d), and (d f, r).
+def _beside_points(n: Normals, points: slice) -> Floats:
+    """What some points' rows have beside the poses: the cameras' numbers, the level, the right side,
+    (p, 3, c k + 2)."""
+    by_camera = n.interior_point[:, points].transpose(1, 3, 0, 2)
+    of_cameras = by_camera.reshape(*by_camera.shape[:2], -1)
+    return np.concatenate([of_cameras, n.level_point[points, :, None], n.point_side[points, :, None]], axis=2)
+
+
+def _less_through_points(
+    n: Normals, group: Group, root: Floats, beside: Floats, sums: tuple[Floats, Floats, Floats]
+) -> None:
+    """W V^-1 W' and W V^-1 times what lies beside, with W the poses' rows in the columns of some points and V
+    the points' own blocks: taken off each frame's (f, d, d), added to each pair's that shares points
+    (k, d, d), and to (f, d, r).
 
     Args: root (p, 3, 3): of the inverse; beside (p, 3, r), multiplied with it.
     """
-    s, (f, d) = n.sightings, n.pose_side.shape
-    shared = s.shared_points
-    own, others = np.empty((f, d, d)), np.empty((f, d, beside.shape[2]))
-    across = np.empty((len(shared.left), d, d))
-    scaled = np.empty((len(s.point), 3 * d))
-    for first, last in s.spans():
-        for i in range(first, last):
-            span = slice(s.starts[i], s.starts[i + 1])
-            point = s.point[span]
-            mine = (root[point] @ n.point_pose[span]).reshape(-1, d)
-            scaled[span] = mine.reshape(len(point), 3 * d)
-            own[i] = mine.T @ mine
-            others[i] = mine.T @ beside[point].reshape(len(mine), beside.shape[2])
-    for first, last in shared.spans():
-        begin, end = shared.starts[first], shared.starts[last]
-        one, other = (scaled.take(a[begin:end], axis=0).reshape(-1, d) for a in (shared.one, shared.other))
-        starts = 3 * (shared.starts[first : last + 1] - begin)
-        for i, (here, there) in enumerate(pairwise(starts), first):
-            across[i] = one[here:there].T @ other[here:there]
-    return own, across, others.reshape(d * f, -1)
+    own, across, others = sums
+    point = n.sightings.point[group.span] - group.points.start
+    roots = np.ascontiguousarray(np.moveaxis(root, 0, -1))[..., point]
+    by_point = np.einsum("ikm,kjm->ijm", roots, n.point_point[_SQUARE, group.span])
+    scaled = n.levers.of(group.span).by_pose(by_point).transpose(2, 0, 1)
+    scaled, d = np.ascontiguousarray(scaled).reshape(len(point), -1), own.shape[1]
+    for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
+        mine = scaled[here:end].reshape(-1, d)
+        own[i] -= mine.T @ mine
+        others[i] += mine.T @ beside[point[here:end]].reshape(len(mine), -1)
+    one, other = (scaled.take(a, axis=0).reshape(-1, d) for a in (group.one, group.other))
+    for i, (here, end) in zip(group.pairs, pairwise(3 * group.shared), strict=True):
+        across[i] += one[here:end].T @ other[here:end]
 
 
-def _summed(values: Floats, point: Ints, points: int) -> Floats:
-    """Values (m, 3) added up by their point, (points, 3)."""
-    return np.stack([np.bincount(point, values[:, a], points) for a in range(values.shape[1])], axis=1)
+def _summed(values: Floats, which: Ints, count: int) -> Floats:
+    """Values (r, n) added up by which (n,) they belong to, (count, r)."""
+    return np.stack([np.bincount(which, row, count) for row in values], axis=1)
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:

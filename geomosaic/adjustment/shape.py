@@ -62,7 +62,7 @@ def shape_sd_m(bundle: Bundle, ties: int) -> float:
     for j, p in enumerate(chosen):
         inverse, columns = bundle.reduced.points_inverse[p][:2], slice(2 * j, 2 * j + 2)
         for o in np.flatnonzero(n.sightings.point == p):
-            by_pose[n.sightings.frame[o], :, columns] -= (inverse @ n.point_pose[o]).T
+            by_pose[n.sightings.frame[o], :, columns] -= (inverse @ n.point_pose(int(o))).T
         by_shared[: c * k, columns] = -np.einsum("ai,cki->cka", inverse, n.interior_point[:, p]).reshape(
             -1, 2
         )

@@ -1,9 +1,9 @@
-"""Which frames see which points, in order of frames, and what follows from that alone."""
+"""Which frames see which points, a group of points after the other, and what follows from that alone."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -15,50 +15,76 @@ from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+Numbers = NDArray[np.int32]
 AT_ONCE: Annotated[
     int,
     Because(
         "image observations",
-        "linearised at once, whole frames of them: their derivatives (1 to 2 MB) stay in the processor's "
-        "cache; fewer mean more calls, more go through the memory",
+        "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
+        "processor's cache; fewer mean more calls, more go through the memory",
         CHOSEN,
     ),
-] = 4096
+] = 8192
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Sightings of frames `first` to `last`, without the last: a span of all.
+class Group:
+    """Consecutive points and all n sightings of them, in order of frames: spans of all.
 
-    met (q,): the points they see, each once for each camera, as camera times the number of points plus point;
-    which (n,): that of each sighting, as its place in met.
+    frames (r,), runs (r + 1,): those that see any, and where each one's begin in the span. pairs (q,): the
+    pairs of frames that share any of the points, by number; shared (q + 1,): where each one's begin among
+    one and other, places in the span of sightings of the same point from the left frame and the right one.
     """
 
-    first: int
-    last: int
+    points: slice
     span: slice
-    met: Ints
-    which: Ints
+    frames: Ints
+    runs: Ints
+    pairs: Ints
+    shared: Ints
+    one: Numbers
+    other: Numbers
 
-    def summed(self, values: Floats) -> Floats:
-        """What sightings say (k, n), added up for each of `met`, (q, k)."""
-        return np.stack([np.bincount(self.which, row, len(self.met)) for row in values], axis=1)
+    @property
+    def size(self) -> int:
+        """How many points there are."""
+        return int(self.points.stop - self.points.start)
 
 
 @dataclass(frozen=True)
-class SharedPoints:
-    """Pairs of frames and the points that both see.
+class Sightings:
+    """m sightings of points by frames, sorted by groups of points, within one by frame, those of a frame as
+    they came.
 
-    left, right (k,): frames, left < right, sorted. starts (k + 1,): of each pair's share of one and other
-    (n,), sightings of the same point from the left frame and from the right one.
+    order (m,): the place of each before it was sorted. frame, point (m,): numbers below frames and points.
+    left, right (k,): pairs of frames that share points, left < right, sorted.
     """
 
     frames: int
+    points: int
+    order: Numbers
+    frame: Numbers
+    point: Numbers
+    groups: tuple[Group, ...]
     left: Ints
     right: Ints
-    starts: Ints
-    one: Ints
-    other: Ints
+
+    @classmethod
+    def of(cls, frame: Ints, point: Ints, frames: int, points: int) -> Sightings:
+        """From frame and point of each, in any order."""
+        starts = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=points))])
+        bounds = list(_bounds(starts))
+        group_of = np.repeat(np.arange(len(bounds), dtype=np.int32), [last - first for first, last in bounds])
+        order: Numbers = np.lexsort((frame, group_of[point])).astype(np.int32)
+        seen_by: Numbers = frame[order].astype(np.int32)
+        seen: Numbers = point[order].astype(np.int32)
+        groups = [
+            _group(slice(first, last), slice(int(starts[first]), int(starts[last])), seen_by, seen, frames)
+            for first, last in bounds
+        ]
+        names = np.unique(np.concatenate([np.zeros(0, np.intp), *(group.pairs for group in groups)]))
+        numbered = (replace(group, pairs=np.searchsorted(names, group.pairs)) for group in groups)
+        return cls(frames, points, order, seen_by, seen, tuple(numbered), *np.divmod(names, frames))
 
     @cached_property
     def matrix(self) -> tuple[Ints, Ints, Ints]:
@@ -71,10 +97,6 @@ class SharedPoints:
         starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=f))])
         return column[order], starts, order
 
-    def spans(self) -> Iterator[tuple[int, int]]:
-        """Runs of pairs with as few points as `Sightings.spans` has sightings."""
-        return _runs(self.starts)
-
     @cached_property
     def dissection(self) -> Dissection:
         """In which order such a matrix is factorised."""
@@ -82,73 +104,39 @@ class SharedPoints:
         return Dissection.of(columns, starts)
 
 
-@dataclass(frozen=True)
-class Sightings:
-    """m sightings of points by frames, sorted by frame, those of a frame as they came.
-
-    order (m,): the place of each before it was sorted. frame, point (m,): numbers below frames and points.
-    """
-
-    frames: int
-    points: int
-    order: Ints
-    frame: Ints
-    point: Ints
-    _batches: dict[bytes, list[Batch]] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of(cls, frame: Ints, point: Ints, frames: int, points: int) -> Sightings:
-        """From frame and point of each, in any order."""
-        order = np.argsort(frame, kind="stable")
-        return cls(frames, points, order, frame[order], point[order])
-
-    @cached_property
-    def starts(self) -> Ints:
-        """Where each frame's sightings begin, and the end, (frames + 1,)."""
-        return np.searchsorted(self.frame, np.arange(self.frames + 1))
-
-    def spans(self) -> Iterator[tuple[int, int]]:
-        """Runs of frames with few enough sightings for their derivatives to stay in the processor's cache."""
-        return _runs(self.starts)
-
-    def batches(self, camera_of: Ints) -> list[Batch]:
-        """All sightings, some frames at a time. camera_of (frames,)."""
-        key = camera_of.tobytes()
-        if key not in self._batches:
-            self._batches[key] = [self._batch(first, last, camera_of) for first, last in self.spans()]
-        return self._batches[key]
-
-    def _batch(self, first: int, last: int, camera_of: Ints) -> Batch:
-        span = slice(int(self.starts[first]), int(self.starts[last]))
-        numbers = camera_of[self.frame[span]] * self.points + self.point[span]
-        met, which = np.unique(numbers, return_inverse=True)
-        return Batch(first, last, span, met, which)
-
-    @cached_property
-    def shared_points(self) -> SharedPoints:
-        """By pairs of frames."""
-        by_point = np.argsort(self.point, kind="stable")
-        point, one, other = self.point[by_point], [], []
-        for step in range(1, len(point)):
-            same = np.flatnonzero(point[step:] == point[:-step])
-            if not len(same):
-                break
-            one.append(by_point[same])
-            other.append(by_point[same + step])
-        first = np.concatenate([np.zeros(0, np.intp), *one])
-        second = np.concatenate([np.zeros(0, np.intp), *other])
-        pair = self.frame[first] * self.frames + self.frame[second]
-        order = np.argsort(pair, kind="stable")
-        names, starts = np.unique(pair[order], return_index=True)
-        left, right = np.divmod(names, self.frames)
-        starts = np.append(starts, len(pair))
-        return SharedPoints(self.frames, left, right, starts, first[order], second[order])
-
-
-def _runs(starts: Ints) -> Iterator[tuple[int, int]]:
+def _bounds(starts: Ints) -> Iterator[tuple[int, int]]:
+    """First and last point of each group, without the last."""
     first, last = 0, len(starts) - 1
     while first < last:
         end = int(np.searchsorted(starts, starts[first] + AT_ONCE, side="right")) - 1
         end = max(end, first + 1)
         yield first, end
         first = end
+
+
+def _group(points: slice, span: slice, frame: Numbers, point: Numbers, frames: int) -> Group:
+    """Pairs are named left times the number of frames plus right."""
+    frame, point = frame[span], point[span]
+    seen, runs = np.unique(frame, return_index=True)
+    by_point = np.argsort(point, kind="stable")
+    in_turn, one, other = point[by_point], [np.zeros(0, np.intp)], [np.zeros(0, np.intp)]
+    for step in range(1, len(point)):
+        same = np.flatnonzero(in_turn[step:] == in_turn[:-step])
+        if not len(same):
+            break
+        one.append(by_point[same])
+        other.append(by_point[same + step])
+    first, second = np.concatenate(one), np.concatenate(other)
+    pair = frame[first].astype(np.intp) * frames + frame[second]
+    order = np.argsort(pair, kind="stable")
+    pairs, shared = np.unique(pair[order], return_index=True)
+    return Group(
+        points,
+        span,
+        seen.astype(np.intp),
+        np.append(runs, len(frame)),
+        pairs,
+        np.append(shared, len(pair)),
+        first[order].astype(np.int32),
+        second[order].astype(np.int32),
+    )

@@ -1,0 +1,49 @@
+"""What a frame's pose does to the points it sees, by what these do themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Levers:
+    """An image knows of pose and point only where one lies from the other. So derivatives by all numbers of a
+    pose follow from those by the point, and need not be kept beside them.
+
+    arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row by
+    which frames swing; none where they don't.
+    """
+
+    arms_m: Floats
+    terms: Floats
+
+    def of(self, span: slice) -> Levers:
+        """Some of them."""
+        return Levers(self.arms_m[:, span], self.terms[:, span])
+
+    def by_pose(self, by_point: Floats) -> Floats:
+        """Derivatives (..., 6 + 3 t, n) by position, turn and swing, from those by the point (..., 3, n)."""
+        out = np.empty((*by_point.shape[:-2], 6 + 3 * len(self.terms), by_point.shape[-1]))
+        np.negative(by_point, out=out[..., :3, :])
+        turn = out[..., 3:6, :]
+        for axis in range(3):
+            one, two = (axis + 1) % 3, (axis + 2) % 3
+            np.multiply(by_point[..., one, :], self.arms_m[two], out=turn[..., axis, :])
+            turn[..., axis, :] -= by_point[..., two, :] * self.arms_m[one]
+        for k, term in enumerate(self.terms):
+            np.multiply(turn, term, out=out[..., 6 + 3 * k : 9 + 3 * k, :])
+        return out
+
+    def as_points_m(self, step: Floats) -> Floats:
+        """Moves of the points (3, n) to first order that images take for steps of the poses (6 + 3 t, n)."""
+        turn = step[3:6]
+        for k, term in enumerate(self.terms):
+            turn = turn + term * step[6 + 3 * k : 9 + 3 * k]
+        x, y, z = self.arms_m
+        a, b, c = turn
+        return np.asarray(np.stack([y * c - z * b, z * a - x * c, x * b - y * a]) - step[:3])
