@@ -250,6 +250,27 @@ def texts_in(data: bytes | BinaryIO) -> list[str]:
         raise FileError(f"this is no whole artefact ({error})") from error
 
 
+def with_texts(data: bytes, change: Callable[[str], str]) -> bytes:
+    """An artefact's bytes with every text and path in them changed."""
+
+    def changed(tree: Any) -> Any:
+        if isinstance(tree, dict):
+            return {name: changed(value) for name, value in tree.items()}
+        if isinstance(tree, list):
+            return [changed(value) for value in tree]
+        return change(tree) if isinstance(tree, str) else tree
+
+    out = io.BytesIO()
+    with _opened(data) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as new:
+        for name in old.namelist():
+            member = old.read(name)
+            if name == _TREE:
+                tree = changed(json.loads(member))
+                member = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+            new.writestr(zipfile.ZipInfo(name, _TIMELESS), member)
+    return out.getvalue()
+
+
 def _texts(tree: Any) -> Iterator[str]:
     waiting = [tree]
     while waiting:

@@ -173,10 +173,12 @@ class Context:
         for part in path:
             at = at.setdefault(part, {})
         at[last] = plain(value)
+        self.recorder.metric(name, at[last])
 
     def report(self, key: str, value: Any) -> None:
         """A whole entry of run.json: `frames`, `camera`, `mosaic`."""
         self.notes.report[key] = plain(value)
+        self.recorder.metric(key, self.notes.report[key])
 
     def summary(self) -> dict[str, Any]:
         """What run.json will hold so far, this stage's notes included."""

@@ -22,6 +22,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import SpawnContext
+from pathlib import Path
 from typing import Any, Final
 
 from geomosaic import __version__
@@ -71,6 +72,15 @@ def peak_memory_bytes() -> int:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def _present_memory_bytes(pid: int) -> int:
+    """What a process holds now; 0 where the system doesn't say."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+    except (OSError, IndexError):
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 class _Here(Executor):
@@ -206,6 +216,11 @@ class Workers:
         self.check()
         executor: Executor = self._client.get_executor(pure=False)
         return executor
+
+    def memory_bytes(self) -> int:
+        """What this process and the workers on this machine hold now."""
+        pids = [os.getpid(), *(p.pid for p in self._processes.started if p.pid is not None)]
+        return sum(map(_present_memory_bytes, pids))
 
     def check(self) -> None:
         """Counts who is at work on Dask: workers come and go. To be asked while no result comes.

@@ -30,6 +30,7 @@ from geomosaic.pipeline.stage import Stage
 
 RUN_JSON = "run.json"
 RECORDING = "run.mcap"
+UNFINISHED = "run.unfinished.mcap"
 _MAX_BYTES = 1 << 20
 _MEND = "see docs/recipes.md"
 _KEYS = ("name", "description", "seed", "stages")

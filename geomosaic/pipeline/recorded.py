@@ -37,6 +37,10 @@ class StageRecorder:
         """One line; `level` is `debug`, `info`, `warning` or `error`."""
         self._call("log", level=level, text=text, stage=stage or self._stage, frame=frame)
 
+    def wants(self, kind: Any) -> bool:
+        """Whether messages of a class are recorded: what costs time needn't be made if not."""
+        return self._target is not None and self._target.wants(kind)
+
     def __getattr__(self, method: str) -> Callable[..., None]:
         if method not in STAGE_CALLS:
             raise AttributeError(f"'{method}' is no call of a recorder")

@@ -11,7 +11,7 @@ from typing import Any
 
 from geomosaic.errors import CancelledError, FileError, GeomosaicError, OutputError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import type_name
+from geomosaic.pipeline.artefacts import type_name, with_texts
 from geomosaic.pipeline.cache import Finished, Held, Lineage, StageCache, file_manifest, lineage_of, stage_key
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.environment import versions
@@ -19,12 +19,17 @@ from geomosaic.pipeline.executor import Workers, peak_memory_bytes
 from geomosaic.pipeline.given import Given, bring_files
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.plugin import blamed, code_of
-from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, Recipe, Step
+from geomosaic.pipeline.provenance import commit, sizes, surroundings
+from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe, Step
 from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.pipeline.reporter import Reporter, Silent, Source, warning_lines
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.single import check_outputs
 from geomosaic.pipeline.stage import Stage
+from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
+from geomosaic.recording.levels import RecordOptions
+from geomosaic.recording.live import watched
+from geomosaic.recording.privacy import Privacy
 from geomosaic.recording.writer import Recorder
 
 
@@ -52,6 +57,7 @@ def run(
     given: Mapping[int, Given] | None = None,
     reporter: Reporter | None = None,
     cancelled: Callable[[], bool] | None = None,
+    record: RecordOptions | None = None,
 ) -> dict[str, Any]:
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
@@ -61,6 +67,8 @@ def run(
     overwrite: the folder may hold files of others, and results may replace them.
     given: outcomes of steps (by index) that are not to be run, as taken from a recording.
     fixed_time: equal runs give equal bytes in run.mcap; clock times stand in run.json alone.
+    record: how much is recorded, and for whom. The recording of a run that didn't finish stays beside the new
+    one.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
     recording then ends with the error, and the folder has no run.json, but finished work stays cached.
     """
@@ -68,18 +76,50 @@ def run(
     recipe.check_files(skip=given.keys(), run_folder=run_folder)
     folder = RunFolder.opened(run_folder, sorted(recipe.results()), overwrite=overwrite)
     with _in_one_wording(folder.path), folder.locked(), Workers(workers, dask) as team:
+        _put_unfinished_aside(folder)
         folder.remove(RUN_JSON)
         files.sweep(folder.path)
         bring_files(recipe, given, folder)
         hashes = FileHashes(folder.within(f"{WORK}/hashes.json"))
+        record = record or RecordOptions()
+        if record.level == "off":
+            folder.remove(RECORDING)
+        privacy = _privacy(record, recipe, folder)
         try:
-            with Recorder(folder.claim(RECORDING), fixed_time=fixed_time) as recorder:
+            with (
+                watched(record.live) as listener,
+                Recorder(
+                    None if record.level == "off" else folder.claim(RECORDING),
+                    fixed_time=fixed_time,
+                    level=record.level,
+                    memory_bytes=team.memory_bytes,
+                    privacy=privacy,
+                    listener=listener,
+                ) as recorder,
+            ):
                 runner = _Run(
-                    recipe, folder, team, hashes, recorder, fixed_time, reporter or Silent(), cancelled
+                    *(recipe, folder, team, hashes, recorder, fixed_time, reporter or Silent(), cancelled),
+                    privacy,
                 )
                 return runner.run(given)
         finally:
             hashes.save()
+
+
+def _put_unfinished_aside(folder: RunFolder) -> None:
+    """A run that was killed or failed left no run.json; its recording says where it was."""
+    path = folder.within(RECORDING)
+    if RECORDING in folder.made() and path.is_file() and not folder.within(RUN_JSON).exists():
+        path.replace(folder.claim(UNFINISHED))
+
+
+def _privacy(record: RecordOptions, recipe: Recipe, folder: RunFolder) -> Privacy | None:
+    if not record.hides:
+        return None
+    inputs = {p for step in recipe.steps for p in step.stage.files(step.params).values()}
+    parents = {p.absolute().parent for p in inputs}
+    named = {*inputs, *parents, folder.path, folder.path.parent, Path.cwd(), Path.home()}
+    return Privacy(named, places=record.private_places)
 
 
 def _may_be_forged_data(error: BaseException) -> bool:
@@ -102,7 +142,10 @@ class _Run:
         fixed_time: bool,
         reporter: Reporter,
         cancelled: Callable[[], bool] | None,
+        privacy: Privacy | None = None,
     ) -> None:
+        self._privacy = privacy
+        self._marks: dict[str, str] = {}
         self._recipe = recipe
         self._folder = folder
         self._workers = workers
@@ -127,7 +170,7 @@ class _Run:
                 self._reporter.stage_started(i, total, step.stage.display_name)
                 started = time.monotonic()
                 inputs = self._inputs(step.stage)
-                marks = {name: held.fingerprint for name, held in inputs.items()}
+                marks = {name: self._mark(held) for name, held in inputs.items()}
                 version = given[i].record.version if i in given else step.stage.version
                 params = step.params.model_dump(mode="json")
                 self._recorder.stage_started(stage, version, params, marks, reads_run=not step.stage.cached)
@@ -159,7 +202,8 @@ class _Run:
             content = file_manifest(named, self._hashes, self._hashing)
             self._lineages.append(lineage_of(content))
             for name, hashes in content.items():
-                manifest[f"{step.stage.id}.{name}"] = {"path": str(named[name]), "files": hashes}
+                entry = {"path": str(named[name]), "files": hashes, "bytes": sizes(named[name], hashes)}
+                manifest[f"{step.stage.id}.{name}"] = entry
         self._hashes.save()
         self._summary = {
             "recipe": self._recipe.plain(),
@@ -172,7 +216,10 @@ class _Run:
             "recorded_stages": [],
             "artefacts": {},
         }
-        self._recorder.begin_run(self._recipe.yaml(), self._summary["versions"], manifest)
+        environment = {**self._summary["versions"], "commit": commit()}
+        if not self._fixed_time:
+            environment |= surroundings(private=self._privacy is not None)
+        self._recorder.begin_run(self._recipe.yaml(), environment, manifest)
 
     def _check_recorded(self, given: Given) -> None:
         """What a recorded stage found holds for the files it read, and only for them."""
@@ -229,7 +276,7 @@ class _Run:
             seed=self._recipe.seed,
             key=key,
             fixed_time=self._fixed_time,
-            on_progress=self._reporter.progress,
+            on_progress=self._progress,
             on_note=self._reporter.note,
             cancelled=self._cancelled,
             summary=self._timeless_summary() if self._fixed_time else self._summary,
@@ -253,6 +300,10 @@ class _Run:
         recorder.close()
         return self._cache.keep(step.stage, key, values, context, lineage, spool), "work"
 
+    def _progress(self, done: int, total: int, text: str) -> None:
+        self._recorder.progress(done, total, text)
+        self._reporter.progress(done, total, text)
+
     def _timeless_summary(self) -> dict[str, Any]:
         """The summary without what differs between equal runs."""
         clock = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages")
@@ -264,7 +315,7 @@ class _Run:
 
     def _end_stage(self, stage: type[Stage], finished: Finished, seconds: float, source: Source) -> None:
         for name, held in finished.outputs.items():
-            self._recorder.artefact(stage.id, name, type_name(held.type), held.fingerprint, held.data())
+            self._record_artefact(stage, name, held, finished)
             self._held[name] = held
             self._summary["artefacts"][name] = {
                 "file": held.path.relative_to(self._folder.path).as_posix(),
@@ -279,7 +330,7 @@ class _Run:
         self._summary["peak_memory_mb"] = peak_mb = round(self._peak_memory_mb(), 1)
         if source != "work":
             self._summary["cached_stages" if source == "cache" else "recorded_stages"].append(stage.id)
-        marks = {name: held.fingerprint for name, held in finished.outputs.items()}
+        marks = {name: self._mark(held) for name, held in finished.outputs.items()}
         self._recorder.stage_finished(
             stage.id,
             marks,
@@ -288,6 +339,7 @@ class _Run:
             asdict(finished.notes),
             finished.written,
             finished.lineage,
+            int(1e6 * peak_mb),
         )
         if not self._fixed_time:
             how = {"work": "done", "cache": "from the cache", "recording": "from the recording"}[source]
@@ -296,6 +348,20 @@ class _Run:
         self._used += finished.used
         self._hashes.save()
         self._reporter.stage_finished(seconds, source)
+
+    def _record_artefact(self, stage: type[Stage], name: str, held: Held, finished: Finished) -> None:
+        """Its bytes, or in private those without folders, which have a fingerprint of their own."""
+        data = held.data()
+        if self._privacy is not None:
+            data = with_texts(data, self._privacy.text)
+            content = fingerprint_of_bytes(data)
+            mark = artefact_fingerprint(content, finished.written, finished.lineage)
+            self._marks[held.fingerprint] = mark
+        self._recorder.artefact(stage.id, name, type_name(held.type), self._mark(held), data)
+
+    def _mark(self, held: Held) -> str:
+        """What the recording calls an artefact."""
+        return self._marks.get(held.fingerprint, held.fingerprint)
 
     def _peak_memory_mb(self) -> float:
         return (peak_memory_bytes() + sum(self._workers.peak_memory_bytes.values())) / 1e6

@@ -27,6 +27,7 @@ from geomosaic.recording.levels import wanted
 from geomosaic.recording.messagefile import MessageFile
 from geomosaic.recording.messages import Artefact, Progress, StageEvent
 from geomosaic.recording.plain import json_text, topic_part
+from geomosaic.recording.privacy import Privacy
 from geomosaic.recording.stage_calls import StageCalls
 from geomosaic.recording.strip_calls import StripCalls
 
@@ -61,7 +62,8 @@ class Recorder(StageCalls, StripCalls):
     rise strictly: the wall clock, or with `fixed_time` steps of 1 ms from the epoch, without
     durations, so that equal runs give equal bytes.
 
-    path: None for no file. level: one of LEVELS. memory_bytes: says what all processes hold now.
+    path: None for no file. level: one of LEVELS. memory_bytes: says what all processes hold now. privacy:
+    goes over all that is recorded. listener: is given topic, message and number of each message.
     Raises OutputError where the file can't be written; further calls then raise it again.
     """
 
@@ -72,13 +74,16 @@ class Recorder(StageCalls, StripCalls):
         *,
         level: str = "normal",
         memory_bytes: Callable[[], int] = lambda: 0,
+        privacy: Privacy | None = None,
+        listener: Callable[[str, Any, int], None] | None = None,
     ) -> None:
         self.path = path
         self.level = level
         self._fixed_time = fixed_time
         self._memory_bytes = memory_bytes
+        self._privacy = privacy
         self._count = -1
-        self._file = MessageFile(path, PROFILE, fixed_time)
+        self._file = MessageFile(path, PROFILE, fixed_time, listener)
         self._heartbeat = Heartbeat(self._beat)
 
     def wants(self, kind: Any) -> bool:
@@ -95,6 +100,9 @@ class Recorder(StageCalls, StripCalls):
         """
         described = {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()}
         self._file.describe(PROFILE, described)
+        if self._privacy is not None:
+            recipe_yaml = self._privacy.text(recipe_yaml)
+            environment, manifest = self._privacy.value(environment), self._privacy.value(manifest)
         self._file.attach(RECIPE, "application/yaml", recipe_yaml.encode())
         self._file.attach(ENVIRONMENT, "application/json", json_text(environment).encode())
         self._file.attach(MANIFEST, "application/json", json_text(manifest).encode())
@@ -175,7 +183,7 @@ class Recorder(StageCalls, StripCalls):
 
     def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: bytes) -> None:
         """An output of a stage as bytes, from which a replay can go on. Written in parts of 1 MiB."""
-        if not self.wants(Artefact):
+        if not self.wants(Artefact) or (self._privacy is not None and self._privacy.places):
             return
         parts = max(1, -(-len(data) // ARTEFACT_PART_BYTES))
         for part in range(parts):
@@ -194,8 +202,11 @@ class Recorder(StageCalls, StripCalls):
             self._write("/artefacts", message)
 
     def _write(self, topic: str, message: Any) -> None:
-        if self.wants(message):
-            self._file.write(topic, message)
+        if not self.wants(message):
+            return
+        if self._privacy is not None:
+            self._privacy.message(message)
+        self._file.write(topic, message)
 
     def copy(self, topic: str, schema: str, data: bytes) -> None:
         """A message of another recording as it is, but for its time. See `reader.stage_messages`.

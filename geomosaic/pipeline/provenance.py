@@ -1,0 +1,64 @@
+"""What a run was given and where it ran, besides the recipe."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Any
+
+import geomosaic
+
+
+def surroundings(*, private: bool) -> dict[str, Any]:
+    """The command line, the machine, and unless it is `private` who ran it where."""
+    memory_bytes = 0
+    with suppress(ValueError, OSError, AttributeError):
+        memory_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    machine = {"processors": os.cpu_count(), "cpu": _processor(), "memory_bytes": memory_bytes}
+    here: dict[str, Any] = {"command": [Path(sys.argv[0]).name, *sys.argv[1:]], "machine": machine}
+    if private:
+        return here
+    user = ""
+    with suppress(OSError, KeyError):
+        user = getpass.getuser()
+    return here | {"host": platform.node(), "user": user, "folder": str(Path.cwd())}
+
+
+def commit() -> str:
+    """The commit of the program, where it was installed from one or runs in a checkout; else empty."""
+    with suppress(PackageNotFoundError, OSError, ValueError, AttributeError):
+        url = json.loads(distribution("geomosaic").read_text("direct_url.json") or "{}")
+        if named := url.get("vcs_info", {}).get("commit_id"):
+            return str(named)
+    git = Path(geomosaic.__file__).parent.parent / ".git"
+    with suppress(OSError, UnicodeDecodeError):
+        head = (git / "HEAD").read_text().strip()
+        if not head.startswith("ref: "):
+            return head
+        ref = head.removeprefix("ref: ")
+        if (git / ref).is_file():
+            return (git / ref).read_text().strip()
+        packed = (line.split(" ") for line in (git / "packed-refs").read_text().splitlines())
+        return next((parts[0] for parts in packed if parts[1:] == [ref]), "")
+    return ""
+
+
+def sizes(place: Path, names: Iterable[str]) -> dict[str, int]:
+    """Bytes of the files that an input stands for, by their names in the manifest (`FileHashes.manifest`)."""
+    folder = place if place.is_dir() else place.parent
+    return {name: (folder / name).stat().st_size for name in names if (folder / name).is_file()}
+
+
+def _processor() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()

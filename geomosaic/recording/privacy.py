@@ -1,0 +1,95 @@
+"""Recordings for strangers: without folders, and where asked without places."""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+
+from geomosaic.geodesy.local import LocalFrame
+
+_FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^\s/\\:'\",;()\[\]{}<>]+)*[/\\](?=[^\s/\\])")
+"""The folders of an absolute path as it may stand in a text."""
+_CRS = re.compile(r"\b(EPSG|ESRI|IGNF|OGC):\w+")
+
+
+class Privacy:
+    """Takes out of texts the folders of absolute paths, so that names of files stay; with `places` also moves
+    all places to another one, which nobody is told, and takes out the names of map systems.
+
+    folders: those that are known to be named, whatever is in their names.
+    """
+
+    def __init__(self, folders: Iterable[Path] = (), *, places: bool = False) -> None:
+        known = {str(f.absolute()) for f in folders} - {"/"}
+        self.places = places
+        self._known = [f"{name}/" for name in sorted(known, key=len, reverse=True)]
+        self._here: LocalFrame | None = None
+        self._there = LocalFrame(
+            secrets.SystemRandom().uniform(-180.0, 180.0), secrets.SystemRandom().uniform(-60.0, 60.0), 0.0
+        )
+
+    def text(self, text: str) -> str:
+        """A text without folders."""
+        if "/" in text or "\\" in text:
+            for folder in self._known:
+                text = text.replace(folder, "")
+            text = _FOLDERS.sub("", text)
+        return _CRS.sub("its map system", text) if self.places else text
+
+    def value(self, value: Any) -> Any:
+        """A value that JSON knows, with all its texts, names of entries too."""
+        match value:
+            case str() | Path():
+                return self.text(str(value))
+            case dict():
+                return {self.text(str(k)): self.value(v) for k, v in value.items()}
+            case list() | tuple():
+                return [self.value(v) for v in value]
+        return value
+
+    def message(self, message: Any) -> None:
+        """A protobuf message, changed where it is."""
+        if self.places:
+            self._move(message)
+        for field, value in message.ListFields():
+            repeated = not isinstance(value, str | bytes | int | float | bool) and hasattr(value, "__len__")
+            if field.type == field.TYPE_STRING:
+                if repeated:
+                    value[:] = [self.text(v) for v in value]
+                else:
+                    setattr(message, field.name, self.text(value))
+            elif field.type == field.TYPE_MESSAGE:
+                for one in value if repeated else (value,):
+                    self.message(one)
+
+    def _move(self, message: Any) -> None:
+        if isinstance(message, LocationFix):
+            at = (message.longitude, message.latitude, message.altitude)
+            message.longitude, message.latitude, message.altitude = self._moved(at)
+        elif isinstance(message, GeoJSON):
+            tree = json.loads(message.geojson)
+            for feature in tree["features"]:
+                self._move_all(feature["geometry"])
+            message.geojson = json.dumps(tree, separators=(",", ":"))
+
+    def _move_all(self, geometry: Any) -> None:
+        def moved(coordinates: Any) -> Any:
+            if coordinates and not isinstance(coordinates[0], list):
+                return self._moved((*coordinates[:2], 0.0))[:2]
+            return [moved(c) for c in coordinates]
+
+        geometry["coordinates"] = moved(geometry["coordinates"])
+
+    def _moved(self, place: tuple[float, float, float]) -> list[float]:
+        """Longitude, latitude and height, as far from the secret place as from the first that was moved."""
+        self._here = self._here or LocalFrame(*place)
+        enu = self._here.enu_from_geodetic(*place)
+        return [float(v) for v in np.asarray(self._there.geodetic_from_enu(enu))]
