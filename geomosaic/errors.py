@@ -94,6 +94,12 @@ class StageFaultError(GeomosaicError, RuntimeError):
     """A third-party stage that failed otherwise than on purpose."""
 
 
+class PoorResultError(GeomosaicError, RuntimeError):
+    """A strict run that was finished, and whose result is not to be trusted."""
+
+    exit_code = 3
+
+
 class CancelledError(GeomosaicError):
     """The user stopped the run."""
 

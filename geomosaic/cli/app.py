@@ -12,6 +12,7 @@ from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
 from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.mosaic import mosaic, name_methods, run
+from geomosaic.cli.recipes import recipes
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
 from geomosaic.cli.strips import name_strip_methods, strips
@@ -33,7 +34,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
     app = typer.Typer(
         name="geomosaic",
         no_args_is_help=True,
-        add_completion=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
@@ -46,11 +47,12 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
     ) -> None:
         """Overlapping images of the ground in, one map-true mosaic out."""
 
-    if argv[:1] == ["mosaic"] and "--help" in argv:
+    asks = bool({"-h", "--help"} & {*argv})
+    if argv[:1] == ["mosaic"] and asks:
         name_methods()
-    if argv[:1] == ["strips"] and "--help" in argv:
+    if argv[:1] == ["strips"] and asks:
         name_strip_methods()
-    for command in (mosaic, strips, run, fetch, stages, evaluate, misplacement, doctor):
+    for command in (mosaic, strips, run, recipes, fetch, stages, evaluate, misplacement, doctor):
         app.command()(command)
     app.registered_commands += recordings.app.registered_commands
     for group, help in _GENERATED.items():

@@ -36,7 +36,8 @@ def _main(argv: Sequence[str] | None, stop: Stop) -> int:
         for name in ALGEBRA_THREADS:  # many small systems: threads would only wait for each other
             os.environ.setdefault(name, "1")
 
-        result = typer.main.get_command(build_app(argv))(argv, prog_name="geomosaic", standalone_mode=False)
+        asked = argv or _being_completed()
+        result = typer.main.get_command(build_app(asked))(argv, prog_name="geomosaic", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()
         if stop.signal is not None:
@@ -50,6 +51,13 @@ def _main(argv: Sequence[str] | None, stop: Stop) -> int:
         return _unheard()
     except Exception as error:
         return _failed(error, stop)
+
+
+def _being_completed() -> list[str]:
+    """The words of the line that a shell wants completed: zsh and fish hand them over in one name, bash in
+    another."""
+    words = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
+    return words.split()[1:] if "_GEOMOSAIC_COMPLETE" in os.environ else []
 
 
 def _failed(error: Exception, stop: Stop) -> int:

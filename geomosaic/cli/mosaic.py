@@ -10,16 +10,21 @@ import typer
 
 from geomosaic.cli.options import (
     Dask,
+    DryRun,
     FixedTime,
     Overwrite,
-    RunFolder,
+    Quiet,
+    RunFolderBeside,
     Seed,
     Sets,
+    Strict,
     Workers,
+    beside,
     cores,
     name_choices,
 )
-from geomosaic.errors import UnknownNameError
+from geomosaic.cli.recipes import completed
+from geomosaic.errors import PoorResultError, UnknownNameError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.given import Given
@@ -73,7 +78,7 @@ def name_methods() -> None:
 
 def mosaic(
     frames: Annotated[Path, typer.Argument(help="folder of frames (JPEG or TIFF)", metavar="FRAMES_DIR")],
-    output: RunFolder,
+    output: RunFolderBeside = None,
     pos: Annotated[
         Path | None, typer.Option(help="positions and attitudes: CSV, geo.txt", metavar="F")
     ] = None,
@@ -119,6 +124,9 @@ def mosaic(
     fixed_time: FixedTime = False,
     seed: Seed = None,
     overwrite: Overwrite = False,
+    strict: Strict = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
     prepare(STAGES, workers, dask)
@@ -133,6 +141,7 @@ def mosaic(
             "crs": crs if align_to is None else _crs_of(align_to, crs),
             "pos_crs": pos_crs,
             "damaged": damaged,
+            "strict": strict or None,
         },
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
@@ -150,12 +159,25 @@ def mosaic(
     }
     stages = [id for id in STAGES if not unasked.get(id)]
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)
-    execute(recipe, output, workers, dask, fixed_time, overwrite)
+    output = output or beside(frames, "mosaic")
+    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet}
+    execute(recipe, output, workers, dask, fixed_time, overwrite, **how)
 
 
 def run(
-    recipe: Annotated[Path, typer.Argument(help="a recipe in YAML", metavar="RECIPE.yaml")],
-    output: RunFolder,
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            help="a recipe in YAML, or the name of one that 'geomosaic recipes' lists",
+            metavar="RECIPE",
+            autocompletion=completed,
+        ),
+    ],
+    input: Annotated[
+        Path | None,
+        typer.Argument(help="what it is to read: the folder of frames, or the geometry of strips"),
+    ] = None,
+    output: RunFolderBeside = None,
     frames: Annotated[
         Path | None,
         typer.Option(help="folder of frames: short for --set survey.read.frames=DIR", metavar="DIR"),
@@ -172,13 +194,23 @@ def run(
     fixed_time: FixedTime = False,
     seed: Seed = None,
     overwrite: Overwrite = False,
+    strict: Strict = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run a recipe."""
     from dataclasses import replace
 
+    from geomosaic.pipeline.named import recipe_path
+    from geomosaic.pipeline.params import file_values
     from geomosaic.pipeline.recipe import load_recipe
     from geomosaic.pipeline.registry import installed
 
+    file = recipe_path(recipe)
+    if input is not None and input.suffix in (".yaml", ".yml"):
+        strips = strips or input
+    else:
+        frames = frames or input
     inputs = {
         "survey.read.frames": frames,
         "survey.strips.geometry": strips,
@@ -186,15 +218,23 @@ def run(
         "mosaic.seams.align_to": align_to,
     }
     overrides = [*(f"{name}={path}" for name, path in inputs.items() if path is not None), *(set or ())]
-    checked = load_recipe(recipe, installed(), overrides)
+    checked = load_recipe(file, installed(), overrides)
+    if strict:
+        able = [step.stage.id for step in checked.steps if "strict" in step.stage.Params.model_fields]
+        overrides += [f"{id}.strict=true" for id in able]
+        checked = load_recipe(file, installed(), overrides)
     if align_to is not None:
         (read,) = (step.params.model_dump() for step in checked.steps if step.stage.id == "survey.read")
         overrides.append(f"survey.read.crs={_crs_of(align_to, read['crs'])}")
-        checked = load_recipe(recipe, installed(), overrides)
+        checked = load_recipe(file, installed(), overrides)
     if seed is not None:
         checked = replace(checked, seed=seed)
+    if output is None:
+        named = [path for step in checked.steps for path in file_values(step.params).values()]
+        output = beside(input or (named or [file])[0], file.stem.replace("_", "-"))
     prepare([step.stage.id for step in checked.steps], workers, dask)
-    execute(checked, output, workers, dask, fixed_time, overwrite)
+    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet}
+    execute(checked, output, workers, dask, fixed_time, overwrite, **how)
 
 
 def _crs_of(align_to: Path, asked: str) -> str:
@@ -245,13 +285,23 @@ def execute(
     fixed_time: bool,
     overwrite: bool = False,
     given: Mapping[int, Given] | None = None,
+    *,
+    strict: bool = False,
+    dry_run: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Runs a checked recipe with progress on stderr, and says on stdout where the results lie."""
+    """Runs a checked recipe with progress on stderr, and says on stdout where the results lie.
+
+    Raises: what the run raises; if strict, `PoorResultError` after it for the first shortcoming of a stage.
+    """
+    from geomosaic.cli.plan import show_plan
     from geomosaic.cli.progress import progress
-    from geomosaic.pipeline.recipe import RECORDING
     from geomosaic.pipeline.runner import run
 
-    with progress() as reporter:
+    with progress(quiet=quiet) as reporter:
+        if dry_run:
+            show_plan(recipe, output, reporter, workers or cores(), dask)
+            return
         summary = run(
             recipe,
             output,
@@ -262,6 +312,16 @@ def execute(
             given=given,
             reporter=reporter,
         )
+    if not quiet:
+        _conclude(recipe, output, summary)
+    for text in (step.stage.shortcoming(summary) for step in recipe.steps if strict):
+        if text:
+            raise PoorResultError(text)
+
+
+def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
+    from geomosaic.pipeline.recipe import RECORDING
+
     for step in reversed(recipe.steps):
         for name, text in step.stage.conclusions(summary):
             print(f"{name:<10} {text}")

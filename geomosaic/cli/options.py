@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, InputError
 
 
 def cores() -> int:
@@ -29,6 +29,31 @@ RunFolder = Annotated[
     Path,
     typer.Option("-o", "--output", help="the run folder to write", metavar="RUN", parser=folder_given),
 ]
+RunFolderBeside = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="the run folder to write [beside what is read, INPUT-mosaic or alike]",
+        metavar="RUN",
+        parser=folder_given,
+        show_default=False,
+    ),
+]
+Strict = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="frames that can't be used and lines without a frame end the run; a bad verdict exits with 3",
+    ),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run", help="say what the run would do, its size, memory, disk and time; write nothing"
+    ),
+]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="print nothing but errors")]
 Overwrite = Annotated[
     bool,
     typer.Option("--overwrite", help="allow a folder that holds other files; results may replace them"),
@@ -49,6 +74,14 @@ FixedTime = Annotated[
 ]
 Seed = Annotated[int | None, typer.Option(help="seed of all randomness", min=0)]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
+
+
+def beside(given: Path, what: str) -> Path:
+    """The run folder where none is given: `FRAMES-mosaic` beside `FRAMES`."""
+    place = given if given.name not in ("", "..") else given.resolve()
+    if not place.name:
+        raise InputError("there is no place beside it", file=given, mend="give the run folder with -o")
+    return place.with_name(f"{place.stem if place.is_file() else place.name}-{what}")
 
 
 def name_choices(option: Any, id: str, parameter: str) -> None:

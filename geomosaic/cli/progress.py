@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from geomosaic.pipeline.reporter import Reporter, Source
+from geomosaic.pipeline.reporter import Reporter, Silent, Source
 from geomosaic.recording.reader import printable
 
 _SECONDS_BETWEEN_LINES = 10.0
@@ -114,8 +114,11 @@ class Bar:
 
 
 @contextmanager
-def progress() -> Iterator[Reporter]:
-    """The reporter that suits stderr."""
+def progress(*, quiet: bool = False) -> Iterator[Reporter]:
+    """The reporter that suits stderr; a silent one if quiet."""
+    if quiet:
+        yield Silent()
+        return
     console = Console(stderr=True)
     if sys.stderr is None or not console.is_terminal:
         yield Lines(sys.stderr)

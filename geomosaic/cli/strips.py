@@ -8,7 +8,18 @@ from typing import Annotated, Any
 import typer
 
 from geomosaic.cli.mosaic import execute, recipe_of
-from geomosaic.cli.options import FixedTime, Overwrite, RunFolder, Seed, Sets, Workers, name_choices
+from geomosaic.cli.options import (
+    DryRun,
+    FixedTime,
+    Overwrite,
+    Quiet,
+    RunFolderBeside,
+    Seed,
+    Sets,
+    Workers,
+    beside,
+    name_choices,
+)
 
 STAGES = (
     "survey.strips",
@@ -39,13 +50,15 @@ def strips(
     geometry: Annotated[
         Path, typer.Argument(help="focal plane and strips, see docs/inputs.md", metavar="GEOMETRY.yaml")
     ],
-    output: RunFolder,
+    output: RunFolderBeside = None,
     method: Method = None,
     set: Sets = None,
     workers: Workers = None,
     fixed_time: FixedTime = False,
     seed: Seed = None,
     overwrite: Overwrite = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make one scene of the strips of a satellite's staggered CCDs."""
     given: dict[str, dict[str, Any]] = {
@@ -53,4 +66,5 @@ def strips(
         "ccd.offsets": {"method": method},
     }
     recipe = recipe_of("strips", f"strips of {geometry.name}", STAGES, given, seed, set)
-    execute(recipe, output, workers, None, fixed_time, overwrite)
+    output = output or beside(geometry, "scene")
+    execute(recipe, output, workers, None, fixed_time, overwrite, dry_run=dry_run, quiet=quiet)

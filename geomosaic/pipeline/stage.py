@@ -44,6 +44,8 @@ class Stage(ABC):
     formerly: by output, the name it had in recordings of earlier versions.
     cached: False for a stage that reads more than its inputs (the report reads the run's summary);
     it runs every time.
+    looks_ahead: True for a stage that says what the later ones will take (`context.inform`): with the last of
+    these a dry run ends.
     results: names of the files and folders it may write beside RUN/work. A run is refused before any work
     if one of them is there and not geomosaic's; one of an earlier run that is not made again is removed.
     """
@@ -57,6 +59,7 @@ class Stage(ABC):
     outputs: ClassVar[dict[str, type]] = {}
     formerly: ClassVar[dict[str, str]] = {}
     cached: ClassVar[bool] = True
+    looks_ahead: ClassVar[bool] = False
     results: ClassVar[tuple[str, ...]] = ()
     Params: ClassVar[type[StageParams]] = StageParams
 
@@ -85,6 +88,16 @@ class Stage(ABC):
     def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         """What a command says of the stage at the end of a run: a word and its text, out of run.json."""
         return []
+
+    @classmethod
+    def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """What a dry run says of the stage: a word and its text, out of what run.json would hold so far."""
+        return []
+
+    @classmethod
+    def shortcoming(cls, summary: Mapping[str, Any]) -> str:
+        """Why a strict run fails on what the stage found, out of run.json; nothing if it doesn't."""
+        return ""
 
     @abstractmethod
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:

@@ -35,6 +35,7 @@ class MosaicEstimate(Stage):
     group = "Mosaic"
     version = 1
     cached = False
+    looks_ahead = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
     }  # fmt: skip

@@ -23,6 +23,7 @@ class MosaicEstimateStrips(Stage):
     group = "Mosaic"
     version = 1
     cached = False
+    looks_ahead = True
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
     outputs: ClassVar[dict[str, type]] = {}
 

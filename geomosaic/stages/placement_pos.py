@@ -47,6 +47,12 @@ class PlacementPos(Stage):
         )
         neighbours: int = param(12, help="most neighbours a frame is compared with", ge=1, le=200)
 
+    @classmethod
+    def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """How many pairs may have ground in common."""
+        told = summary["metrics"]["placement"]
+        return [("pairs", f"{told['candidate_pairs']} to compare, in {told['flight_lines']} flight lines")]
+
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Prior poses, flight lines, footprints, overlap graph."""
         survey: Survey = inputs["levelled_survey"]

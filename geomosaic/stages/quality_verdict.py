@@ -45,6 +45,15 @@ class QualityVerdict(Stage):
         mend = [("mend", verdict["mend"])] if verdict["mend"] else []
         return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *mend]
 
+    @classmethod
+    def shortcoming(cls, summary: Mapping[str, Any]) -> str:
+        """The verdict, if it is bad."""
+        verdict = summary.get("verdict")
+        if not isinstance(verdict, dict) or verdict["grade"] != "bad":
+            return ""
+        (_, text), *mend = cls.conclusions(summary)
+        return "; ".join([f"the verdict is {text}", *(mended for _, mended in mend)])
+
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Judges, and says it in run.json where nobody can miss it."""
         survey: Survey = inputs["survey"]

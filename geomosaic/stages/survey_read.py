@@ -82,6 +82,12 @@ class SurveyRead(Stage):
         folders = frame_folders(params.frames, given.values())
         return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | given
 
+    @classmethod
+    def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """How many frames there are."""
+        told = summary["metrics"]["survey"]
+        return [("frames", f"{told['frames']}, {told['left_out']} left out")]
+
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
         given = _given(params)
@@ -97,6 +103,8 @@ class SurveyRead(Stage):
             return [looks[path].load().wholeness for path in paths]
 
         survey = read_survey(params.frames, **given, inspect=inspect, progress=context.progress)
+        context.metric("survey.frames", len(survey.frames))
+        context.metric("survey.left_out", len(survey.left_out))
         for warning in survey.warnings:
             context.warn(warning.code, warning.frame, warning.text)
         for camera in survey.cameras:

@@ -1,0 +1,87 @@
+"""`--dry-run`: what a run would do and take, found without doing it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.errors import OutputError
+from geomosaic.pipeline.recipe import Recipe
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.reporter import Reporter
+
+
+@dataclass(frozen=True)
+class _Begun(Recipe):
+    """The first stages of a recipe, which know the parameters of all."""
+
+    whole: Recipe | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The whole recipe."""
+        return self.whole.plain() if self.whole is not None else super().plain()
+
+
+class _Listening:
+    """A reporter that also keeps the notes of the stage that is running."""
+
+    def __init__(self, shown: Reporter) -> None:
+        self._shown = shown
+        self.notes: list[str] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._shown, name)
+
+    def stage_started(self, index: int, total: int, name: str) -> None:
+        """Stage `index` (from 0) of `total` begins."""
+        self.notes = []
+        self._shown.stage_started(index, total, name)
+
+    def note(self, text: str) -> None:
+        """What a stage reports that is no warning."""
+        self.notes.append(text)
+
+
+def show_plan(recipe: Recipe, output: Path, reporter: Reporter, workers: int, dask: str | None) -> None:
+    """Runs the stages up to the last that looks ahead, in a folder that goes, and prints what they found.
+
+    Raises: what the run itself would raise up to there, `OutputError` for a place that can't be written to.
+    """
+    from geomosaic.pipeline.runner import run
+
+    recipe.check_files(run_folder=output)
+    ahead = [i for i, step in enumerate(recipe.steps) if step.stage.looks_ahead]
+    names = [step.stage.display_name for step in recipe.steps]
+    print(f"stages     {len(names)}: {', '.join(names)}")
+    print(f"results    {', '.join(sorted(recipe.results()))}")
+    if ahead:
+        begun = _Begun(
+            recipe.name, recipe.description, recipe.seed, recipe.steps[: ahead[-1] + 1], recipe.file, recipe
+        )
+        listening: Any = _Listening(reporter)
+        with _beside(output) as folder:
+            summary = run(begun, folder, workers=workers, dask=dask, reporter=listening)
+        for step in begun.steps:
+            for name, text in step.stage.plans(summary):
+                print(f"{name:<10} {text}")
+        for text in listening.notes:
+            print(f"expected   {text}")
+        if summary["warnings"]:
+            print(f"warnings   {len(summary['warnings'])}, see above")
+    print(f"nothing was written; without --dry-run the run goes to {output}")
+
+
+@contextmanager
+def _beside(output: Path) -> Iterator[Path]:
+    """A folder for a while on the disk that the run would be written to."""
+    near = next(p for p in (output.absolute(), *output.absolute().parents) if p.is_dir())
+    if not os.access(near, os.W_OK):
+        raise OutputError("can't be written to", file=near, mend="choose another output folder with -o")
+    with tempfile.TemporaryDirectory(prefix=".geomosaic-plan-", dir=near) as folder:
+        yield Path(folder)

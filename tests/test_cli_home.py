@@ -1,0 +1,138 @@
+"""What makes the command line at home anywhere: defaults, plans, quiet, strict, recipes by name, completion."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_surveys import geomosaic, small_survey, summary
+
+from geomosaic.cli.options import beside
+from geomosaic.pipeline.named import recipe_names
+from geomosaic.simulate.survey import SimulatedSurvey
+
+COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+    """Four small frames with tags."""
+    folder = tmp_path_factory.mktemp("home")
+    return small_survey(folder, lines=1, frames_per_line=4, width_px=320, height_px=240, pos_in="exif")
+
+
+def all_below(folder: Path) -> set[Path]:
+    """Every file and folder."""
+    return {*folder.rglob("*")}
+
+
+def test_a_dry_run_says_what_the_run_would_take_and_leaves_nothing(
+    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = all_below(survey.frames.parent)
+    assert geomosaic("mosaic", survey.frames, "--dry-run", "--gsd", 0.25, "--workers", 1) == 0
+    said = capsys.readouterr()
+    told = dict(line.split(maxsplit=1) for line in said.out.splitlines())
+    assert ": Read the survey, " in told["stages"] and "mosaic.tif" in told["results"]
+    assert told["frames"] == "4, 0 left out" and told["pairs"] == "6 to compare, in 1 flight lines"
+    for part in ("px at 0.25 m and take ", " on the disk, ", " of memory and "):
+        assert part in told["expected"]
+    assert said.out.splitlines()[-1].endswith(f"the run goes to {survey.frames}-mosaic")
+    assert "Match frames" not in said.err and all_below(survey.frames.parent) == before
+
+
+def test_a_dry_run_refuses_what_the_run_refuses(
+    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["--set", "mosaic.seams.max_gigapixels=0.001", "--gsd", 0.001, "--workers", 1]
+    assert geomosaic("mosaic", survey.frames, "--dry-run", *few) == 2
+    assert "gigapixels at 0.001 m" in capsys.readouterr().err
+
+
+def test_a_recipe_by_name_quietly_into_a_folder_beside_the_frames(
+    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert geomosaic("run", "quick-look", survey.frames, "-q", "--workers", 1) == 0
+    said = capsys.readouterr()
+    assert said.out == said.err == ""
+    run = survey.frames.with_name("frames-quick-look")
+    assert summary(run)["recipe"]["name"] == "quick look" and (run / "mosaic.tif").is_file()
+    assert geomosaic("run", "quick_lok", survey.frames) == 2
+    assert "unknown recipe 'quick_lok'; did you mean 'quick-look'?" in capsys.readouterr().err
+
+
+def test_a_strict_run_fails_after_it_where_the_verdict_is_bad(
+    survey: SimulatedSurvey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noise = np.random.default_rng(2)
+    (tmp_path / "frames").mkdir()
+    for frame in sorted(survey.frames.glob("*.jpg")):
+        tags = frame.read_bytes()
+        pixels = cv2.imencode(".jpg", noise.integers(0, 255, (240, 320, 3), np.uint8))[1].tobytes()
+        head = tags[: tags.index(b"\xff\xdb")]  # EXIF and XMP lie before the tables
+        (tmp_path / "frames" / frame.name).write_bytes(head + pixels[pixels.index(b"\xff\xdb") :])
+    arguments = ["run", "none", tmp_path / "frames", "--workers", 1]
+    assert geomosaic(*arguments) == 0
+    run = tmp_path / "frames-none"
+    assert summary(run)["verdict"]["grade"] == "bad"
+    capsys.readouterr()
+    assert geomosaic(*arguments, "--strict", "-q") == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("geomosaic: the verdict is bad: ")
+    assert (run / "report.html").is_file() and summary(run)["recipe"]["stages"][0]["params"]["strict"]
+
+
+def test_recipes_are_listed_and_printed_to_be_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert geomosaic("recipes") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == recipe_names()
+    assert geomosaic("recipes", "quick-look") == 0
+    assert capsys.readouterr().out.startswith("# geomosaic run quick-look FOLDER\nname: quick look\n")
+    assert geomosaic("recipes", "--makefile") == 0
+    assert Path(capsys.readouterr().out.strip()).is_file()
+    assert geomosaic("recipes", tmp_path / "x.yaml") == 2
+
+
+def test_the_run_folder_lies_beside_what_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("geometry.yaml").touch()
+    assert beside(Path("geometry.yaml"), "scene") == Path("geometry-scene")
+    assert beside(Path("flight.1/"), "mosaic") == Path("flight.1-mosaic")
+    assert beside(Path(), "mosaic") == tmp_path.with_name(f"{tmp_path.name}-mosaic")
+    assert geomosaic("mosaic", "/") == 2
+    assert "/: there is no place beside it; give the run folder with -o" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("geomosaic mos", "mosaic"),
+        ("geomosaic mosaic frames --dry", "--dry-run"),
+        ("geomosaic export sta", "stac"),
+        ("geomosaic simulate frames out --lin", "--lines"),
+        ("geomosaic run quick", "quick-look"),
+    ],
+)
+def test_a_shell_completes(line: str, found: str, tmp_path: Path) -> None:
+    told = {"_GEOMOSAIC_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    done = subprocess.run(
+        COMMAND, env={**os.environ, **told}, cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert (done.stdout.split(), done.stderr) == ([found], "")
+
+
+@pytest.mark.parametrize("command", [[], ["mosaic"], ["export", "tiles"]])
+def test_h_is_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert geomosaic(*command, "-h") == 0
+    short = capsys.readouterr().out
+    assert geomosaic(*command, "--help") == 0
+    assert short == capsys.readouterr().out and "-h, --help" in short
