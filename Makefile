@@ -79,6 +79,9 @@ bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object spa
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
 	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
 
+check-qgis: setup ## open layers.gpkg and project.qgz in a real QGIS and draw its window (about 2 minutes); QGIS=options
+	$(PY) tools/check_qgis.py $(QGIS)
+
 fuzz: setup ## 10,000 spoiled files of every kind through the commands (about 2 hours); CASES=n SEED=n
 	$(PY) tools/fuzz.py --cases $(CASES) --seed $(SEED) --out out/fuzz
 
@@ -92,4 +95,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-strips bench-real fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-strips bench-real check-qgis fuzz chaos format clean

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 import sqlite3
 from dataclasses import replace
@@ -39,8 +40,6 @@ CONTRACT = (
     "frame status lon_deg lat_deg height_ellipsoidal_m easting_m northing_m yaw_deg pitch_deg roll_deg "
     "omega_deg phi_deg kappa_deg sd_e_m sd_n_m sd_u_m sd_omega_deg sd_phi_deg sd_kappa_deg moved_m turned_deg"
 )
-
-LARGER = {"1": "true to scale", "2": "2 times larger"}
 
 
 def one_frame(lon: float, lat: float, yaw_deg: float, pitch_deg: float, roll_deg: float):
@@ -155,7 +154,7 @@ def test_every_layer_has_its_crs_and_spatial_index(package):
     assert counts == {
         "frames": 6, "footprints": 6, "nadir_points": 6, "error_ellipses": 6, "tie_points": 6,
         "residuals": 6, "image_residuals": 0, "control": 0, "control_residuals": 0, "seamlines": 6,
-        "layer_styles": 10,
+        "moves": 6, "layer_styles": 11,
     }  # fmt: skip
     del names["layer_styles"]
     for name, layer in names.items():
@@ -194,16 +193,29 @@ def test_arrows_run_from_the_given_to_the_adjusted_position(package, tmp_path):
     prior = replace(placement.poses, positions_m=placement.poses.positions_m - [3.0, -4.0, 1.5])
     write_layers(tmp_path / "l.gpkg", survey, replace(placement, poses=prior), ties, adjusted, mosaic)
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
-    feature = dataset.GetLayer("nadir_points").GetFeature(1)
+    feature = dataset.GetLayer("moves").GetFeature(1)
     # The work frame's north is turned by the convergence (0.52 deg) against the grid's.
-    found = [feature[f"moved_{axis}_m"] for axis in "enu"]
-    assert found == pytest.approx([3.0 + 4.0 * 0.0091, -4.0 + 3.0 * 0.0091, 1.5], abs=3e-3)
-    (style,) = (row for row in dataset.GetLayer("layer_styles") if row["f_table_name"] == "nadir_points")
-    drawn = ElementTree.fromstring(style["styleQML"]).find(".//layer[@class='VectorField']/Option")
-    options = {option.get("name"): option.get("value") for option in drawn}
-    assert (options["x_attribute"], options["y_attribute"]) == ("moved_e_m", "moved_n_m")
-    assert style["description"] == f"Arrows from given to adjusted positions, {LARGER[options['scale']]}"
-    assert style["useAsDefault"] == 1
+    expected = [3.0 + 4.0 * 0.0091, -4.0 + 3.0 * 0.0091, 1.5]
+    assert [feature[f"moved_{axis}_m"] for axis in "enu"] == pytest.approx(expected, abs=3e-3)
+    (start, end) = feature.GetGeometryRef().GetPoints()
+    assert np.subtract(end, start) == pytest.approx(expected[:2], abs=3e-3)
+
+
+def test_layers_bring_their_styles(package, tmp_path):
+    _, (survey, placement, ties, adjusted, mosaic) = package
+    prior = replace(placement.poses, positions_m=placement.poses.positions_m - [0.3, -0.4, 0.0])
+    write_layers(tmp_path / "l.gpkg", survey, replace(placement, poses=prior), ties, adjusted, mosaic)
+    dataset = ogr.Open(str(tmp_path / "l.gpkg"))
+    rows = {row["f_table_name"]: row for row in dataset.GetLayer("layer_styles")}
+    assert rows.keys() == {dataset.GetLayer(i).GetName() for i in range(12)} - {"layer_styles"}
+    assert {row["useAsDefault"] for row in rows.values()} == {1}
+    fill = ElementTree.fromstring(rows["footprints"]["styleQML"]).find(".//layer[@class='SimpleFill']/Option")
+    assert {o.get("name"): o.get("value") for o in fill}["style"] == "no", "the mosaic is seen through it"
+    moved = rows["moves"]
+    (larger,) = re.findall(r"positions, (\d+) times larger", moved["description"])
+    (drawn,) = (o.get("value") for o in ElementTree.fromstring(moved["styleQML"]).iter("Option")
+                if o.get("name") == "geometryModifier")  # fmt: skip
+    assert f"+ {larger} *" in drawn
 
 
 def test_residuals_run_from_left_to_right_true_to_scale(package):
@@ -310,5 +322,5 @@ def test_no_ties_at_all_still_gives_every_layer(package, tmp_path):
     alone = replace(adjusted, residuals_m=())
     write_layers(tmp_path / "l.gpkg", survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=()))
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
-    assert dataset.GetLayerCount() == 11
+    assert dataset.GetLayerCount() == 12
     assert dataset.GetLayer("tie_points").GetFeatureCount() == 0

@@ -49,6 +49,7 @@ STAGES = (
     "quality.compare",
     "quality.verdict",
     "export.layers",
+    "export.project",
     "export.report",
 )
 """What `geomosaic mosaic` does; quality.compare only against a reference, matching.flying_height unless the

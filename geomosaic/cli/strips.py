@@ -31,6 +31,7 @@ STAGES = (
     "export.cog",
     "export.offsets",
     "export.strip_layers",
+    "export.project",
     "export.strip_report",
 )
 """What `geomosaic strips` does."""

@@ -32,7 +32,8 @@ def write_layers(
     """Writes the GeoPackage, in the survey's map CRS. Every layer is there, if need be empty.
 
     frames: the adjusted projection centres with their orientation. footprints: what each frame sees of the
-    ground. nadir_points: the ground below where the POS put each frame, before the adjustment.
+    ground. nadir_points: the ground below where the POS put each frame, before the adjustment. moves: lines
+    from there to where the adjustment put it, true to scale.
     error_ellipses: of the adjusted positions, larger than life. tie_points: midway between where its two
     frames put each; residuals: lines from where the left frame puts it to where the right one does, true to
     scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
@@ -48,6 +49,7 @@ def write_layers(
         layers.frames()
         layers.footprints()
         layers.nadir_points()
+        layers.moves()
         layers.error_ellipses()
         add_residual_layers(package, survey, ties, adjusted, layers.gsd_m, adjusted_orientation.map_m)
         layers.seamlines()
@@ -103,13 +105,35 @@ class _Layers:
             "pos_source": [f.position.source for f in self.survey.frames],
             "attitude_source": [f.attitude.source for f in self.survey.frames],
             "moved_m": self.orientation.moved_m,
-            **dict(zip(("moved_e_m", "moved_n_m", "moved_u_m"), self._moved().T, strict=True)),
         }
         points = shapely.points(map_from_work(self.survey, at))
-        flat_m = np.hypot(fields["moved_e_m"], fields["moved_n_m"])
-        style = looks.nadir_points(exaggeration(flat_m, self.orientation.map_m))
+        text = "Ground below the POS positions"
+        self.package.add_layer("nadir_points", text, "Point", points, fields, looks.nadir_points())
+
+    def moves(self) -> None:
+        """Of frames whose position was given."""
+        o, prior = self.orientation, self.placement.poses.positions_m
+        known = np.isfinite(o.moved_m)
+        given = map_from_work(self.survey, prior)
+        geodetic = self.survey.work_frame.geodetic_from_enu
+        moved = o.map_m - given
+        fields = {
+            "frame": self.names,
+            "status": self.status,
+            "moved_e_m": moved[:, 0],
+            "moved_n_m": moved[:, 1],
+            "moved_u_m": geodetic(self.adjusted.poses.positions_m)[:, 2] - geodetic(prior)[:, 2],
+            "moved_m": o.moved_m,
+            "turned_deg": o.turned_deg,
+        }
+        style = looks.moves(exaggeration(np.linalg.norm(moved[known], axis=1), o.map_m))
         self.package.add_layer(
-            "nadir_points", "Ground below the POS positions", "Point", points, fields, style
+            "moves",
+            "From where the POS put each frame to where the adjustment did, true to scale",
+            "LineString",
+            np.asarray(shapely.linestrings(np.stack([given, o.map_m], axis=1)[known])),
+            {name: values[known] for name, values in fields.items()},
+            style,
         )
 
     def error_ellipses(self) -> None:
@@ -146,16 +170,6 @@ class _Layers:
             fields,
             looks.seamlines(),
         )
-
-    def _moved(self) -> Floats:
-        """From where the POS put each frame along the map's axes and up (n, 3); NaN where nothing did."""
-        prior = self.placement.poses
-        at = self.survey.work_frame.geodetic_from_enu(
-            np.stack([prior.positions_m, self.adjusted.poses.positions_m])
-        )
-        plan_m = self.orientation.map_m - map_from_work(self.survey, prior.positions_m)
-        moved = np.column_stack([plan_m, at[1, :, 2] - at[0, :, 2]])
-        return np.where(np.isfinite(self.orientation.moved_m)[:, None], moved, np.nan)
 
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames

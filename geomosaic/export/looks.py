@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from geomosaic.export.styles import (
     Style,
-    arrow,
+    Symbol,
     categories,
     labels,
+    larger_arrow,
     line,
     marker,
     outline,
     ranges,
     single,
-    vector,
 )
 
 _GREEN: Final = "40,160,60,255"
 _AMBER: Final = "245,160,20,255"
 _RED: Final = "215,30,40,255"
+_BLUE: Final = "40,90,220,255"
 _GREY: Final = "130,130,130,255"
 _CYAN: Final = "0,200,230,170"
 _YELLOW: Final = "255,225,0,230"
@@ -35,6 +38,10 @@ _NAME: Final = "regexp_replace(\"frame\", '\\\\.[^.]*$', '')"
 """A frame's name without its file's ending, as QGIS computes it."""
 
 
+def _by_residual(symbol: Callable[[str], Symbol]) -> list[tuple[float, float, str, Symbol]]:
+    return [(low, high, label, symbol(color)) for low, high, label, color in _RESIDUALS]
+
+
 def _times(scale: float) -> str:
     return "true to scale" if scale == 1.0 else f"{scale:,.0f} times larger"
 
@@ -48,13 +55,18 @@ def frames() -> Style:
 
 def footprints() -> Style:
     """Hollow."""
-    return Style(single(outline(_CYAN, 0.35)), text="Outlines, the mosaic is seen through them")
+    return Style(single(outline(_CYAN, 0.2)), text="Outlines, the mosaic is seen through them")
 
 
-def nadir_points(scale: float) -> Style:
-    """Crosses where the POS put frames, arrows to where the adjustment did."""
-    symbol = vector("moved_e_m", "moved_n_m", scale, _MAGENTA, 0.45, mark="cross2")
-    return Style(single(symbol), text=f"Arrows from given to adjusted positions, {_times(scale)}")
+def nadir_points() -> Style:
+    """Crosses."""
+    return Style(single(marker("cross2", _MAGENTA, 1.8)), text="Ground below the given positions")
+
+
+def moves(scale: float) -> Style:
+    """Arrows from where the POS put frames to where the adjustment did."""
+    text = f"Arrows from given to adjusted positions, {_times(scale)}"
+    return Style(single(larger_arrow(_MAGENTA, 0.45, scale)), text=text)
 
 
 def error_ellipses(scale: float) -> Style:
@@ -62,42 +74,43 @@ def error_ellipses(scale: float) -> Style:
     return Style(single(outline(_ORANGE, 0.3)), text=f"1 sigma, {_times(scale)}")
 
 
-def tie_points(scale: float) -> Style:
+def tie_points() -> Style:
+    """Dots by their residuals."""
+    return Style(
+        ranges('"residual_px"', _by_residual(partial(marker, "circle", size_mm=1.2))), text="By residual"
+    )
+
+
+def residuals(scale: float) -> Style:
     """Arrows as long as residuals, in their colours."""
-    symbols = [
-        (low, high, label, vector("residual_e_m", "residual_n_m", scale, color, 0.2))
-        for low, high, label, color in _RESIDUALS
-    ]
-    text = f"Residuals, right minus left frame, as arrows {_times(scale)}"
+    text = f"From left to right frame's place, {_times(scale)}"
+    symbols = _by_residual(partial(larger_arrow, width_mm=0.2, scale=scale))
     return Style(ranges('"residual_px"', symbols), text=text)
-
-
-def residuals() -> Style:
-    """True to scale: seen only close up."""
-    symbols = [(low, high, label, line(color, 0.3)) for low, high, label, color in _RESIDUALS]
-    return Style(ranges('"residual_px"', symbols), text="Residuals, true to scale")
 
 
 def image_residuals() -> Style:
     """Dots: their vectors lie along the image's axes and not the map's."""
-    symbols = [(low, high, label, marker("circle", color, 1.2)) for low, high, label, color in _RESIDUALS]
-    return Style(ranges('"residual_px"', symbols), text="Residuals in images, px")
+    return Style(
+        ranges('"residual_px"', _by_residual(partial(marker, "circle", size_mm=1.2))), text="By residual"
+    )
 
 
-def control(scale: float) -> Style:
-    """Control and check points with names, and arrows from where images put them, laid at the point."""
-    kinds = {"control": ("triangle", _RED), "check": ("square", "40,90,220,255")}
+def control() -> Style:
+    """Control and check points with names."""
+    kinds = {"control": ("triangle", _RED), "check": ("square", _BLUE)}
+    symbols = {kind: (f"{kind} point", marker(shape, color, 2.8)) for kind, (shape, color) in kinds.items()}
+    return Style(categories('"kind"', symbols), labels('"name"'), "Surveyed points, with names")
+
+
+def control_residuals(scale: float) -> Style:
+    """Arrows that end at the surveyed point."""
+    kinds = {"control": _RED, "check": _BLUE}
     symbols = {
-        kind: (f"{kind} point", vector("residual_e_m", "residual_n_m", scale, color, 0.45, mark=shape))
-        for kind, (shape, color) in kinds.items()
+        kind: (f"{kind} point", larger_arrow(color, 0.45, scale, to_end=True))
+        for kind, color in kinds.items()
     }
-    text = f"Arrows: surveyed minus found, {_times(scale)}"
-    return Style(categories('"kind"', symbols), labels('"name"'), text)
-
-
-def control_residuals() -> Style:
-    """True to scale."""
-    return Style(single(arrow(_RED, 0.3)), text="From found to surveyed, true to scale")
+    text = f"From where the images put points to where they were surveyed, {_times(scale)}"
+    return Style(categories('"kind"', symbols), text=text)
 
 
 def seamlines() -> Style:

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MOST_POINTS = 200_000
 """Of more the layers show an even share: a map can't show them, and a GIS opens the file slowly."""
-_SHARE_OF_SPACING = 0.1
+_SHARE_OF_SPACING = 0.03
 """How long the typical residual is drawn, of the way to the next frame: thousands of arrows stay apart."""
 
 
@@ -69,11 +69,11 @@ class _ResidualLayers:
             "right_row_px": right_px[:, 1],
         }
         middle = shapely.points((left_map + right_map) / 2.0)
-        style = looks.tie_points(exaggeration(length, self.frames_m, _SHARE_OF_SPACING))
         text = "Tie points on the ground" + thinned
-        self.package.add_layer("tie_points", text, "Point", middle, {**fields, **place}, style)
+        self.package.add_layer("tie_points", text, "Point", middle, {**fields, **place}, looks.tie_points())
+        style = looks.residuals(exaggeration(length, self.frames_m, _SHARE_OF_SPACING))
         text, lines = "From left to right frame's place" + thinned, _lines(left_map, right_map)
-        self.package.add_layer("residuals", text, "LineString", lines, fields, looks.residuals())
+        self.package.add_layer("residuals", text, "LineString", lines, fields, style)
 
     def image_residuals(self) -> None:
         """At the place on the ground where the frame of each observation puts it."""
@@ -133,8 +133,8 @@ class _ResidualLayers:
             "sd_u_m": sd[:, 2],
         }  # fmt: skip
         at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
-        style = looks.control(exaggeration(fields["residual_m"], self.frames_m))
-        self.package.add_layer("control", "Surveyed control and check points", "PointZ", at, fields, style)
+        text = "Surveyed control and check points"
+        self.package.add_layer("control", text, "PointZ", at, fields, looks.control())
         seen = np.isfinite(residual).all(axis=1)
         self.package.add_layer(
             "control_residuals",
@@ -142,7 +142,7 @@ class _ResidualLayers:
             "LineString",
             _lines(found_map[seen], surveyed_map[seen]),
             {name: values[seen] for name, values in fields.items()},
-            looks.control_residuals(),
+            looks.control_residuals(exaggeration(fields["residual_m"], self.frames_m)),
         )
 
     def _ground(self, frame: NDArray[Any], image_px: Floats) -> Floats:

@@ -76,15 +76,20 @@ def arrow(color: str, width_mm: float = 0.35) -> Symbol:
     return Symbol("line", (("ArrowLine", properties),), fill)
 
 
-def vector(east: str, north: str, scale: float, color: str, width_mm: float = 0.35, mark: str = "") -> Symbol:
-    """An arrow from each point, so many times as long on the map as its two attributes say; and a mark at the
-    point."""
-    field = {
-        "x_attribute": east, "y_attribute": north, "scale": f"{scale:g}", "distance_unit": "MapUnit",
-        "vector_field_type": 0, "angle_orientation": 0, "angle_units": 0, "size": 0,
-    }  # fmt: skip
-    marks = marker(mark, color).layers if mark else ()
-    return Symbol("marker", (("VectorField", field), *marks), arrow(color, width_mm))
+def larger_arrow(color: str, width_mm: float, scale: float, *, to_end: bool = False) -> Symbol:
+    """An arrow so many times as long as the layer's line, from where that begins, or to where it ends."""
+    if scale == 1.0:
+        return arrow(color, width_mm)
+    fixed, other = ("end", "start") if to_end else ("start", "end")
+    away = ", ".join(
+        f"{axis}({fixed}_point($geometry)) + {scale:g} * "
+        f"({axis}({other}_point($geometry)) - {axis}({fixed}_point($geometry)))"
+        for axis in "xy"
+    )
+    ends = [f"{fixed}_point($geometry)", f"make_point({away})"]
+    drawn = f"make_line({', '.join(reversed(ends) if to_end else ends)})"
+    properties = {"SymbolType": "Line", "geometryModifier": drawn, "units": "MapUnit"}
+    return Symbol("line", (("GeometryGenerator", properties),), arrow(color, width_mm))
 
 
 def single(symbol: Symbol) -> Element:
@@ -127,11 +132,11 @@ def labels(expression: str, *, on_it: bool = False) -> Element:
     settings = SubElement(labeling, "settings", calloutType="simple")
     style = SubElement(
         settings, "text-style", fieldName=expression, isExpression="1", fontFamily="Open Sans",
-        fontSize="8", fontSizeUnit="Point", textColor=_DARK, textOpacity="1",
+        fontSize="8", fontSizeUnit="Point", fontWeight="50", textColor=_DARK, textOpacity="1",
     )  # fmt: skip
     SubElement(
         style, "text-buffer", bufferDraw="1", bufferSize="0.8", bufferSizeUnits="MM", bufferColor=_WHITE,
-        bufferOpacity="0.85",
+        bufferOpacity="0.85", bufferNoFill="1",
     )  # fmt: skip
     SubElement(
         settings, "placement", placement="1" if on_it else "6", predefinedPositionOrder="BR,TR,BL,TL",

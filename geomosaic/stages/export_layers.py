@@ -26,7 +26,7 @@ class ExportLayers(Stage):
     id = "export.layers"
     display_name = "Write layers and positions"
     group = "Export"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,

@@ -1,0 +1,182 @@
+"""What the QGIS project of a run shows: layers of its GeoPackage in their styles there, and its rasters."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+from xml.etree.ElementTree import Element, SubElement
+
+from defusedxml.ElementTree import fromstring
+
+from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.export.project import Group, Shown
+
+_TITLES: Final[dict[str, tuple[str, bool]]] = {
+    "frames": ("Frames", True),
+    "moves": ("Moves from given positions", True),
+    "control": ("Control and check points", True),
+    "control_residuals": ("Residuals of control points", True),
+    "error_ellipses": ("Error ellipses", False),
+    "nadir_points": ("Given positions", False),
+    "footprints": ("Footprints", True),
+    "residuals": ("Residuals of tie points", False),
+    "tie_points": ("Tie points", False),
+    "image_residuals": ("Residuals in images", False),
+    "seamlines": ("Seamlines", True),
+    "seam_segments": ("Seams by misplacement", True),
+    "ccd_strips": ("CCD strips", True),
+    "scene": ("Scene", True),
+}
+"""Each layer's title, and whether it is seen at first."""
+_GROUPS: Final = {
+    "Frames": ("frames", "moves", "nadir_points", "error_ellipses", "footprints"),
+    "Control": ("control", "control_residuals"),
+    "Residuals": ("residuals", "tie_points", "image_residuals"),
+    "Strips": ("seam_segments", "ccd_strips", "scene"),
+}
+_ON_MOSAIC: Final = ("seamlines",)
+_SOURCES: Final = "sources.tif"
+_RGB: Final = ("red", "green", "blue")
+_SPREAD: Final = 2.0
+"""Deviations about the mean that are stretched from black to white, as QGIS does by default."""
+_GOLDEN: Final = 0.618_033_988_749_895
+"""The golden section of the circle of hues: any few numbers in a row differ well."""
+
+
+def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, float, float], list[Group]]:
+    """A run's project: its CRS, what of it is seen at first, and its groups.
+
+    package: the run's layers.gpkg; rasters are those beside it. A scene of strips without a map is left out.
+    """
+    crs, shown = vector_layers(package)
+    on_map = []
+    if (bounds := _bounds(mosaic)) is not None:
+        on_map = [image_layer(mosaic, "Mosaic")]
+        if (sources := mosaic.with_name(_SOURCES)).is_file():
+            on_map.insert(0, source_layer(sources))
+    groups = [
+        Group(title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals")
+        for title, names in _GROUPS.items()
+    ]
+    groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + on_map)))
+    return crs, bounds or bounds_of_layers(package, list(shown)), groups
+
+
+def vector_layers(package: Path) -> tuple[str, dict[str, Shown]]:
+    """A GeoPackage of ours: its CRS, and its layers that hold anything, by name."""
+    from pyogrio import list_layers, read_info
+    from pyogrio.raw import read
+
+    meta, _, _, columns = read(str(package), layer="layer_styles", read_geometry=False)
+    table = dict(zip(meta["fields"].tolist(), columns, strict=True))
+    rows = zip(table["f_table_name"], table["styleQML"], table["description"], strict=True)
+    styles = {name: (fromstring(document), text) for name, document, text in rows}
+    crs, shown = "", {}
+    for name in list_layers(str(package))[:, 0].tolist():
+        if name not in styles:
+            continue
+        info = read_info(str(package), layer=name)
+        crs = info["crs"]
+        if info["features"]:
+            document, text = styles[name]
+            title, checked = _TITLES.get(name, (name, True))
+            shown[name] = Shown(
+                name, title, f"./{package.name}|layername={name}", True, crs, tuple(document), checked,
+                document.get("labelsEnabled") == "1", text,
+            )  # fmt: skip
+    return crs, shown
+
+
+def image_layer(path: Path, title: str) -> Shown:
+    """A raster on the map in its colours, stretched where it has more than 8 bits."""
+    with open_raster(path, OWN) as tiff:
+        names = [(name or "").lower() for name in tiff.descriptions]
+        if tiff.count < 3:
+            bands = [1]
+        else:
+            bands = [names.index(c) + 1 for c in _RGB] if set(_RGB) <= set(names) else [1, 2, 3]
+        stretch = None if tiff.dtypes[0] == "uint8" else [_stretch(tiff.tags(band)) for band in bands]
+        crs, mask = tiff.crs.to_wkt(), tiff.count + 1
+    if len(bands) == 3:
+        keys = dict(zip(("redBand", "greenBand", "blueBand"), map(str, bands), strict=True))
+        renderer = Element("rasterrenderer", type="multibandcolor", opacity="1", alphaBand=f"{mask}", **keys)
+        parts: Sequence[str] = [f"{c}ContrastEnhancement" for c in _RGB]
+    else:
+        renderer = Element(
+            "rasterrenderer", type="singlebandgray", opacity="1", alphaBand=f"{mask}", grayBand="1",
+            gradient="BlackToWhite",
+        )  # fmt: skip
+        parts = ["contrastEnhancement"]
+    for part, limits in zip(parts, stretch or [], strict=False):
+        if limits is not None:
+            element = SubElement(renderer, part)
+            for tag, value in zip(("minValue", "maxValue"), limits, strict=True):
+                SubElement(element, tag).text = f"{value:g}"
+            SubElement(element, "algorithm").text = "StretchToMinimumMaximum"
+    return _raster(path, title, crs, renderer)
+
+
+def _stretch(tags: dict[str, str]) -> tuple[float, float] | None:
+    """What becomes black and white, by the band's statistics."""
+    try:
+        mean, sd = float(tags["STATISTICS_MEAN"]), float(tags["STATISTICS_STDDEV"])
+        least, most = float(tags["STATISTICS_MINIMUM"]), float(tags["STATISTICS_MAXIMUM"])
+    except (KeyError, ValueError):
+        return None
+    return max(least, mean - _SPREAD * sd), min(most, mean + _SPREAD * sd)
+
+
+def source_layer(path: Path) -> Shown:
+    """Which frame gave each pixel: a colour and the frame's name for each number."""
+    with open_raster(path, OWN) as tiff:
+        tags, crs = tiff.tags(), tiff.crs.to_wkt()
+    frames = {
+        int(key.removeprefix("FRAME_")): name
+        for key, name in tags.items()
+        if key.removeprefix("FRAME_").isdigit()
+    }
+    renderer = Element("rasterrenderer", type="paletted", band="1", alphaBand="-1", opacity="0.5")
+    palette = SubElement(renderer, "colorPalette")
+    for number in sorted(frames):
+        red, green, blue = frame_colour(number)
+        SubElement(
+            palette, "paletteEntry", value=f"{number}", color=f"#{red:02x}{green:02x}{blue:02x}", alpha="255",
+            label=frames[number],
+        )  # fmt: skip
+    return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
+
+
+def frame_colour(number: int) -> tuple[int, int, int]:
+    """Red, green and blue, 0 to 255, of the frame of a number."""
+    hue, shade = number * _GOLDEN % 1.0, 0.95 - 0.25 * (number % 3) / 2.0
+    rgb: tuple[int, int, int] = tuple(round(255 * c) for c in colorsys.hsv_to_rgb(hue, 0.75, shade))  # type: ignore[assignment]
+    return rgb
+
+
+def _raster(
+    path: Path, title: str, crs: str, *renderers: Element, checked: bool = True, **more: Any
+) -> Shown:
+    pipe = Element("pipe")
+    pipe.extend(renderers)
+    SubElement(pipe, "rasterresampler", maxOversampling="2", zoomedOutResampler="bilinear")
+    return Shown(path.stem, title, f"./{path.name}", False, crs, (pipe,), checked, **more)
+
+
+def _bounds(path: Path) -> tuple[float, float, float, float] | None:
+    """A raster's west, south, east and north; None without a map."""
+    with open_raster(path, OWN) as tiff:
+        west, south, east, north = tiff.bounds
+        return None if tiff.crs is None else (west, south, east, north)
+
+
+def bounds_of_layers(package: Path, names: Sequence[str]) -> tuple[float, float, float, float]:
+    """Of all features of some layers of a GeoPackage; the whole Earth if there is none."""
+    from pyogrio import read_info
+
+    found = [read_info(str(package), layer=name, force_total_bounds=True)["total_bounds"] for name in names]
+    if not found:
+        return -180.0, -90.0, 180.0, 90.0
+    west, south, east, north = zip(*found, strict=True)
+    return min(west), min(south), max(east), max(north)

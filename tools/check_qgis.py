@@ -1,0 +1,82 @@
+"""Makes a small run of frames and one of strips, and has a real QGIS open all that is written for it.
+
+What QGIS must be able to do stands in `qgis_window.py`, which QGIS' own Python runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+PYTHONS = ("/usr/bin/python3", "python3", "/Applications/QGIS.app/Contents/MacOS/bin/python3")
+OFFSCREEN = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
+for _name in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"):
+    OFFSCREEN.pop(_name, None)
+
+
+def geomosaic(*arguments: str | Path) -> None:
+    """Runs a command of geomosaic; ends the check if it fails."""
+    command = [sys.executable, "-m", "geomosaic.cli.main", *map(str, arguments)]
+    if subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode:
+        sys.exit(f"check-qgis: geomosaic {arguments[0]} failed")
+
+
+def qgis_python() -> str:
+    """The Python that has QGIS' modules."""
+    for name in PYTHONS:
+        found = shutil.which(name)
+        if (
+            found
+            and not subprocess.run(
+                [found, "-c", "import qgis.core"], check=False, capture_output=True, env=OFFSCREEN
+            ).returncode
+        ):
+            return found
+    sys.exit("check-qgis: no Python here has QGIS; on Debian and Ubuntu: apt install qgis python3-qgis")
+
+
+def frames_run(out: Path) -> Path:
+    """Simulated frames with control points."""
+    survey, run = out / "survey", out / "run"
+    if not (run / "run.json").exists():
+        geomosaic("simulate", "frames", survey, "--control-points", "6", "--overwrite")
+        geomosaic(
+            "mosaic", survey / "frames", "-o", run, "--pos", survey / "pos.csv", "--camera",
+            survey / "cameras.json", "--gcp", survey / "gcp_list.txt",
+        )  # fmt: skip
+    return run
+
+
+def strips_run(out: Path) -> Path:
+    """A simulated scene of four strips."""
+    strips, run = out / "strips", out / "strips-run"
+    if not (run / "run.json").exists():
+        geomosaic("simulate", "strips", strips, "--ccds", "4", "--lines", "4096", "--overwrite")
+        geomosaic("strips", strips / "geometry.yaml", "-o", run)
+    return run
+
+
+def main() -> None:
+    """Opens each run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/check-qgis"))
+    parser.add_argument("--run", type=Path, help="open this finished run instead")
+    parser.add_argument("window", nargs="*", help="options of qgis_window.py, after --")
+    options = parser.parse_args()
+    python, out = qgis_python(), options.out
+    out.mkdir(parents=True, exist_ok=True)
+    runs = [frames_run(out), strips_run(out)] if options.run is None else [options.run]
+    for run in runs:
+        picture = out / f"{run.name}.png"
+        command = [python, str(HERE / "qgis_window.py"), str(run), "--picture", str(picture)]
+        done = subprocess.run([*command, *options.window], check=False, env=OFFSCREEN)
+        if done.returncode:
+            sys.exit(done.returncode)
+
+
+main()
