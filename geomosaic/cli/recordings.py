@@ -2,54 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import os
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
-from geomosaic.cli.options import AsJson, Dask, FixedTime, Overwrite, RunFolder, Sets, Workers
+from geomosaic.cli.inspection import RecordingFile, diff, inspect, recording_file
+from geomosaic.cli.options import Dask, FixedTime, Overwrite, RunFolder, Sets, Workers
 from geomosaic.errors import FileError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
 
 app = typer.Typer()
-
-RecordingFile = Annotated[
-    Path, typer.Argument(metavar="RUN.mcap", help="the recording of a run, or its folder")
-]
-
-
-@app.command()
-def inspect(recording: RecordingFile, as_json: AsJson = False) -> None:
-    """Say what a recording holds: stages, rounds of adjustment, warnings, topics, and whether it is whole."""
-    from geomosaic.recording import read_recording, summary
-    from geomosaic.recording.tables import show_summary
-
-    short = summary(read_recording(_file(recording)))
-    print(json.dumps(short, indent=2)) if as_json else show_summary(short, _console())
-
-
-@app.command()
-def diff(
-    a: Annotated[Path, typer.Argument(metavar="A.mcap", help="a recording, or a run's folder")],
-    b: Annotated[Path, typer.Argument(metavar="B.mcap", help="another one")],
-    as_json: AsJson = False,
-) -> None:
-    """Say what differs between two recordings; exit 0 if the runs are equal and 1 if not.
-
-    Durations, the cache and the environment don't count.
-    """
-    from geomosaic.recording import compare, read_recording
-    from geomosaic.recording.tables import show_difference
-
-    difference = compare(read_recording(_file(a)), read_recording(_file(b)))
-    print(json.dumps(difference, indent=2)) if as_json else show_difference(difference, _console())
-    raise typer.Exit(0 if difference["equal"] else 1)
+for command in (inspect, diff):
+    app.command()(command)
 
 
 @app.command()
@@ -79,7 +47,7 @@ def replay(
     from geomosaic.pipeline.registry import installed
     from geomosaic.recording import read_recording
 
-    path = _file(recording)
+    path = recording_file(recording)
     recorded = read_recording(path)
     if path.absolute().parent == output.absolute():
         raise InputError("this is the run to be replayed", file=output, mend="give another folder with -o")
@@ -111,7 +79,7 @@ def view(
     from geomosaic.recording import read_recording
     from geomosaic.recording import view as rerun_view
 
-    recorded = read_recording(_file(recording))
+    recorded = read_recording(recording_file(recording))
     with tempfile.TemporaryDirectory(prefix="geomosaic-view-") as folder:
         rrd = save or Path(folder) / f"{recorded.path.stem}.rrd"
         rerun_view.write_rrd(recorded, rrd)
@@ -119,10 +87,6 @@ def view(
             rerun_view.screenshot(rrd, screenshot)
         if save is None and screenshot is None:
             rerun_view.open_viewer(rrd)
-
-
-def _file(path: Path) -> Path:
-    return path / "run.mcap" if path.is_dir() else path
 
 
 def _first_stage(recipe: Recipe, start: str, sets: list[str], file: Path) -> int:
@@ -139,8 +103,3 @@ def _first_stage(recipe: Recipe, start: str, sets: list[str], file: Path) -> int
         problem = f"--set {changed[earlier]} changes a stage before {start}"
         raise InputError(problem, mend=f"replay with --from {ids[earlier]}")
     return first
-
-
-def _console() -> Console:
-    console = Console(highlight=False)
-    return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=100)

@@ -26,11 +26,11 @@ _SEEN_BY: Annotated[
 BARE: Annotated[
     float,
     Because(
-        "share of the ground that others see too",
-        "without tie points to be worth a word: fields and roads leave a twentieth of cells empty",
-        CHOSEN,
+        "share of the ground that two others see too",
+        "without tie points to be worth a word: of fields, roads and villages up to 3 % are, of water 75 %",
+        "ten simulated surveys of 20 frames against their true cover",
     ),
-] = 0.1
+] = 0.05
 
 
 def bare_shares(solved: Solved) -> dict[str, tuple[int, int]]:

@@ -24,11 +24,14 @@ _LAST_LINES = 3
 
 
 class Inspection:
-    """The answers of one recording, each as values that JSON knows. solved: None of strips, or where the
-    recording holds no survey; then `faults` knows of the run alone, and frames can't be asked for."""
+    """The answers of one recording, each as values that JSON knows.
 
-    def __init__(self, recording: Recording, solved: Solved | None) -> None:
-        self.recording, self.solved = recording, solved
+    solved: None of strips, and where the recording holds no survey: then `worst` knows of the run alone, and
+    no frame can be asked for. unreadable: why its survey can't be read.
+    """
+
+    def __init__(self, recording: Recording, solved: Solved | None, unreadable: str = "") -> None:
+        self.recording, self.solved, self.unreadable = recording, solved, unreadable
         reasons = {(t.row[i], t.other[i]): t.note[i] for t in _tried(recording) for i in range(len(t.note))}
         self.pairs = [] if solved is None else pair_figures(solved)
         for pair in self.pairs:
@@ -120,8 +123,7 @@ class Inspection:
         return found[0] | self._residuals(found[0])
 
     def _residuals(self, pair: dict[str, Any]) -> dict[str, Any]:
-        solved = self.solved
-        assert solved is not None
+        solved = self.readable()
         if not pair["tied"] or solved.ties is None:
             return {}
         at = self.pairs.index(pair)
@@ -143,6 +145,14 @@ class Inspection:
                 return record
         ids = [s.stage_id for s in self.recording.stages]
         raise UnknownNameError("stage of this recording", id, ids, file=self.recording.path)
+
+    def readable(self) -> Solved:
+        """The survey. Raises `InputError` where there is none."""
+        if self.solved is None:
+            mend = "give a recording of frames that holds artefacts"
+            problem = self.unreadable or "no frames are recorded"
+            raise InputError(problem, file=self.recording.path, mend=mend)
+        return self.solved
 
     def _known(self, name: str) -> str:
         """A frame's name, also without its suffix. Raises `InputError` where frames aren't recorded."""

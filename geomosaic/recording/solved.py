@@ -105,9 +105,9 @@ class Solved:
         return ""
 
     @cached_property
-    def told(self) -> Orientations | None:
+    def given(self) -> Orientations | None:
         """Where the tags place the frames, in the terms of positions.csv."""
-        return None if self.prior is None else orientations(self.survey, self.prior.poses, self._as_told)
+        return None if self.prior is None else orientations(self.survey, self.prior.poses, self._as_given)
 
     @cached_property
     def found(self) -> Orientations | None:
@@ -117,7 +117,7 @@ class Solved:
         return orientations(self.survey, self.prior.poses, self.adjusted)
 
     @property
-    def _as_told(self) -> Any:
+    def _as_given(self) -> Any:
         """The tags as if an adjustment had left all frames where they were."""
         assert self.prior is not None
         cameras = tuple(self.survey.camera_of(i) for i in range(len(self.names)))
@@ -131,7 +131,7 @@ class Solved:
 
     @cached_property
     def moved_m(self) -> Floats:
-        """Found minus told, east, north and up (n, 3); NaN where one of both is unknown."""
+        """Found minus given, east, north and up (n, 3); NaN where one of both is unknown."""
         if self.adjusted is None or self.prior is None:
             return np.full((len(self.names), 3), np.nan)
         moved = self.adjusted.poses.positions_m - self.prior.poses.positions_m
@@ -139,11 +139,11 @@ class Solved:
 
     @cached_property
     def yawed_deg(self) -> Floats:
-        """How far found headings are from told ones, turned images righted, (n,); NaN where unknown."""
+        """How far found headings are from given ones, turned images righted, (n,); NaN where unknown."""
         if self.adjusted is None or self.prior is None:
             return np.full(len(self.names), np.nan)
-        told = righted(self.prior.poses, {i: q for i, q in enumerate(self.turned) if q})
-        turn = log_turn(self.adjusted.poses.rotations @ np.swapaxes(told.rotations, 1, 2))[:, 2]
+        given = righted(self.prior.poses, {i: q for i, q in enumerate(self.turned) if q})
+        turn = log_turn(self.adjusted.poses.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2]
         return np.where(heading_assumed(self.prior.poses), np.nan, np.degrees(turn))
 
     @cached_property
@@ -169,7 +169,7 @@ class Solved:
 
     @cached_property
     def pixel_m(self) -> float:
-        """The paper's D, the ground pixel that residuals are told in; NaN if unknown."""
+        """The paper's D, the ground pixel that residuals are given in; NaN if unknown."""
         placement = self.placement or self.prior
         return (
             placement.ground_pixel_m if placement is not None and placement.ground_pixel_m > 0 else math.nan
@@ -205,7 +205,7 @@ def pair_figures(solved: Solved) -> list[dict[str, Any]]:
 
 
 def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each frame: status, told and found pose with deviations, what ties it, what is left, what was
+    """Of each frame: status, given and found pose with deviations, what ties it, what is left, what was
     said."""
     by_frame: dict[str, list[dict[str, Any]]] = {name: [] for name in solved.names}
     for pair in pairs:
@@ -227,7 +227,7 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
                 "frame": name,
                 "status": solved.adjusted.status[i] if solved.adjusted else "not adjusted",
                 "line": placement.lines[i] if placement else None,
-                "told": _pose(solved.told, i),
+                "given": _pose(solved.given, i),
                 "found": _pose(solved.found, i),
                 "moved_m": [known(v) for v in solved.moved_m[i]],
                 "yaw_off_deg": known(solved.yawed_deg[i]),

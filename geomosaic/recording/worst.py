@@ -1,7 +1,7 @@
 """What is wrong with a survey, worst first: what it is, how sure that is, what mends it.
 
-Frames are accused by the run alone, which looked at all of them together; here it is told how sure that is.
-What the run doesn't say is told as what it is: ground without tie points, a frame that stands against its
+Frames are accused by the run alone, which looked at all of them together; here stands how sure that is.
+What the run doesn't say stands as what it is: ground without tie points, a frame that stands against its
 line.
 """
 
@@ -31,7 +31,8 @@ _AGAINST_RAD: Annotated[
     ),
 ] = np.radians(135.0)
 _AGREE_DEG: Annotated[
-    float, Because("degrees", "by which a told heading may be off to agree: as compasses are at most", CHOSEN)
+    float,
+    Because("degrees", "by which a given heading may be off to agree: as compasses are at most", CHOSEN),
 ] = 20.0
 _LEAST_OTHERS: Annotated[int, Because("frames", "of a line that say how it stands", CHOSEN)] = 3
 _TOGETHER: Annotated[
@@ -146,18 +147,19 @@ def _sure(solved: Solved, code: str, frame: dict[str, Any]) -> tuple[str, float]
     held = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
     if frame.get("rms_px") is not None:
         held += f", to {frame['rms_px']:.2f} px"
-    told, now = frame.get("told"), frame.get("found")
-    if code == "position-wrong" and told and now and None not in frame["moved_m"]:
+    given, now = frame.get("given"), frame.get("found")
+    if code == "position-wrong" and given and now and None not in frame["moved_m"]:
         off_m = float(np.hypot(*frame["moved_m"][:2]))
-        times = off_m / _together(told, now, "sd_e_m", "sd_n_m")
+        times = off_m / _together(given, now, "sd_e_m", "sd_n_m")
         return f"{_word(times)}: {off_m:.1f} m, {times:.0f} times its deviation; {held}", _below_1(times)
     off_deg = abs(frame.get("yaw_off_deg") or 0.0)
-    if code == "yaw-wrong" and told and now:
-        times = off_deg / _together(told, now, "sd_kappa_deg")
+    if code == "yaw-wrong" and given and now:
+        times = off_deg / _together(given, now, "sd_kappa_deg")
         return f"{_word(times)}: {off_deg:.0f} degrees, {times:.0f} times its deviation; {held}", _below_1(
             times
         )
     if code == "frame-turned" and now:
+        off_deg = off_deg if frame["image_turned_deg"] else abs(180.0 - off_deg)
         word = "sure" if frame["pairs_tied"] >= 3 else "likely"
         return f"{word}: once righted its heading fits to {off_deg:.0f} degrees; {held}", 0.0
     return ("certain" if frame.get("status") == "left_out" else "as the run says"), 0.0
@@ -167,9 +169,9 @@ def _below_1(times: float) -> float:
     return times / (1.0 + times)
 
 
-def _together(told: dict[str, Any], now: dict[str, Any], *names: str) -> float:
-    """The deviation of a difference of told and found values: the larger of the named ones."""
-    both = [np.hypot(told[n] or 0.0, now[n] or 0.0) for n in names]
+def _together(given: dict[str, Any], now: dict[str, Any], *names: str) -> float:
+    """The deviation of a difference of given and found values: the larger of the named ones."""
+    both = [np.hypot(given[n] or 0.0, now[n] or 0.0) for n in names]
     return max(float(max(both)), 1e-6)
 
 
@@ -185,10 +187,11 @@ def _against_their_lines(solved: Solved) -> Iterator[Fault]:
     lines = flight_lines(at_m)
     yaw = Rotation(solved.adjusted.poses.rotations).yaw_pitch_roll()[0]
     off = np.exp(1j * (yaw + np.pi / 2.0 * np.array(solved.turned) - np.radians(courses_deg(at_m, lines))))
-    told = ~heading_assumed(solved.prior.poses) & np.isfinite(off)
+    given = ~heading_assumed(solved.prior.poses) & np.isfinite(off)
     fits = np.abs(solved.yawed_deg) < _AGREE_DEG
-    for i in np.flatnonzero(told):
-        others = np.flatnonzero(told & fits & (np.array(lines) == lines[i]) & (np.arange(len(lines)) != i))
+    turned = {frame for code, frame, _ in solved.warned if code == "frame-turned"}
+    for i in (i for i in np.flatnonzero(given) if solved.names[i] not in turned):
+        others = np.flatnonzero(given & fits & (np.array(lines) == lines[i]) & (np.arange(len(lines)) != i))
         usual = complex(np.mean(off[others])) if len(others) >= _LEAST_OTHERS else 0j
         if abs(usual) < _TOGETHER or abs(np.angle(off[i] / usual)) < _AGAINST_RAD:
             continue

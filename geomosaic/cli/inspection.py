@@ -1,0 +1,162 @@
+"""`geomosaic inspect` and `diff`: what a person asks of recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from geomosaic.cli.options import AsJson
+from geomosaic.errors import FileError, OutputError
+
+if TYPE_CHECKING:
+    from geomosaic.recording.inspection import Inspection
+    from geomosaic.recording.model import Recording
+
+RecordingFile = Annotated[
+    Path, typer.Argument(metavar="RUN.mcap", help="the recording of a run, or its folder")
+]
+Png = Annotated[Path | None, typer.Option("--png", metavar="PNG", help="draw it into this file, too")]
+_ALL = 1_000_000
+
+
+def inspect(
+    recording: RecordingFile,
+    stage: Annotated[str, typer.Option(metavar="STAGE", help="what a stage was given, made and said")] = "",
+    frame: Annotated[
+        str, typer.Option(metavar="FRAME", help="a frame's told and found pose, its ties and what was said")
+    ] = "",
+    pair: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="FRAME FRAME", help="what ties two frames and what is left, or why they aren't tied"
+        ),
+    ] = None,
+    worst: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, max=_ALL, help="what is wrong; the N worst faults, frames and pairs"
+        ),
+    ] = None,
+    png: Png = None,
+    repair: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT.mcap", help="write a whole file of what is there, as of a killed run"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a recording holds and what is wrong with its survey, how sure that is, and what mends it.
+
+    Without an option: stages, rounds of adjustment, faults, warnings, topics, whether it is whole, and where
+    the run ended if it was killed. --png draws the plan; with --frame or --pair that frame or pair.
+    """
+    from geomosaic.pipeline import files
+    from geomosaic.recording import inspection_tables as show
+    from geomosaic.recording import read_recording, summary
+    from geomosaic.recording.inspection import SHOWN
+    from geomosaic.recording.tables import show_summary
+
+    path = recording_file(recording)
+    recorded = read_recording(path)
+    if repair is not None:
+        _repair(recorded, repair)
+        return
+    answers = _answers(recorded)
+    short: dict[str, Any] = {"path": str(path), "whole": recorded.whole, "problem": recorded.problem}
+    short |= {"ended": answers.ended(), "unreadable": answers.unreadable}
+    shown: list[Callable[[Console], None]] = [lambda console: show.show_head(short, console)]
+
+    def ask(name: str, answer: dict[str, Any], view: Callable[[dict[str, Any], Console], None]) -> None:
+        short[name] = answer
+        shown.append(lambda console: view(answer, console))
+
+    if worst is not None:
+        ask("worst", answers.worst(worst), show.show_worst)
+    if stage:
+        ask("stage", answers.stage(stage), show.show_stage)
+    if frame:
+        ask("frame", answers.frame(frame), show.show_frame)
+    if pair is not None:
+        ask("pair", answers.pair(*pair), show.show_pair)
+    if len(shown) == 1:
+        ask("worst", answers.worst(SHOWN), show.show_faults)
+        rest = summary(recorded)
+        short |= rest
+        shown.append(lambda console: show_summary(rest, console))
+    if png is not None:
+        files.write_bytes(png, _picture(answers, frame, pair))
+    if as_json:
+        print(json.dumps(short, indent=2))
+        return
+    screen = new_console()
+    for view in shown:
+        view(screen)
+
+
+def _answers(recorded: Recording) -> Inspection:
+    """Of a damaged survey at least what else there is."""
+    from geomosaic.pipeline.recorded_solve import solved_of
+    from geomosaic.recording.inspection import Inspection
+
+    try:
+        return Inspection(recorded, solved_of(recorded))
+    except FileError as error:
+        return Inspection(recorded, None, error.problem)
+
+
+def _repair(recorded: Recording, out: Path) -> None:
+    from geomosaic.pipeline import files
+    from geomosaic.recording.repair import repaired
+
+    if out.exists():
+        raise OutputError("is there already", file=out, mend="give another name with --repair")
+    with files.writing(out) as temporary:
+        count = repaired(recorded, temporary)
+    print(f"repaired   {out}, {count} messages")
+    if recorded.problem:
+        print(f"lost       what lay behind or in the damage: {recorded.problem}")
+
+
+def _picture(answers: Inspection, frame: str, pair: tuple[str, str] | None) -> bytes:
+    from geomosaic.recording import pictures
+
+    recorded, solved = answers.recording, answers.readable()
+    if pair is not None:
+        found = answers.pair(*pair)
+        return pictures.pair_png(recorded, solved, found["left"], found["right"])
+    if frame:
+        return pictures.frame_png(recorded, solved, answers.frame(frame)["frame"])
+    return pictures.plan_png(solved, answers.worst(_ALL)["faults"], answers.pairs)
+
+
+def diff(
+    a: Annotated[Path, typer.Argument(metavar="A.mcap", help="a recording, or a run's folder")],
+    b: Annotated[Path, typer.Argument(metavar="B.mcap", help="another one")],
+    as_json: AsJson = False,
+) -> None:
+    """Say what differs between two recordings; exit 0 if the runs are equal and 1 if not.
+
+    Durations, the cache and the environment don't count.
+    """
+    from geomosaic.recording import compare, read_recording
+    from geomosaic.recording.tables import show_difference
+
+    difference = compare(read_recording(recording_file(a)), read_recording(recording_file(b)))
+    print(json.dumps(difference, indent=2)) if as_json else show_difference(difference, new_console())
+    raise typer.Exit(0 if difference["equal"] else 1)
+
+
+def recording_file(path: Path) -> Path:
+    """The recording of a run's folder, or the file itself."""
+    return path / "run.mcap" if path.is_dir() else path
+
+
+def new_console() -> Console:
+    """A hundred columns wide where nobody looks."""
+    console = Console(highlight=False)
+    return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=100)

@@ -1,0 +1,158 @@
+"""Pictures of what a recording knows: the plan of a survey, a frame with its tie points, a pair's."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from numpy.typing import NDArray
+
+from geomosaic.projection.footprint import footprint
+from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
+from geomosaic.recording.mcapfile import BROKEN
+from geomosaic.recording.model import Recording
+from geomosaic.recording.reader import messages
+from geomosaic.recording.solved import DOWN_WEIGHTED, Solved
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+_SIDE_PX: Final = 900
+_PLAN_PX: Final = 1500
+_LINES: Final = 300
+_MOST_THUMBNAIL_PX: Final = 4 << 20
+_OUTLINES: Final = 400
+_LABELS: Final = 300
+
+
+def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str, Any]]) -> bytes:
+    """East to the right, north up: footprints as given (grey) and found (blue), arrows from given to found
+    positions, tied pairs by what is left between them, untied ones in grey, accused frames in red."""
+    given_m, found_m = _positions(solved)
+    at_m = found_m if found_m is not None else given_m
+    outlines = [_outlines(solved, found) for found in (False, True)]
+    every = [o for sides in outlines for o in sides] + [given_m, at_m]
+    canvas = Canvas(np.concatenate([o for o in every if len(o)] or [np.zeros((1, 2))]), _PLAN_PX)
+    for sides, colour in zip(outlines, ((225, 225, 225), (225, 195, 160)), strict=True):
+        for ring in sides:
+            canvas.ring(ring, colour)
+    number = {name: i for i, name in enumerate(solved.names)}
+    known = [p["rms_px"] for p in pairs if p.get("rms_px") is not None]
+    most_px = float(np.quantile(known, 0.98)) if known else 1.0
+    for p in sorted(pairs, key=lambda p: (p["tied"], p.get("rms_px") or 0.0)):
+        ends = at_m[[number[p["left"]], number[p["right"]]]]
+        rms_px = p.get("rms_px")
+        share = 0.0 if rms_px is None else rms_px / max(most_px, 1e-9)
+        canvas.line(ends, heat(share) if p["tied"] else (190, 190, 190), dashed=not p["tied"])
+    wrong: dict[str, list[str]] = {}
+    for fault in faults:
+        for name in fault["frames"] if fault["code"] != "ground-without-ties" else ():
+            wrong.setdefault(name, []).append(fault["code"])
+    if found_m is not None:
+        for a, b in zip(given_m, found_m, strict=True):
+            canvas.arrow(a, b, (160, 60, 0))
+    for i, name in enumerate(solved.names):
+        accused = wrong.get(name)
+        canvas.dot(at_m[i], RED if accused else INK, large=bool(accused))
+        if accused or len(solved.names) <= _LABELS:
+            label = name.rpartition(".")[0] or name
+            canvas.label(at_m[i], ", ".join([label[-14:], *(accused or ())]), RED if accused else INK)
+    foot = [
+        "grey outlines: as given; blue: as found; arrows: from given to found position",
+        f"lines: tied pairs, green to red 0 to {most_px:.2f} px left (98 % of them); dashed: tried, not tied",
+        "red: frames of which something is wrong",
+    ]
+    return png_of(canvas.finished(foot))
+
+
+def frame_png(recording: Recording, solved: Solved, name: str) -> bytes:
+    """A frame's thumbnail with its tie points: green, or red where the solve doubts them."""
+    i = solved.names.index(name)
+    image, scale = _shown(recording, solved, i)
+    for k, t in enumerate(solved.ties.pairs if solved.ties else ()):
+        for side, px in ((t.left, t.left_px), (t.right, t.right_px)):
+            if side == i:
+                _dots(image, px * scale, solved.weights[k])
+    return png_of(_titled(image, f"{name}: tie points, red where the solve doubts them"))
+
+
+def pair_png(recording: Recording, solved: Solved, left: str, right: str) -> bytes:
+    """Both thumbnails side by side, lines between tie points: green, or red where the solve doubts them."""
+    a, b = solved.names.index(left), solved.names.index(right)
+    (one, one_scale), (other, other_scale) = _shown(recording, solved, a), _shown(recording, solved, b)
+    height = max(len(one), len(other))
+    image = np.full((height, one.shape[1] + other.shape[1] + 6, 3), PAPER, dtype=np.uint8)
+    image[: len(one), : one.shape[1]] = one
+    image[: len(other), one.shape[1] + 6 :] = other
+    count = 0
+    for k, t in enumerate(solved.ties.pairs if solved.ties else ()):
+        if (t.left, t.right) == (a, b):
+            from_px, to_px = t.left_px * one_scale, t.right_px * other_scale + [one.shape[1] + 6, 0]
+            keep = np.linspace(0, len(t) - 1, min(len(t), _LINES)).astype(np.intp)
+            count = len(t)
+            for p, q, w in zip(from_px[keep], to_px[keep], solved.weights[k][keep], strict=True):
+                if np.isfinite([*p, *q]).all():
+                    ends = [tuple(int(v) for v in np.clip(e, -9999, 9999)) for e in (p, q)]
+                    cv2.line(image, ends[0], ends[1], RED if w < DOWN_WEIGHTED else GOOD, 1, cv2.LINE_AA)
+    words = f"{left} - {right}: {count} tie points"
+    words += f", {_LINES} shown" if count > _LINES else "" if count else ", not tied"
+    return png_of(_titled(image, words))
+
+
+def _positions(solved: Solved) -> tuple[Floats, Floats | None]:
+    prior = solved.prior or solved.placement
+    given = np.zeros((len(solved.names), 2)) if prior is None else prior.poses.positions_m[:, :2]
+    return given, None if solved.adjusted is None else solved.adjusted.poses.positions_m[:, :2]
+
+
+def _outlines(solved: Solved, found: bool) -> list[Floats]:
+    """Outlines (k, 2) of the frames that see the ground all around."""
+    adjusted, prior = solved.adjusted, solved.prior
+    if adjusted is None or prior is None or len(solved.names) > _OUTLINES:
+        return []
+    poses = adjusted.poses if found else prior.poses
+    rings = [footprint(poses[i], adjusted.cameras[i], adjusted.ground, 1) for i in range(len(solved.names))]
+    return [r[:, :2] for r in rings if np.isfinite(r).all()]
+
+
+def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]:
+    """A frame's thumbnail enlarged to `_SIDE_PX`, or grey where there is none, and its pixels a frame's pixel
+    in col and row."""
+    frame = solved.survey.frames[i]
+    wide = max(frame.width_px, frame.height_px, 1)
+    size = [max(round(_SIDE_PX * v / wide), 1) for v in (frame.width_px, frame.height_px)]
+    image = np.full((size[1], size[0], 3), 200, dtype=np.uint8)
+    for topic, _, data in messages(recording.path, "foxglove.CompressedImage"):
+        if topic != "/frames":
+            continue
+        try:
+            message = CompressedImage.FromString(data)
+            if message.frame_id == frame.name:
+                image = _enlarged(message.data, (size[0], size[1]), image)
+        except BROKEN:
+            continue
+    return image, np.array(size) / [max(frame.width_px, 1), max(frame.height_px, 1)]
+
+
+def _enlarged(jpeg: bytes, size: tuple[int, int], otherwise: Image) -> Image:
+    """A small JPEG in another size; `otherwise` for what is none."""
+    try:
+        small = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        return otherwise
+    if small is None or small.shape[0] * small.shape[1] > _MOST_THUMBNAIL_PX:
+        return otherwise
+    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def _dots(image: Image, at: Floats, weight: Floats) -> None:
+    for (x, y), w in zip(at, weight, strict=True):
+        if np.isfinite([x, y]).all() and abs(x) < 9999 and abs(y) < 9999:
+            cv2.circle(image, (int(x), int(y)), 2, RED if w < DOWN_WEIGHTED else GOOD, -1, cv2.LINE_AA)
+
+
+def _titled(image: Image, words: str) -> Image:
+    band = np.full((26, image.shape[1], 3), PAPER, dtype=np.uint8)
+    write(band, words, (6, 18), INK)
+    return np.concatenate([band, image])
