@@ -33,6 +33,7 @@ from geomosaic.adjustment.bundle_model import (
 from geomosaic.adjustment.bundle_steps import settle, with_held
 from geomosaic.adjustment.clearance import clearances_m
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
+from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import student_weight
@@ -156,14 +157,15 @@ def _solve(
     priors = replace(priors, unrest=again.unrest if again else None, clearance_m=clearance_m)
     held = again.held if again else np.full(shared_miss(priors, state).size, lens_held)
     strayed = np.zeros_like(held)
-    iterations, may_free, shown = 0, again is not None, np.zeros(len(priors.cameras))
+    steps: tuple[SolveStep, ...] = ()
+    may_free, shown = again is not None, np.zeros(len(priors.cameras))
     while True:
         priors = replace(priors, held=held)
         state = with_held(tracks, camera_of, priors, state, factors)
         state, priors, factors, used = settle(
             tracks, camera_of, priors, state, factors, rough=True, settled=settled
         )
-        iterations += used
+        steps += used
         strayed = strayed | strayed_principal_points(priors, state)
         more = strayed | undetermined(tracks, camera_of, priors, state, factors)
         more = more if may_free and not lens_held else held | more
@@ -174,10 +176,11 @@ def _solve(
         state, priors, factors, used = settle(
             tracks, camera_of, priors, state, factors, rough=False, settled=True
         )
-        iterations += used
+        steps += used
         priors, shown = _with_unreported_shutters(tracks, camera_of, priors, state, factors)
-    found = _finish(tracks, camera_of, priors, state, factors, iterations)
-    return replace(found, strayed=strayed, held=held, readout_shown=shown)
+    found = _finish(tracks, camera_of, priors, state, factors, len(steps))
+    before = again.steps if isinstance(again, Bundle) else ()
+    return replace(found, strayed=strayed, held=held, readout_shown=shown, steps=before + steps)
 
 
 def _with_unreported_shutters(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.collinearity import INTERIOR
+from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.mounting import MOUNTING, Mounting
 from geomosaic.adjustment.normal import Reduced
 from geomosaic.adjustment.swing import MOST_SWING
@@ -141,7 +142,8 @@ class Bundle(Begun):
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
     swing (f, t, 3): see `Priors`; the poses' turns hold it. level_m: of the ground above the
     terrain's own. reduced: the last normal equations. readout_shown (c,): by how many of its deviations the
-    solution would leave the readout of none that is held where none is reported, of each camera.
+    solution would leave the readout of none that is held where none is reported, of each camera. steps: that
+    led here, those of the bundle it went on from first.
     """
 
     points_sd_m: Floats
@@ -157,6 +159,7 @@ class Bundle(Begun):
     iterations: int
     reduced: Reduced
     readout_shown: Floats
+    steps: tuple[SolveStep, ...] = ()
 
 
 @dataclass

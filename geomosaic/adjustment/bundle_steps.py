@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -13,10 +12,12 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_equations import (
     cost_of,
     has_say,
+    image_sd_px,
     known,
     lengths_px,
     normals_of,
     pose_sd,
+    share_shown,
     shared_miss,
 )
 from geomosaic.adjustment.bundle_model import (
@@ -26,7 +27,9 @@ from geomosaic.adjustment.bundle_model import (
     stepped,
 )
 from geomosaic.adjustment.clearance import too_near
+from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.normal import Reduced, reduce_normals
+from geomosaic.adjustment.robust import share_down_weighted
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import trust_in_tags
 from geomosaic.adjustment.unrest import unrest
@@ -162,17 +165,18 @@ def settle(
     *,
     rough: bool,
     settled: bool,
-) -> tuple[State, Priors, Factors, int]:
+) -> tuple[State, Priors, Factors, tuple[SolveStep, ...]]:
     """Iterates until unknowns, trust and variance components stand; the steps it took. settled: whether the
     image's component is believed to stand already."""
-    iterations, change = 0, None
+    steps: tuple[SolveStep, ...] = ()
+    change = None
     for _ in range(12):
         priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used, reduced = _converge(
             *(tracks, camera_of, priors, state, factors),
-            *(_STEPS_BETWEEN if iterations else _MOST_STEPS, _ROUGH),
+            *(_STEPS_BETWEEN if steps else _MOST_STEPS, _ROUGH),
         )
-        iterations += used
+        steps += used
         if settled:
             counts = ~priors.control[tracks.point] & has_say(tracks, priors)
             length_px = lengths_px(tracks, camera_of, priors, state)
@@ -188,8 +192,8 @@ def settle(
         settled = image_changed < 0.1
     if not rough:
         state, used, _ = _converge(tracks, camera_of, priors, state, factors, _MOST_STEPS, _FINE)
-        iterations += used
-    return state, priors, factors, iterations
+        steps += used
+    return state, priors, factors, steps
 
 
 def _converge(
@@ -200,13 +204,14 @@ def _converge(
     factors: Factors,
     most: int,
     stop: _Stop,
-) -> tuple[State, int, Reduced]:
-    """Steps until `stop`, or `most`: the state, how many, and the last one's equations, not damped."""
+) -> tuple[State, tuple[SolveStep, ...], Reduced]:
+    """Steps until `stop`, or `most`: the state, the steps, and the last one's equations, not damped."""
     sd_m = pose_sd(priors, factors)[:, :3]
     damping, cost = 0.0, cost_of(tracks, camera_of, priors, state, factors)
-    for steps in itertools.count(1):
+    steps: list[SolveStep] = []
+    while True:
         normals = normals_of(tracks, camera_of, priors, state, factors)
-        gain, moved = 0.0, 0.0
+        gain, moved, step_m = 0.0, 0.0, 0.0
         while True:
             try:
                 reduced = reduce_normals(normals, damping)
@@ -226,13 +231,23 @@ def _converge(
             damping = max(10.0 * damping, _DAMPING)
         if trial_cost < cost:
             gain, moved = cost - trial_cost, _share_moved(step, sd_m)
+            step_m = float(np.linalg.norm(trial.positions - state.positions, axis=1).max())
             state, cost = trial, trial_cost
+        down = _down_weighted(tracks, camera_of, priors, state, factors)
+        steps.append(SolveStep("", cost, factors.image_px, damping, step_m, down))
         little = gain <= stop.gain * max(cost, 1.0) or reduced.length(*step) <= stop.step
-        if steps >= most or (little and moved <= stop.move):
-            return state, steps, reduced if damping == 0.0 else reduce_normals(normals)
+        if len(steps) >= most or (little and moved <= stop.move):
+            return state, tuple(steps), reduced if damping == 0.0 else reduce_normals(normals)
         damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
         del normals, reduced  # the next ones take as much
     raise AssertionError
+
+
+def _down_weighted(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:
+    """The share of the image observations that count for less than half."""
+    length = lengths_px(tracks, camera_of, priors, state)
+    length = length / (image_sd_px(tracks, priors, factors) * np.sqrt(share_shown(tracks, priors)))
+    return share_down_weighted(np.nan_to_num(length[has_say(tracks, priors)], nan=np.inf))
 
 
 def _of_unknowns(

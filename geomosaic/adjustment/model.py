@@ -119,6 +119,21 @@ class Round:
 
 
 @dataclass(frozen=True)
+class SolveStep:
+    """One step of a bundle, as recorded. solve: what was solved. cost: the sum of weighted squares after it;
+    sigma_px: the deviation of image coordinates that it counts by; damping: share of the diagonal; step_m:
+    the largest move of a frame, 0 where the step was not taken; share_down_weighted: of image observations,
+    those that count for less than half of a good one."""
+
+    solve: str
+    cost: float
+    sigma_px: float
+    damping: float
+    step_m: float
+    share_down_weighted: float
+
+
+@dataclass(frozen=True)
 class SharedUnknowns:
     """Numbers that frames share and a solve estimated: of lenses, of the platform, of the ground.
 
@@ -197,3 +212,4 @@ class Adjusted:
     shared: SharedUnknowns | None = None
     image_residuals: ImageResiduals | None = None
     model: ModelChoice | None = None
+    steps: tuple[SolveStep, ...] = ()

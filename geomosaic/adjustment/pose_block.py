@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.beliefs import priors_of
 from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_model import GROUPS, Begun, Bundle, Priors
+from geomosaic.adjustment.bundle_model import GROUPS, Begun, Bundle
 from geomosaic.adjustment.chosen_ground import flying_height_m, levelled, surface_of
 from geomosaic.adjustment.chosen_model import (
     chosen_model,
@@ -20,7 +21,6 @@ from geomosaic.adjustment.chosen_model import (
     turns_shown,
     with_readout,
 )
-from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.doubts import (
@@ -41,12 +41,12 @@ from geomosaic.adjustment.model import (
     ModelChoice,
     Round,
     Settings,
-    SharedUnknowns,
+    SolveStep,
 )
-from geomosaic.adjustment.mounting import MOUNTING, UNIT
 from geomosaic.adjustment.outcome import settled
 from geomosaic.adjustment.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.shape import shape_sd_m
+from geomosaic.adjustment.shared_unknowns import shared_unknowns
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
 from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
@@ -175,13 +175,20 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     work = _begun(block, settings, tracks, few, spread)
-    steps = (
-        *(_wrong_ones_resected, _heights_freed, _model_chosen, _turning_too),
-        *(_zero_of_the_gyroscope, _by_all, _readout_shown),
-    )
-    for step in steps:
+    taken = _named("few tie points" if work.rough else "tie points", work, ())
+    for name, step in _STEPS.items():
         work = step(work)
-    return _outcome(work)
+        taken = _named(name, work, taken)
+    return replace(_outcome(work), steps=tuple(step for _, step in taken))
+
+
+def _named(
+    name: str, work: _Work, before: tuple[tuple[SolveStep, SolveStep], ...]
+) -> tuple[tuple[SolveStep, SolveStep], ...]:
+    """Steps as solved and as told, with those that `work` has gone on by, which are named."""
+    known = {id(solved) for solved, _ in before}
+    more = [step for step in work.found.bundle.steps if id(step) not in known]
+    return *before, *((step, replace(step, solve=name)) for step in more)
 
 
 def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks, spread: Spread) -> _Work:
@@ -313,6 +320,17 @@ def _readout_shown(work: _Work) -> _Work:
     return _by_all(replace(read, choice=choice))
 
 
+_STEPS: dict[str, Callable[[_Work], _Work]] = {
+    "wrong frames resected": _wrong_ones_resected,
+    "heights": _heights_freed,
+    "model of lens and shutter": _model_chosen,
+    "turning": _turning_too,
+    "zero of the gyroscope": _zero_of_the_gyroscope,
+    "all tie points": _by_all,
+    "readout": _readout_shown,
+}
+
+
 def _outcome(work: _Work) -> Adjusted:
     block, given, found = work.block, work.given, work.found
     bundle, seen = found.of_ties, found.seen
@@ -320,7 +338,7 @@ def _outcome(work: _Work) -> Adjusted:
     common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
     bundle = with_common_error(bundle, common_m2)
     moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
-    shared = _shared(bundle, found.priors)
+    shared = shared_unknowns(bundle, found.priors)
     heard = heard_shares(found.ties, bundle, len(block.names))
     strayed = strayed_frames(block, bundle.poses, heard)
     outcome = settled(
@@ -363,25 +381,6 @@ def _shape(block: Block, found: Solution) -> dict[str, float]:
 
 def _relief(found: Solution) -> dict[str, float]:
     return {"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {}
-
-
-def _shared(bundle: Bundle, priors: Priors) -> SharedUnknowns:
-    """The cameras' numbers and the mounting's that are not known beforehand, in the units of their names."""
-    cameras, unit = priors.cameras, np.concatenate([np.ones(bundle.interior_sd.size), UNIT])
-    given = np.concatenate([*(interior_of(c) for c in cameras), np.zeros(len(MOUNTING))])
-    found = np.concatenate([*(interior_of(c) for c in bundle.cameras), bundle.mounting])
-    of = [c.name for c in cameras for _ in INTERIOR] + ["platform"] * len(MOUNTING)
-    names = INTERIOR * len(cameras) + MOUNTING
-    rows = np.flatnonzero(np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd]))
-    return SharedUnknowns(
-        of=tuple(of[k] for k in rows),
-        names=tuple(names[k] for k in rows),
-        given=(given / unit)[rows],
-        found=(found / unit)[rows],
-        sd=(np.concatenate([bundle.interior_sd.ravel(), bundle.mounting_sd]) / unit)[rows],
-        correlation=bundle.shared_correlation[np.ix_(rows, rows)],
-        held=bundle.held[rows],
-    )
 
 
 def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:

@@ -90,3 +90,9 @@ def student_weight(standardised: Floats) -> Floats:
 def student_cost(standardised: Floats) -> Floats:
     """Twice the negative logarithm of the density, 0 at 0; its slope by the square: weight / INFORMATION."""
     return np.asarray((_FREEDOM + 2.0) * np.log1p(standardised**2 / (INFORMATION * _FREEDOM)))
+
+
+def share_down_weighted(standardised: Floats) -> float:
+    """The share of pairs whose `student_weight` is less than half of a perfect one's; NaN of none."""
+    half = student_weight(standardised) < student_weight(np.zeros(1)) / 2.0
+    return float(half.mean()) if half.size else float("nan")
