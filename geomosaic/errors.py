@@ -84,6 +84,12 @@ class NotSolvableError(GeomosaicError, ArithmeticError):
         super().__init__(problem)
 
 
+class BindingsError(GeomosaicError, ImportError):
+    """GDAL's Python bindings are missing, or were built for another libgdal or without numpy."""
+
+    exit_code = 2
+
+
 class PluginError(GeomosaicError, ImportError):
     """A third-party stage that can't be loaded, or that claims an id already taken."""
 

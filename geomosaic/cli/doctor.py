@@ -33,10 +33,11 @@ def _versions() -> tuple[str, str]:
 
 
 def _bindings() -> tuple[str, str]:
-    from osgeo import gdal, gdal_array
+    import numpy as np
+
+    from geomosaic.doors.bindings import gdal, gdal_array
 
     gdal.UseExceptions()
-    import numpy as np
 
     kind = gdal_array.flip_code(gdal.GDT_UInt16)
     return ("ok" if kind == np.uint16 else "broken"), f"GDAL {gdal.__version__} with numpy"

@@ -13,6 +13,9 @@ from geomosaic.cli.memory import keep_freed_memory
 from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.errors import GeomosaicError
 
+_EXTRAS = {"rerun": "view", "rerun_cli": "view"}
+"""What is installed by an extra, by the module that is missing without it."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command and returns the exit code; a failure is one line on stderr."""
@@ -72,6 +75,8 @@ def _failed(error: Exception, stop: Stop) -> int:
         return 2
     if usage is not None:
         return _fail(usage(), 2)
+    if isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
+        return _fail(f"{error.name} isn't installed; pip install 'geomosaic[{_EXTRAS[error.name]}]'", 2, error)
     text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
     return _fail(text, 1, error)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from osgeo import gdal, ogr, osr
+from geomosaic.doors.bindings import gdal, ogr, osr
 
 gdal.UseExceptions()
 ogr.UseExceptions()

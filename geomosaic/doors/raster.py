@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import rasterio
-from osgeo import gdal
 from rasterio._err import CPLE_BaseError
 from rasterio.env import set_gdal_config
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from geomosaic.doors.bindings import gdal
 from geomosaic.doors.files import check_regular
 from geomosaic.doors.references import check_sidecars, check_sources
 from geomosaic.errors import FileError

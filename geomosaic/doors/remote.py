@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Annotated, BinaryIO, Final
 from urllib.parse import urljoin, urlsplit
 
-from osgeo import gdal
-
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.addresses import Address, file_name
+from geomosaic.doors.bindings import gdal
 from geomosaic.doors.files import printable
 from geomosaic.doors.gdal_failures import gdal_options
 from geomosaic.errors import CancelledError, GeomosaicError, InputError

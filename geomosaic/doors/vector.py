@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import shapely
-from osgeo import gdal, ogr
 
 from geomosaic.doors import raster  # noqa: F401 - takes the drivers that connect out of GDAL
+from geomosaic.doors.bindings import gdal, ogr
 from geomosaic.doors.files import check_regular, printable
 from geomosaic.doors.references import check_sidecars
 from geomosaic.errors import FileError

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
-from geomosaic.errors import PluginError, UnknownNameError
+from geomosaic.errors import BindingsError, PluginError, UnknownNameError
 from geomosaic.pipeline.artefacts import dataclasses_in
 from geomosaic.pipeline.params import StageParams, describe_params
 from geomosaic.pipeline.stage import Stage
@@ -111,6 +111,8 @@ class Registry:
             raise PluginError(f"stage id '{id}' is claimed by {both}; uninstall one of them")
         try:
             stage = entries[0].load()
+        except BindingsError:
+            raise
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise PluginError(f"stage {id} can't be loaded from {_origin(entries[0])}: {reason}") from error
