@@ -76,7 +76,8 @@ def _failed(error: Exception, stop: Stop) -> int:
     if usage is not None:
         return _fail(usage(), 2)
     if isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
-        return _fail(f"{error.name} isn't installed; pip install 'geomosaic[{_EXTRAS[error.name]}]'", 2, error)
+        text = f"{error.name} isn't installed; pip install 'geomosaic[{_EXTRAS[error.name]}]'"
+        return _fail(text, 2, error)
     text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
     return _fail(text, 1, error)
 
