@@ -100,8 +100,9 @@ def image_layer(path: Path, title: str) -> Shown:
         stretch = None if tiff.dtypes[0] == "uint8" else [_stretch(tiff.tags(band)) for band in bands]
         crs, mask = tiff.crs.to_wkt(), tiff.count + 1
     if len(bands) == 3:
-        keys = dict(zip(("redBand", "greenBand", "blueBand"), map(str, bands), strict=True))
-        renderer = Element("rasterrenderer", type="multibandcolor", opacity="1", alphaBand=f"{mask}", **keys)
+        renderer = Element("rasterrenderer", type="multibandcolor", opacity="1", alphaBand=f"{mask}")
+        for colour, band in zip(_RGB, bands, strict=True):
+            renderer.set(f"{colour}Band", f"{band}")
         parts: Sequence[str] = [f"{c}ContrastEnhancement" for c in _RGB]
     else:
         renderer = Element(
