@@ -30,7 +30,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 39
+    version = 40
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
@@ -125,7 +125,7 @@ class AdjustmentSolve(Stage):
         for name, value in adjusted.figures.items():
             context.metric(f"adjustment.{name}", value)
         context.metric("ground.kind", adjusted.ground.kind)
-        record_adjusted(context, survey, block, adjusted, params.ground)
+        record_adjusted(context, survey, block, adjusted, params.ground, params.method)
         return {"adjusted": adjusted, "ground": adjusted.ground}
 
 

@@ -18,7 +18,8 @@ from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.reporting import outline_feature, record_locations
+from geomosaic.quality.solved_tables import pose_columns
+from geomosaic.stages.reporting import record_locations, record_outlines
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
@@ -31,7 +32,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 6
+    version = 7
     inputs: ClassVar[dict[str, type]] = {"levelled_survey": Survey, "prior_ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"prior_placement": Placement}
     formerly: ClassVar[dict[str, str]] = {"prior_placement": "placement"}
@@ -91,12 +92,9 @@ class PlacementPos(Stage):
             formula=params.formula,
         )
         record_locations(context, survey.work_frame, names, poses, ["placed"] * len(names))
-        features = [
-            outline_feature(survey.work_frame, o, {"frame": n})
-            for n, o in zip(names, outlines, strict=True)
-            if len(o)
-        ]
-        context.recorder.geojson("/footprints/placed", features)
+        nowhere = ["" if known else "no position" for known in survey.located]
+        context.recorder.table("frames.placed", names, pose_columns(poses), notes=nowhere)
+        record_outlines(context, survey.work_frame, "placed", names, outlines, on_map=True)
         context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
         context.metric("placement.flight_lines", max(lines) + 1)
         context.metric("placement.candidate_pairs", len(placement.pairs))

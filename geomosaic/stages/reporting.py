@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -19,10 +19,13 @@ from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.mosaic.estimate import Estimate, room
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.prior import position_assumed
+from geomosaic.projection.footprint import footprint
+from geomosaic.quality.solved_tables import move_columns, pair_columns, pose_columns, tie_weights
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
+_CORNERS = 3  # the fewest of an area
 
 
 def record_locations(
@@ -51,8 +54,64 @@ def outline_feature(work_frame: LocalFrame, outline_m: Floats, properties: dict[
     }
 
 
+def record_steps(context: Context, adjusted: Adjusted, method: str) -> None:
+    """Each step of a solve; of methods that slide frames, each round and what it found."""
+    for step in adjusted.steps:
+        context.recorder.iteration(stage=context.stage_id, **asdict(step))
+    for round_ in () if adjusted.steps else adjusted.rounds:
+        off = round_.misalignments_m[np.isfinite(round_.misalignments_m).all(axis=1)]
+        context.recorder.iteration(
+            context.stage_id,
+            method,
+            float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else float("nan"),
+            "m",
+            step_m=float(np.nanmax(np.hypot(*round_.moves_m.T), initial=0.0)),
+        )
+
+
+def record_outlines(
+    context: Context,
+    work_frame: LocalFrame,
+    what: str,
+    names: Sequence[str],
+    outlines_m: Sequence[Floats],
+    on_map: bool,
+) -> None:
+    """Footprints in the work frame, and on the map if they lie on one."""
+    context.recorder.outlines(what, names, outlines_m)
+    shown = [
+        (n, o) for n, o in zip(names, outlines_m, strict=True) if np.isfinite(o).all(axis=1).sum() >= _CORNERS
+    ]
+    if on_map:
+        features = [outline_feature(work_frame, o, {"frame": n}) for n, o in shown]
+        context.recorder.geojson(f"/footprints/{what}", features)
+
+
+def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adjusted) -> None:
+    """Frames and pairs in figures, and where frames lie now."""
+    ties, names = block.ties, block.names
+    lefts, rights = [names[t.left] for t in ties.pairs], [names[t.right] for t in ties.pairs]
+    weights = tie_weights(ties, adjusted.image_residuals)
+    context.recorder.table("pairs.adjusted", lefts, pair_columns(ties, adjusted.residuals_m, weights), rights)
+    for tie, left, right, residual, weight in zip(
+        ties.pairs, lefts, rights, adjusted.residuals_m, weights, strict=True
+    ):
+        context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual, weight)
+    columns = pose_columns(adjusted.poses) | move_columns(block.poses, adjusted, ties)
+    context.recorder.table("frames.adjusted", names, columns, notes=adjusted.status)
+    shown = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
+    outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], adjusted.ground, 4) for i in shown]
+    on_map = not is_local(survey.map_crs)
+    record_outlines(context, survey.work_frame, "adjusted", [names[i] for i in shown], outlines, on_map)
+
+
 def record_adjusted(
-    context: Context, survey: Survey, block: Block, adjusted: Adjusted, asked_ground: str = "auto"
+    context: Context,
+    survey: Survey,
+    block: Block,
+    adjusted: Adjusted,
+    asked_ground: str = "auto",
+    method: str = "bundle",
 ) -> None:
     """The rounds of an adjustment, the residuals of every pair, where the frames ended up, on what ground."""
     context.metric("ground.reason", ground_reason(adjusted, asked_ground))
@@ -67,8 +126,8 @@ def record_adjusted(
             ],
             [(name, float(e), float(n)) for name, (e, n) in zip(block.names, round_.moves_m, strict=True)],
         )
-    for tie, (left, right), residual in zip(block.ties.pairs, pairs, adjusted.residuals_m, strict=True):
-        context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual)
+    record_steps(context, adjusted, method)
+    _record_tables(context, survey, block, adjusted)
     if not is_local(survey.map_crs):
         record_locations(context, survey.work_frame, block.names, adjusted.poses, adjusted.status)
     total = len(block.names) + len(survey.left_out)

@@ -1,0 +1,131 @@
+"""What an adjustment says of frames and of pairs, as columns whose names end in units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted, ImageResiduals
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import Rotation
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.matching.model import TiePoints
+from geomosaic.quality.misalignment import pair_misalignments
+
+Floats = NDArray[np.float64]
+
+DOWN_WEIGHTED: Annotated[
+    float,
+    Because(
+        "of the weight of a tie point without a residual",
+        "below half of it a tie point is doubted",
+        CHOSEN,
+    ),
+] = 0.5
+WORST_PAIRS: Annotated[
+    int,
+    Because("pairs", "that are looked at in the pixels: as many as a person looks through", CHOSEN),
+] = 20
+_MIX: Annotated[
+    tuple[int, int, int],
+    Because(
+        "odd numbers of 64 bits",
+        "make one number of frame, col and row that no two places of a survey share but by a chance of 1e-8",
+        "the golden ratio's, and primes 2 and 5 of xxHash",
+    ),
+] = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
+_SHIFT: Annotated[
+    int, Because("bits", "by which high bits come down into low ones while mixing", "splitmix64: 27 to 31")
+] = 29
+
+
+def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, ...]:
+    """The solve's weight of each tie point of each pair, (k,): the lesser of both sides'; NaN for those that
+    took no part in it."""
+    if image is None or not len(image.frame):
+        return tuple(np.full(len(t), np.nan) for t in ties.pairs)
+    marks = _marks(image.frame, image.image_px)
+    order = np.argsort(marks, kind="stable")
+    marks, weights = marks[order], image.weight[order]
+    out = []
+    for t in ties.pairs:
+        sides = []
+        for frame, px in ((t.left, t.left_px), (t.right, t.right_px)):
+            mine = _marks(np.full(len(px), frame), px)
+            at = np.minimum(np.searchsorted(marks, mine), len(marks) - 1)
+            sides.append(np.where(marks[at] == mine, weights[at], np.nan))
+        out.append(np.fmin(*sides))
+    return tuple(out)
+
+
+def _marks(frame: NDArray[np.intp], px: Floats) -> NDArray[np.uint64]:
+    """One number for each observation, (k,): frame, col and row, mixed."""
+    places = np.ascontiguousarray(px.T, np.float64).view(np.uint64)
+    mixed = np.zeros(len(px), dtype=np.uint64)
+    for part, odd in zip((frame.astype(np.uint64), *places), _MIX, strict=True):
+        mixed = (mixed ^ part) * np.uint64(odd)
+        mixed ^= mixed >> np.uint64(_SHIFT)
+    return mixed
+
+
+def pose_columns(poses: Poses) -> dict[str, Floats]:
+    """Where frames are in the work frame and how they look, as a body's angles: pitch 0 looks down."""
+    angles = np.degrees(np.stack(Rotation(poses.rotations).yaw_pitch_roll()))
+    sd_deg = np.degrees(poses.rotations_sd_rad)
+    return {
+        **dict(zip(("east_m", "north_m", "up_m"), poses.positions_m.T, strict=True)),
+        **dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), (angles[0] % 360.0, *angles[1:]), strict=True)),
+        **dict(zip(("sd_e_m", "sd_n_m", "sd_u_m"), poses.positions_sd_m.T, strict=True)),
+        "sd_tilt_deg": sd_deg[:, :2].max(axis=1),
+        "sd_yaw_deg": sd_deg[:, 2],
+    }
+
+
+def move_columns(prior: Poses, adjusted: Adjusted, ties: TiePoints) -> dict[str, Floats]:
+    """How far frames moved and turned, and what ties them."""
+    n = len(adjusted.status)
+    moved = adjusted.poses.positions_m - prior.positions_m
+    turn = np.swapaxes(prior.rotations, 1, 2) @ adjusted.poses.rotations
+    cosine = (np.trace(turn, axis1=1, axis2=2) - 1.0) / 2.0
+    ends = np.array([(t.left, t.right) for t in ties.pairs], dtype=np.intp).reshape(-1, 2)
+    points = np.repeat([len(t) for t in ties.pairs], 2)
+    image = adjusted.image_residuals
+    down = np.full(n, np.nan)
+    if image is not None and len(image.frame):
+        seen = np.bincount(image.frame, minlength=n)
+        doubted = np.bincount(image.frame, image.weight < DOWN_WEIGHTED, minlength=n)
+        down = np.where(seen > 0, doubted / np.maximum(seen, 1), np.nan)
+    return {
+        **dict(zip(("moved_e_m", "moved_n_m", "moved_u_m"), moved.T, strict=True)),
+        "turned_deg": np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))),
+        "pairs": np.bincount(ends.ravel(), minlength=n).astype(np.float64),
+        "tie_points": np.bincount(ends.ravel(), points, minlength=n).astype(np.float64),
+        "share_down_weighted": down,
+    }
+
+
+def pair_columns(
+    ties: TiePoints, residuals_m: Sequence[Floats], weights: Sequence[Floats]
+) -> dict[str, Floats]:
+    """Of each tied pair its residuals on the ground, right minus left."""
+    of = pair_misalignments(ties, residuals_m)
+    lengths = [np.linalg.norm(r, axis=1) for r in residuals_m]
+    taken = [w[np.isfinite(w)] for w in weights]
+    return {
+        "tie_points": of.points.astype(np.float64),
+        "mean_e_m": of.mean_m[:, 0],
+        "mean_n_m": of.mean_m[:, 1],
+        "rms_m": of.rms_m,
+        "median_m": np.array([np.median(x) if x.size else np.nan for x in lengths]),
+        "largest_m": of.max_m,
+        "share_down_weighted": np.array([(w < DOWN_WEIGHTED).mean() if w.size else np.nan for w in taken]),
+    }
+
+
+def worst_pairs(rms_m: Floats, most: int = WORST_PAIRS) -> list[int]:
+    """Rows of the pairs with the largest residuals, worst first; pairs of which none is known come last."""
+    order = np.argsort(-np.nan_to_num(rms_m, nan=-1.0), kind="stable")
+    return [int(i) for i in order[:most]]
