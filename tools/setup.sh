@@ -25,7 +25,7 @@ fi
 pip() { .venv/bin/python -m pip --disable-pip-version-check -q "$@"; }
 
 echo "setup: installing packages (a few minutes the first time)"
-pip install -c constraints.txt setuptools wheel numpy
+pip install -c constraints.txt 'setuptools>=77' wheel numpy
 # Without --no-build-isolation the bindings are built without numpy support, silently.
 .venv/bin/python -c 'from osgeo import gdal_array' 2>/dev/null ||
     pip install --no-build-isolation --no-cache-dir "gdal[numpy]==$(gdal-config --version)"
