@@ -75,11 +75,27 @@ class Matching:
 @dataclass(frozen=True)
 class PairMatch:
     """Keypoint numbers of the tie points; empty if the pair doesn't hold together. `free`: found
-    against the guess, over the whole of both frames."""
+    against the guess, over the whole of both frames. keypoints: of both frames. alike, agreeing: the most
+    matches that a search brought, and that passed the geometric check."""
 
     left: NDArray[np.int32]
     right: NDArray[np.int32]
     free: bool
+    keypoints: tuple[int, int] = (0, 0)
+    alike: int = 0
+    agreeing: int = 0
+
+    def why_not(self, least: int) -> str:
+        """Why the pair isn't tied; empty if it is."""
+        if len(self.left):
+            return ""
+        if min(self.keypoints) < least:
+            return f"too few keypoints: {self.keypoints[0]} and {self.keypoints[1]}"
+        if self.alike < least:
+            return f"{self.alike} keypoints look alike, {least} are needed"
+        free = int(_FREE_LEAST * least)
+        wanted = least if self.agreeing < least else free
+        return f"{self.agreeing} of {self.alike} matches agree, {wanted} are needed"
 
 
 def match_pair(how: Matching, left: Features, right: Features, guess: Guess, pixel_px: float) -> PairMatch:
@@ -98,9 +114,9 @@ def match_pair(how: Matching, left: Features, right: Features, guess: Guess, pix
             i, j = pair.agreeing(*way(pair, at, radius_px))
             i, j = _once_per_place(left.image_px[i], right.image_px[j], i, j)
             if len(i) >= int((_FREE_LEAST if free else 1.0) * how.least):
-                return PairMatch(i.astype(np.int32), j.astype(np.int32), free)
+                return PairMatch(i.astype(np.int32), j.astype(np.int32), free, *pair.looked())
     nothing = np.zeros(0, np.int32)
-    return PairMatch(nothing, nothing, False)
+    return PairMatch(nothing, nothing, False, *pair.looked())
 
 
 class _Pair:
@@ -111,6 +127,11 @@ class _Pair:
         self.left_px, self.right_px = left.image_px, right.image_px
         self.left, self.right = left.descriptors, right.descriptors
         self.few = coarsest(left, _FEW), coarsest(right, _FEW)
+        self._alike, self._agreeing = 0, 0
+
+    def looked(self) -> tuple[tuple[int, int], int, int]:
+        """Keypoints of both, most that looked alike in a search, most that agreed."""
+        return (len(self.left_px), len(self.right_px)), self._alike, self._agreeing
 
     def searched(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
         """All keypoints, each about where it is believed to be in the right image."""
@@ -120,6 +141,7 @@ class _Pair:
     def agreeing(self, i: Ints, j: Ints) -> tuple[Ints, Ints]:
         """Those that pass the geometric check together."""
         good = CHECKS[self.how.check](self.left_px[i], self.right_px[j], self.tolerance_px)
+        self._alike, self._agreeing = max(self._alike, len(i)), max(self._agreeing, int(good.sum()))
         return i[good], j[good]
 
     def coarse_to_fine(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:

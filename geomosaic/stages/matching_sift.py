@@ -28,7 +28,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.keypoints import Sight, frame_features, pictured
-from geomosaic.stages.tie_points import Pairing, refined
+from geomosaic.stages.tie_points import Pairing, record_tried, refined
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -42,7 +42,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 11
+    version = 12
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
     }  # fmt: skip
@@ -93,7 +93,9 @@ class MatchingSift(Stage):
         reach_m = np.where(survey.located, reach_m, np.inf)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]
         believed = self._believed(params, placement, cameras, ground, reach_m)
-        pairs, untied = self._tied(survey, placement, believed, params, context)
+        pairs, pairing = self._tied(survey, placement, believed, params, context)
+        untied = pairing.untied
+        record_tried(context, [f.name for f in survey.frames], pairing, pairs, params.least)
         cap_m = _LEAST_RADIUS_PX * placement.ground_pixel_m
         if any(survey.located):
             cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
@@ -120,8 +122,8 @@ class MatchingSift(Stage):
         believed: Callable[[int, int], Guess],
         params: Params,
         context: Context,
-    ) -> tuple[list[TiePair], list[tuple[int, int]]]:
-        """The pairs that hold together, and those that were tried in vain."""
+    ) -> tuple[list[TiePair], Pairing]:
+        """The pairs that hold together, and how all were tried."""
         sight = Sight(params.longest_px, params.band)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]
         with pictured(context, sight, survey.frames) as pictures:
@@ -141,7 +143,7 @@ class MatchingSift(Stage):
             pairs = pairing.match([*placement.pairs, *cls._without_positions(context, features, lost)])
             if params.refine:
                 pairs = refined(context, pictures, sizes, pairs, params.least)
-        return pairs, pairing.untied
+        return pairs, pairing
 
     @staticmethod
     def _believed(

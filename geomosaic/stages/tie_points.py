@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.matching.features import Features
-from geomosaic.matching.match import Matching
+from geomosaic.matching.match import Matching, PairMatch
 from geomosaic.matching.model import TiePair
 from geomosaic.matching.planes import Guess, SeenPlanes
 from geomosaic.matching.refinement import Refinement
@@ -48,6 +48,7 @@ class Pairing:
     believed: Callable[[int, int], Guess]
     sequence: Sequence[int]
     tried: dict[Pair, TiePair | None] = field(default_factory=dict)
+    looks: dict[Pair, PairMatch] = field(default_factory=dict)
     _planes: SeenPlanes = field(default_factory=SeenPlanes)
     _places: dict[int, Floats] = field(default_factory=dict)
 
@@ -101,7 +102,7 @@ class Pairing:
         found = self.context.map(name, partial(pair_match, how), items)
         tied = 0
         for ((a, b), _), match in zip(pairs, found, strict=True):
-            self.tried[a, b] = None
+            self.tried[a, b], self.looks[a, b] = None, match
             if len(match.left):
                 left_px, right_px = self._places_of(a)[match.left], self._places_of(b)[match.right]
                 self.tried[a, b] = TiePair(a, b, left_px, right_px, match.left, match.right)
@@ -113,6 +114,27 @@ class Pairing:
         if frame not in self._places:
             self._places[frame] = self.features[frame].look().image_px
         return self._places[frame]
+
+
+def record_tried(
+    context: Context, names: Sequence[str], pairing: Pairing, pairs: Sequence[TiePair], least: int
+) -> None:
+    """Every pair that was tried: what was found of it, and why it isn't tied."""
+    points = {(t.left, t.right): len(t) for t in pairs}
+    looks = pairing.looks
+    context.recorder.table(
+        "pairs.tried",
+        [names[a] for a, _ in looks],
+        {
+            "left_keypoints": [m.keypoints[0] for m in looks.values()],
+            "right_keypoints": [m.keypoints[1] for m in looks.values()],
+            "raw_matches": [m.alike for m in looks.values()],
+            "inliers": [m.agreeing for m in looks.values()],
+            "tie_points": [points.get(pair, 0) for pair in looks],
+        },
+        others=[names[b] for _, b in looks],
+        notes=[m.why_not(least) for m in looks.values()],
+    )
 
 
 def refined(
