@@ -240,7 +240,6 @@ def _converge(
             return state, tuple(steps), reduced if damping == 0.0 else reduce_normals(normals)
         damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
         del normals, reduced  # the next ones take as much
-    raise AssertionError
 
 
 def _down_weighted(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:

@@ -35,6 +35,7 @@ def clearances_m(tracks: Tracks, positions_m: Floats, points_m: Floats) -> Float
 
 def too_near(tracks: Tracks, clearance_m: Floats, positions_m: Floats, points_m: Floats) -> Ints:
     """Points that lie nearer to a camera that sees them."""
-    away = points_m[tracks.point] - positions_m[tracks.frame]
-    near = np.einsum("mi,mi->m", away, away) < np.square(clearance_m)[tracks.frame]
-    return np.unique(tracks.point[near])
+    square_m2, near = np.zeros(len(tracks.frame)), np.square(clearance_m)[tracks.frame]
+    for points, positions in zip(points_m.T, positions_m.T, strict=True):
+        square_m2 += np.square(points[tracks.point] - positions[tracks.frame])
+    return np.unique(tracks.point[square_m2 < near])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.matching.tracks import Keypoints
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
@@ -74,22 +75,13 @@ class OffsetNet:
 
 def ties_on_ground(
     block: Block, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
-) -> list[tuple[Floats, Floats]]:
-    """Where each pair's left and its right frame put its tie points, (k, 3) each; NaN where a ray misses.
-    A keypoint of several pairs goes down to the ground once."""
-    pairs = block.ties.pairs
-    if not pairs:
-        return []
-    length = np.array([len(t) for t in pairs])
-    frame = np.repeat([i for t in pairs for i in (t.left, t.right)], np.repeat(length, 2))
-    feature = np.concatenate([number for t in pairs for number in (t.left_feature, t.right_feature)])
-    image_px = np.concatenate([px for t in pairs for px in (t.left_px, t.right_px)])
-    _, once, which = np.unique(
-        frame * (int(feature.max()) + 1) + feature, return_index=True, return_inverse=True
-    )
-    at = ground_from_images(frame[once], image_px[once], poses, cameras, ground)[which]
-    both = np.split(at, np.cumsum(np.repeat(length, 2))[:-1])
-    return list(zip(both[::2], both[1::2], strict=True))
+) -> Iterator[tuple[Floats, Floats]]:
+    """Where each pair's left and its right frame put its tie points, east and north, (k, 2) each; NaN where a
+    ray misses. A keypoint of several pairs goes down to the ground once."""
+    seen = Keypoints.of(block.ties.pairs)
+    plan_m = ground_from_images(seen.frame, seen.image_px, poses, cameras, ground)[:, :2].copy()
+    for left, right in seen.ends:
+        yield plan_m[left], plan_m[right]
 
 
 def offset_net(block: Block) -> OffsetNet:
@@ -100,8 +92,8 @@ def offset_net(block: Block) -> OffsetNet:
         seen = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
         if seen.any():
             pairs.append((tie.left, tie.right))
-            left.append(a[seen, :2])
-            right.append(b[seen, :2])
+            left.append(a[seen])
+            right.append(b[seen])
     return OffsetNet(
         n=len(block.names),
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),

@@ -26,7 +26,7 @@ def residuals_m(
 ) -> tuple[Floats, ...]:
     """Per pair (k, 2): right minus left on the ground, east and north; NaN where a ray misses."""
     on_ground = ties_on_ground(block, poses, cameras, ground)
-    return tuple(right[:, :2] - left[:, :2] for left, right in on_ground)
+    return tuple(right - left for left, right in on_ground)
 
 
 def unplaced_parts(block: Block) -> list[list[int]]:

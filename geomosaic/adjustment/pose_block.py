@@ -33,7 +33,7 @@ from geomosaic.adjustment.doubts import (
 )
 from geomosaic.adjustment.flown import flown
 from geomosaic.adjustment.height_drift import height_drift
-from geomosaic.adjustment.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import (
     Adjusted,
     Block,
@@ -132,13 +132,13 @@ class _Work:
     """A block on its way: as it was given, and as it is believed by now, with the settings, the solution by
     few tie points, and the model of lens and shutter that was chosen.
 
-    net: the frames' offsets as they were given; tracks: all tie points, few: of them, to find the model by;
-    rolling: whether rows were said to be read one after the other; spread: who makes what can be made side
-    by side.
+    misalignments_m: of the pairs as they were given; tracks: all tie points, few: of them, to find the model
+    by; rolling: whether rows were said to be read one after the other; spread: who makes what can be made
+    side by side.
     """
 
     given: Block
-    net: OffsetNet
+    misalignments_m: Floats
     tracks: Tracks
     few: Tracks
     rolling: bool
@@ -200,8 +200,10 @@ def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks, spread
     if rolling:
         start = _read_at_once(block, settings, few, start)
         block, _ = flown(block, start)
+    misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
+    del net  # where every tie point lies, twice
     found = solution(block, settings, few, start, rough=few is not tracks)
-    return _Work(given, net, tracks, few, rolling, block, settings, found, spread)
+    return _Work(given, misalignments_m, tracks, few, rolling, block, settings, found, spread)
 
 
 def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
@@ -344,7 +346,7 @@ def _outcome(work: _Work) -> Adjusted:
     outcome = settled(
         block,
         bundle.poses,
-        (Round(work.net.misalignments_m(np.zeros_like(moves)), moves),),
+        (Round(work.misalignments_m, moves),),
         cameras=tuple(bundle.cameras[k] for k in block.lens_of),
         ground=found.ground,
         warnings=(

@@ -187,11 +187,15 @@ def points_on_ground(
     at = ground_from_images(tracks.frame, tracks.image_px, poses, cameras, ground)
     hit = np.isfinite(at).all(axis=1)
     lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
+    if not lost.any():
+        return _means(tracks, at), tracks
     keep = ~lost[tracks.point]
-    names, point = np.unique(tracks.point[keep], return_inverse=True)
+    _, point = np.unique(tracks.point[keep], return_inverse=True)
     kept = Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
-    count = np.bincount(point, minlength=len(names))
-    mean = np.stack(
-        [np.bincount(point, at[keep][:, k], minlength=len(names)) / count for k in range(3)], axis=1
-    )
-    return mean, kept
+    return _means(kept, at[keep]), kept
+
+
+def _means(tracks: Tracks, at_m: Floats) -> Floats:
+    """Of what observations say (m, 3), for each point (p, 3)."""
+    sums = [np.bincount(tracks.point, column, tracks.points) for column in at_m.T]
+    return np.stack(sums, axis=1) / tracks.lengths[:, None]

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from geomosaic.adjustment.sightings import Sightings
 from geomosaic.camera.exterior import Poses
@@ -68,8 +67,8 @@ def join_tracks(ties: TiePoints) -> Tracks:
     joined = join(ties.pairs)
     order = np.lexsort((joined.frame, joined.track))
     good = order[joined.once[order]]
-    _, point = np.unique(joined.track[good], return_inverse=True)
-    return Tracks(joined.frame[good], point.astype(np.intp), joined.image_px[good])
+    point = np.cumsum(np.diff(joined.track[good], prepend=joined.track[good[:1]]) != 0)
+    return Tracks(joined.frame[good], point, joined.image_px[good])
 
 
 def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
@@ -87,8 +86,8 @@ def part_of(tracks: Tracks, which: Ints) -> Tracks:
 def chosen_tracks(tracks: Tracks, chosen: NDArray[np.bool_]) -> Tracks:
     """Some of the tracks: chosen (p,)."""
     keep = chosen[tracks.point]
-    _, point = np.unique(tracks.point[keep], return_inverse=True)
-    return Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
+    number = np.cumsum(chosen) - 1
+    return Tracks(tracks.frame[keep], number[tracks.point[keep]], tracks.image_px[keep])
 
 
 def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Tracks:
@@ -120,14 +119,12 @@ def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -
 def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:
     """Points (p, 3) with the least squared distances to their rays; where these are all but parallel (to
     within half a degree), held along them by near_m (p, 3)."""
-    centre, ray = np.empty((len(tracks.frame), 3)), np.empty((len(tracks.frame), 3))
+    normal, side = np.zeros((tracks.points, 3, 3)) + _PARALLEL * np.eye(3), _PARALLEL * near_m
     for i, mine in frame_by_frame(tracks.frame):
-        centre[mine] = poses[i].centre_at(cameras[i], tracks.image_px[mine])
-        ray[mine] = poses[i].ray_from_image(cameras[i], tracks.image_px[mine])
-    ray /= np.linalg.norm(ray, axis=1)[:, None]
-    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-    rows = np.concatenate([across.reshape(-1, 9), (across @ centre[:, :, None])[:, :, 0]], axis=1)
-    summing = csr_matrix((np.ones(len(rows)), (tracks.point, np.arange(len(rows)))))
-    total = np.asarray(summing @ rows)
-    normal = total[:, :9].reshape(-1, 3, 3) + _PARALLEL * np.eye(3)
-    return np.asarray(np.linalg.solve(normal, (total[:, 9:] + _PARALLEL * near_m)[:, :, None])[:, :, 0])
+        image_px, seen = tracks.image_px[mine], tracks.point[mine]
+        ray = poses[i].ray_from_image(cameras[i], image_px)
+        ray /= np.linalg.norm(ray, axis=1)[:, None]
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        normal[seen] += across
+        side[seen] += (across @ poses[i].centre_at(cameras[i], image_px)[:, :, None])[:, :, 0]
+    return np.asarray(np.linalg.solve(normal, side[:, :, None])[:, :, 0])
