@@ -11,7 +11,7 @@ from dask_team import Team, dask_team
 from small_surveys import small_survey
 from test_pipeline_toy import powered
 
-from geomosaic.cli.mosaic import STAGES, recipe_of
+from geomosaic.cli.mosaic import OPTIONAL, STAGES, recipe_of
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.pipeline import executor
 from geomosaic.pipeline.context import Context
@@ -62,7 +62,7 @@ def recipe(survey: SimulatedSurvey) -> Recipe:
         "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
         "adjustment.solve": {"method": "least_squares"},
     }
-    stages = [id for id in STAGES if id not in ("quality.compare", "matching.flying_height")]
+    stages = [id for id in STAGES if id not in OPTIONAL]
     return recipe_of("mosaic", "", stages, given, 0, ())
 
 

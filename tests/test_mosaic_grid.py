@@ -22,7 +22,7 @@ from small_surveys import geomosaic, mosaic, small_survey, summary
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
-from geomosaic.cli.mosaic import STAGES
+from geomosaic.cli.mosaic import OPTIONAL, STAGES
 from geomosaic.doors.vector import read_polygons
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -463,9 +463,7 @@ def test_the_command_aligns_to_a_raster_of_another_crs(
     assert mosaic(*told, "--align-to", old) == 0
     assert "Lay the seams: unchanged, from the cache" in capfd.readouterr().err
     recipe = tmp_path / "run.yaml"
-    stages = "\n".join(
-        f"  - {stage}" for stage in STAGES if stage not in ("quality.compare", "matching.flying_height")
-    )
+    stages = "\n".join(f"  - {stage}" for stage in STAGES if stage not in OPTIONAL)
     recipe.write_text(f"stages:\n{stages}\n")
     sets = [f"survey.read.pos={simulated.pos}", f"survey.read.camera={simulated.camera}",
             "adjustment.solve.method=least_squares", "projection.ground.height_m=520"]  # fmt: skip

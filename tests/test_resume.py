@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from small_surveys import small_survey
 
-from geomosaic.cli.mosaic import STAGES, recipe_of
+from geomosaic.cli.mosaic import OPTIONAL, STAGES, recipe_of
 from geomosaic.errors import FileError, OutputError
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
@@ -54,7 +54,7 @@ def recipe(frames: Path, camera: Path) -> Recipe:
         "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
         "adjustment.solve": {"method": "least_squares"},
     }
-    stages = [id for id in STAGES if id not in ("quality.compare", "matching.flying_height")]
+    stages = [id for id in STAGES if id not in OPTIONAL]
     return recipe_of("mosaic", "", stages, given, 0, ())
 
 

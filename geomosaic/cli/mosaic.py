@@ -47,13 +47,24 @@ STAGES = (
     "export.cog",
     "export.surface",
     "quality.compare",
+    "quality.surface",
     "quality.verdict",
     "export.layers",
     "export.project",
     "export.report",
 )
-"""What `geomosaic mosaic` does; quality.compare only against a reference, matching.flying_height unless the
-ground's height is given, surface.dense where it is asked for."""
+"""What `geomosaic mosaic` does."""
+
+OPTIONAL = (
+    "matching.flying_height",
+    "surface.dense",
+    "surface.terrain",
+    "export.surface",
+    "quality.compare",
+    "quality.surface",
+)
+"""Of these what it does only where it is asked for: against a reference, with a matched surface; the flying
+height it measures unless the ground's is given."""
 
 SURFACES = ("ties", "dense")
 
@@ -119,6 +130,10 @@ def mosaic(
     reference: Annotated[
         Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
     ] = None,
+    surface_reference: Annotated[
+        Path | None,
+        typer.Option(help="elevation model or point cloud to compare the surface with", metavar="F"),
+    ] = None,
     set: Sets = None,
     workers: Workers = None,
     dask: Dask = None,
@@ -148,11 +163,13 @@ def mosaic(
         "adjustment.solve": {"method": adjust},
         "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to},
         "quality.compare": {"reference": reference},
+        "quality.surface": {"reference": surface_reference},
     }
     if surface not in SURFACES:
         raise UnknownNameError("surface", surface, SURFACES)
     unasked = {
         "quality.compare": reference is None,
+        "quality.surface": surface_reference is None,
         "matching.flying_height": ground_height is not None,
         "surface.dense": surface != "dense",
         "surface.terrain": surface != "dense",

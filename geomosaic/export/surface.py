@@ -14,7 +14,7 @@ from osgeo import gdal, osr
 from rasterio.windows import Window
 
 from geomosaic.doors.gdal_failures import close, gdal_failures
-from geomosaic.doors.raster import OWN, Raster, reading
+from geomosaic.doors.raster import OWN, Raster, open_with_osgeo, reading
 from geomosaic.export.surface_heights import HeightSystem
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.model import OutputGrid
@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 NODATA: Final = -9999.0
 _BLOCK_PX: Final = 512
+_OPTIONS: Final = ["TILED=YES", f"BLOCKXSIZE={_BLOCK_PX}", f"BLOCKYSIZE={_BLOCK_PX}", "BIGTIFF=IF_SAFER"]
 _MOSAIC_PX: Final = 4096
 """Side of a block in the mosaic's pixels, at most: 64 MB of colours."""
 _GRAIN: Final = np.float32(1024.0)
@@ -183,9 +184,8 @@ def writing_rasters(
 
 
 def _created(path: Path, grid: OutputGrid, heights: HeightSystem, bands: Bands) -> Any:
-    options = ["TILED=YES", f"BLOCKXSIZE={_BLOCK_PX}", f"BLOCKYSIZE={_BLOCK_PX}", "BIGTIFF=IF_SAFER"]
     size = grid.width_px, grid.height_px, len(bands.names)
-    dataset = gdal.GetDriverByName("GTiff").Create(str(path), *size, gdal.GDT_Float32, options)
+    dataset = gdal.GetDriverByName("GTiff").Create(str(path), *size, gdal.GDT_Float32, _OPTIONS)
     reference = osr.SpatialReference()
     reference.SetFromUserInput(heights.crs)
     dataset.SetSpatialRef(reference)
@@ -197,3 +197,23 @@ def _created(path: Path, grid: OutputGrid, heights: HeightSystem, bands: Bands) 
         band.SetDescription(name)
         band.SetUnitType(unit)
     return dataset
+
+
+def write_difference(path: Path, surface: Path, difference_m: Floats32) -> None:
+    """A plain raster of differences (rows, cols) from a reference on a surface's pixels, NaN where unknown.
+
+    Raises: `OSError` if it can't be written.
+    """
+    with gdal_failures(path):
+        source = open_with_osgeo(surface, OWN)
+        rows, cols = difference_m.shape
+        made = gdal.GetDriverByName("GTiff").Create(str(path), cols, rows, 1, gdal.GDT_Float32, _OPTIONS)
+        made.SetSpatialRef(source.GetSpatialRef())
+        made.SetGeoTransform(source.GetGeoTransform())
+        band = made.GetRasterBand(1)
+        band.SetNoDataValue(NODATA)
+        band.SetDescription("surface minus reference")
+        band.SetUnitType("m")
+        band.WriteArray(np.where(np.isfinite(difference_m), difference_m, np.float32(NODATA)))
+        close(made)
+        del source

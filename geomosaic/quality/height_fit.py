@@ -1,0 +1,112 @@
+"""How a reference has to be shifted and tilted to lie on a surface best: what two georeferences differ by.
+
+Least Z-difference matching (Rosenholm and Torlegard 1988, Three-dimensional absolute orientation of stereo
+models using digital elevation models, PE&RS 54), without scale and turn: slopes of the surface show a shift
+in plan, as in Nuth and Kaeaeb 2011 (The Cryosphere 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+
+Floats = NDArray[np.float64]
+HeightsAt = Callable[[Floats, Floats], Floats]
+"""Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
+_MOST_POINTS: Annotated[
+    int, Because("points", "that a fit goes by: more take time and change millimetres", CHOSEN)
+] = 200_000
+_ROUNDS: Annotated[
+    int,
+    Because("rounds", "at most: a fit that settles does so in three to eight; more follow chance", CHOSEN),
+] = 20
+_SETTLED: Annotated[
+    float, Because("pixels", "of a step in plan that ends it: less than what is told of it", CHOSEN)
+] = 0.01
+_FARTHEST: Annotated[
+    float,
+    Because(
+        "robust deviations",
+        "off what most points say is no noise: trees that grew, walls; with less, what a shift would mend is "
+        "left out first",
+        CHOSEN,
+    ),
+] = 3.0
+_STEEPEST: Annotated[
+    float,
+    Because(
+        "m per m",
+        "slope from which on a point says nothing of a shift: heights beside walls and crowns are chance",
+        CHOSEN,
+    ),
+] = 1.0
+_SHIFT_SD_M: Annotated[
+    float,
+    Because(
+        "m",
+        "usual shift in plan between two georeferences: level land, which shows none, keeps it at 0; a "
+        "smaller one would hold what hills do show",
+        "usual deviation of a position by GPS alone",
+    ),
+] = 5.0
+
+
+@dataclass(frozen=True)
+class HeightFit:
+    """What the reference has to be given: a shift (m), and a tilt (m per m to the east and north) about the
+    middle of what was compared. NaN where nothing could be fitted."""
+
+    east_m: float
+    north_m: float
+    up_m: float
+    tilt_east: float
+    tilt_north: float
+    middle_m: tuple[float, float]
+
+    def moved(self, x_m: Floats, y_m: Floats, height_m: Floats) -> tuple[Floats, Floats, Floats]:
+        """Points (n,) of the reference."""
+        tilt = self.tilt_east * (x_m - self.middle_m[0]) + self.tilt_north * (y_m - self.middle_m[1])
+        return x_m + self.east_m, y_m + self.north_m, height_m + self.up_m + tilt
+
+
+def fitted(surface: HeightsAt, x_m: Floats, y_m: Floats, height_m: Floats, pixel_m: float) -> HeightFit:
+    """The fit of points (n,) to a surface of pixels."""
+    step = -(-len(x_m) // _MOST_POINTS)
+    x, y, z = (values[::step] for values in (x_m, y_m, height_m))
+    middle = float(x.mean()), float(y.mean())
+    found = np.zeros(5)
+    reach_m = max(float(np.ptp(x)), float(np.ptp(y)), pixel_m)
+    across = np.column_stack([np.ones(len(x)), (x - middle[0]) / reach_m, (y - middle[1]) / reach_m])
+    for _ in range(_ROUNDS):
+        east, north = x + found[3], y + found[4]
+        off = surface(east, north) - z - across @ found[:3]
+        slopes = np.column_stack(
+            [
+                (surface(east + pixel_m, north) - surface(east - pixel_m, north)) / (2.0 * pixel_m),
+                (surface(east, north + pixel_m) - surface(east, north - pixel_m)) / (2.0 * pixel_m),
+            ]
+        )
+        known = np.isfinite(off) & np.isfinite(slopes).all(axis=1)
+        known[known] = (np.abs(slopes[known]) <= _STEEPEST).all(axis=1)
+        if known.sum() < len(found):
+            nan = float("nan")
+            return HeightFit(nan, nan, nan, nan, nan, middle)
+        spread = np.abs(off[known] - np.median(off[known]))
+        sd = max(NORMAL_PER_MAD * float(np.median(spread)), 1e-3 * pixel_m)
+        known[known] = spread <= _FARTHEST * sd
+        terms = np.column_stack([across[known], -slopes[known]])
+        held = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (sd / _SHIFT_SD_M)
+        step_by = np.linalg.lstsq(
+            np.vstack([terms, held]), np.concatenate([off[known], -held @ found]), rcond=None
+        )[0]
+        found += step_by
+        if np.abs(step_by[3:]).max() < _SETTLED * pixel_m:
+            break
+    up, tilt_east, tilt_north, east_m, north_m = (float(v) for v in found)
+    return HeightFit(east_m, north_m, up, tilt_east / reach_m, tilt_north / reach_m, middle)
