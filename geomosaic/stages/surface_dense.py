@@ -17,9 +17,10 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.fused import fused, unmatched, with_coarse
+from geomosaic.surface.fused import fused, unmatched
 from geomosaic.surface.levels import Level, levels
 from geomosaic.surface.model import DenseSurface
+from geomosaic.surface.refinement import UNSEEN
 from geomosaic.surface.tile import Heights, Picture, Search, matched, picture
 from geomosaic.surface.verticals import Sighted
 from geomosaic.survey.model import Frame, Survey
@@ -32,7 +33,7 @@ class SurfaceDense(Stage):
     id = "surface.dense"
     display_name = "Match the surface"
     group = "Surface"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
 
@@ -84,11 +85,9 @@ class SurfaceDense(Stage):
             sighted = [Sighted(*look) for look in looks]
             above = found[-1].up_m if found else None
             found.append(_matched(context, f"level {number + 1}", level, base, sighted, frames, above))
-        coarse, fine = found
-        whole = with_coarse(fine, coarse)
-        surface = fused(whole, cells, base)
+        surface = fused(found[-1], cells, base)
         context.metric("surface.cell_m", cell_m)
-        context.metric("surface.matched", float(np.mean(surface.views[whole.alike > -1.0] > 0)))
+        context.metric("surface.matched", float(np.mean(surface.views[found[-1].alike > UNSEEN] > 0)))
         return {"ground": surface.ground(), "surface": surface}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +25,16 @@ _RADIUS_PX: Annotated[
         CHOSEN,
     ),
 ] = 2
+_SMOOTHED_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "deviation of the bell that pixels are smoothed by first: without it noise decides what is brighter "
+        "on roofs and in shadows; a wider one blurs edges",
+        "computed of two simulated towns: roofs off by more than 1 m 4 % without, 0.3 % with 0.6 to 0.75, 2 "
+        "% with 1; edges of walls 34 %, 26 %, 30 %",
+    ),
+] = 0.65
 BITS: Final = (2 * _RADIUS_PX + 1) ** 2 - 1
 """Of a census that are used; the highest of all 32 is kept for what is not seen."""
 NOT_SEEN: Final = np.uint32(1 << 31)
@@ -36,6 +47,7 @@ def census(grey: Bytes, valid: Bytes | None = None) -> Bits:
     Args: grey (rows, cols); valid (rows, cols), 0 where a pixel is not, None where all are.
     """
     rows, cols = grey.shape
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _SMOOTHED_PX))
     around = np.pad(grey, _RADIUS_PX, mode="reflect")
     found = np.zeros((rows, cols), dtype=np.uint32)
     middle, bit = 2 * _RADIUS_PX * (_RADIUS_PX + 1), 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
@@ -12,26 +12,53 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.refinement import SURE
+from geomosaic.surface.refinement import SURE, UNSEEN
 from geomosaic.surface.tile import Heights
 
 Floats32 = NDArray[np.float32]
-_LEAST_SD: Annotated[
+_ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Correlations for which the two tables below hold; straight between."""
+_SD_CELLS: Annotated[
+    tuple[float, ...],
+    Because(
+        "cells",
+        "deviation of heights on open ground and on roofs, by correlation: 68 % are within",
+        "computed of two simulated towns, 120 m x 120 m each, cells of 0.4 m",
+    ),
+] = (1.0, 0.25, 0.12, 0.07, 0.03)
+_WRONG: Annotated[
+    tuple[float, ...],
+    Because(
+        "share",
+        "of cells beside a step that have the other side's height, by correlation",
+        "computed of the same towns: off by more than 1 m",
+    ),
+] = (0.5, 0.35, 0.22, 0.12, 0.02)
+_ASIDE_CELLS: Annotated[
     float,
     Because(
         "cells",
-        "deviation of heights where frames show the same",
-        "computed of the same town: 68 % are within 0.14 cells where the correlation is above 0.9",
+        "by which crowns and walls may lie aside: what leans is as unsure as it is steep",
+        "computed of the same towns: crowns that lean by 3 are 0.6 to 1.3 cells of height off",
     ),
-] = 0.12
-_SD_UNLIKE: Annotated[
-    float,
+] = 0.3
+_AROUND_CELLS: Annotated[
+    int,
     Because(
         "cells",
-        "by how much the deviation rises from a correlation of 1 to 0",
-        "computed of the same town: 68 % are within 0.35 to 0.5 cells from 0.7 to 0.9",
+        "side of the window in which steps are looked for, and cells that were matched surely",
+        "as far as `sharpening` looks",
     ),
-] = 1.2
+] = 13
+_SUPPORT: Annotated[
+    float,
+    Because(
+        "share",
+        "of the cells around that were matched surely, below which an unsure cell is held: water and blank "
+        "roofs; with more, walls and crowns are given up, whose heights are better than what lies around",
+        CHOSEN,
+    ),
+] = 0.25
 _EVENED_CELLS: Annotated[
     int,
     Because(
@@ -45,7 +72,7 @@ _NOISE_CELLS: Annotated[
     Because(
         "cells",
         "of height that may be noise, two to three deviations; with more, kerbs and low walls go",
-        "_LEAST_SD, see there",
+        "_SD_CELLS, see there",
     ),
 ] = 0.4
 _KEPT: Annotated[
@@ -59,42 +86,37 @@ _KEPT: Annotated[
 ] = 0.8
 
 
-def with_coarse(fine: Heights, coarse: Heights) -> Heights:
-    """What coarse cells are surer of than the fine ones in them: crowns that wind moves between frames, whose
-    leaves no two frames show alike."""
-    rows, cols = fine.up_m.shape
-    size = 2 * coarse.up_m.shape[1], 2 * coarse.up_m.shape[0]
-    up = cv2.resize(coarse.up_m, size, interpolation=cv2.INTER_LINEAR)[:rows, :cols]
-    alike = cv2.resize(coarse.alike, size, interpolation=cv2.INTER_NEAREST)[:rows, :cols]
-    taken = (fine.alike < SURE) & (alike >= SURE)
-    views = cv2.resize(coarse.views, size, interpolation=cv2.INTER_NEAREST)[:rows, :cols]
-    return Heights(
-        np.where(taken, up, fine.up_m),
-        np.where(taken, np.float32(SURE), fine.alike),
-        np.where(taken, views, fine.views),
-    )
-
-
 def fused(found: Heights, cells: Cells, base: GroundSurface) -> DenseSurface:
-    """What was matched surely; elsewhere the base, raised by what lies around, and as unsure as heights
-    around vary."""
+    """What was matched; where nothing around was matched surely the base, raised by what lies around."""
     east, north = cells.axes_m()
-    base_m = base.up_at(east, north[:, None])
-    base_sd_m = np.nan_to_num(base.sd_at(east, north[:, None]))
-    sure = found.alike >= SURE
-    over_m = (found.up_m - base_m).astype(np.float32)
-    over_m = _even(over_m, cells.cell_m)
-    weight = sure.astype(np.float32)
-    filled_m = _filled(np.where(sure, over_m, np.float32(0.0)), weight)
-    varying = _filled(np.where(sure, over_m**2, np.float32(0.0)), weight) - filled_m**2
-    own_sd_m = cells.cell_m * (_LEAST_SD + _SD_UNLIKE * (1.0 - found.alike))
-    other_sd_m = np.hypot(base_sd_m, np.sqrt(np.maximum(varying, 0.0)))
+    base_m = base.up_at(east, north[:, None]).astype(np.float32)
+    base_sd_m = np.nan_to_num(base.sd_at(east, north[:, None])).astype(np.float32)
+    window = (_AROUND_CELLS, _AROUND_CELLS)
+    sure = (found.alike >= SURE).astype(np.float32)
+    supported = cv2.blur(sure, window, borderType=cv2.BORDER_CONSTANT) >= _SUPPORT
+    kept = ((sure > 0.0) | supported) & (found.alike > UNSEEN)
+    weight = kept.astype(np.float32)
+    over_m = _even(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
+    filled_m = _filled(over_m * weight, weight)
+    varying = _filled(over_m**2 * weight, weight) - filled_m**2
+    held_sd_m = np.hypot(base_sd_m, np.sqrt(np.maximum(varying, 0.0)))
     return DenseSurface(
         cells,
-        (base_m + filled_m).astype(np.float32),
-        np.where(sure, own_sd_m, other_sd_m).astype(np.float32),
-        np.where(sure, found.views, np.uint8(0)),
+        base_m + filled_m,
+        np.where(kept, _sd_m(found, cells.cell_m, window), held_sd_m).astype(np.float32),
+        np.where(kept, found.views, np.uint8(0)),
     )
+
+
+def _sd_m(found: Heights, cell_m: float, window: tuple[int, int]) -> Floats32:
+    """Of matched heights: by how alike frames are, by the lean of the surface, by steps nearby."""
+    own = cell_m * np.interp(found.alike, _ALIKE, _SD_CELLS)
+    lean = np.hypot(*np.gradient(found.up_m))
+    element = np.ones(window, dtype=np.uint8)
+    apart = cv2.dilate(found.up_m, element) - cv2.erode(found.up_m, element)
+    step = np.where(apart > _AROUND_CELLS * cell_m / 4.0, apart, np.float32(0.0))
+    wrong = np.sqrt(np.interp(found.alike, _ALIKE, _WRONG)) * step
+    return np.asarray(np.sqrt(own**2 + (_ASIDE_CELLS * lean) ** 2 + wrong**2), dtype=np.float32)
 
 
 def unmatched(cells: Cells, base: GroundSurface) -> DenseSurface:

@@ -6,15 +6,16 @@ it; a parabola through the three.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.verticals import Verticals
+from geomosaic.surface.verticals import Block, Verticals
+from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
@@ -35,7 +36,7 @@ _SIDE_CELLS: Annotated[
         "edges",
         CHOSEN,
     ),
-] = 5
+] = 3
 _AGREEING: Annotated[
     int,
     Because(
@@ -63,32 +64,68 @@ SURE: Annotated[
     ),
 ] = 0.6
 
+UNSEEN: Final = -1.0
+"""How alike frames are where no two see a cell."""
+
 
 def refined(
-    verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32, step_m: float
-) -> tuple[Floats32, Floats32, Bytes]:
-    """Heights over the base, how alike the frames are there, and how many: see `likeness`; (rows, cols) each.
+    verticals: Verticals,
+    pictures: Sequence[Bytes],
+    height_m: Floats32,
+    step_m: float,
+    asked: Asked,
+    hidden_below_m: Mapping[int, Floats32],
+) -> tuple[Floats32, Floats32]:
+    """Heights over the base, and how alike the frames are there, (rows, cols) each: see `likeness`.
 
     Args: pictures: grey, of the frames in the verticals' order; height_m (rows, cols): good to half a step.
     """
-    alike = middle = np.zeros_like(height_m)
-    for k in range(_ROUNDS):
-        by = np.float32(0.5 * step_m / 2.0**k)
-        below, middle, above = (_correlations(verticals, pictures, height_m + s * by) for s in (-1, 0, 1))
-        best = _most_alike(middle)
-        low, alike, high = (_mean_of(c, best) for c in (below, middle, above))
-        bend = low - 2.0 * alike + high
-        peak = bend < 0.0
-        off = np.where(peak, (low - high) / (2.0 * np.where(peak, bend, 1.0)), np.sign(high - low))
-        height_m = np.asarray(height_m + np.nan_to_num(off).clip(-1.0, 1.0) * by, dtype=np.float32)
-    return height_m, alike, _views(middle)
+    out = height_m.copy()
+    alike = np.full_like(height_m, UNSEEN)
+    for at, wide, inner, frames in _with_rims(asked, height_m.shape):
+        height = height_m[wide]
+        for k in range(_ROUNDS):
+            by = np.float32(0.5 * step_m / 2.0**k)
+            below, middle, above = (
+                _correlations(verticals, pictures, height + s * by, wide, frames, hidden_below_m)
+                for s in (-1, 0, 1)
+            )
+            best = _most_alike(middle)
+            low, here, high = (_mean_of(c, best) for c in (below, middle, above))
+            bend = low - 2.0 * here + high
+            peak = bend < 0.0
+            off = np.where(peak, (low - high) / (2.0 * np.where(peak, bend, 1.0)), np.sign(high - low))
+            height = np.asarray(height + np.nan_to_num(off).clip(-1.0, 1.0) * by, dtype=np.float32)
+        out[at], alike[at] = height[inner], here[inner]
+    return out, alike
 
 
-def likeness(verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32) -> tuple[Floats32, Bytes]:
-    """The mean correlation with the first frame of those that are most like it, -1 to 1; -1 where the first
-    one, or all others, don't see a cell. And how many frames agree there, the first one with them."""
-    found = _correlations(verticals, pictures, height_m)
-    return _mean_of(found, _most_alike(found)), _views(found)
+def likeness(
+    verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32, asked: Asked
+) -> tuple[Floats32, Bytes]:
+    """The mean correlation with the first frame that sees a cell of those that are most like it, -1 to 1; -1
+    where no two see it. And how many frames agree there, the first one with them."""
+    alike = np.full_like(height_m, UNSEEN)
+    views = np.zeros(height_m.shape, dtype=np.uint8)
+    for at, wide, inner, frames in _with_rims(asked, height_m.shape):
+        found = _correlations(verticals, pictures, height_m[wide], wide, frames, {})
+        alike[at], views[at] = _mean_of(found, _most_alike(found))[inner], _views(found)[inner]
+    return alike, views
+
+
+def _with_rims(asked: Asked, shape: tuple[int, ...]) -> Iterator[tuple[Block, Block, Block, Sequence[int]]]:
+    """Blocks that two frames see; each with what windows about its cells reach; where it lies in that."""
+    reach = _SIDE_CELLS // 2
+    for at, frames in asked:
+        if len(frames) > 1:
+            wide = [
+                slice(max(s.start - reach, 0), min(s.stop + reach, n)) for s, n in zip(at, shape, strict=True)
+            ]
+            inner = [
+                slice(s.start - w.start, min(s.stop, n) - w.start)
+                for s, w, n in zip(at, wide, shape, strict=True)
+            ]
+            yield at, (wide[0], wide[1]), (inner[0], inner[1]), frames
 
 
 def _views(correlations: Floats32) -> Bytes:
@@ -105,34 +142,46 @@ def _mean_of(correlations: Floats32, which: NDArray[np.intp]) -> Floats32:
     chosen = np.take_along_axis(correlations, which, axis=0)
     seen = chosen > -np.inf
     total = np.where(seen, chosen, np.float32(0.0)).sum(axis=0)
-    return np.asarray(np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), -1.0), np.float32)
+    return np.asarray(np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), UNSEEN), np.float32)
 
 
-def _correlations(verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32) -> Floats32:
-    """Of each other frame with the first one, (frames - 1, rows, cols); -inf where one of both doesn't see
-    a cell."""
+def _correlations(
+    verticals: Verticals,
+    pictures: Sequence[Bytes],
+    height_m: Floats32,
+    at: Block,
+    frames: Sequence[int],
+    hidden_below_m: Mapping[int, Floats32],
+) -> Floats32:
+    """Of each frame with the first one that sees a cell, (frames, rows, cols); -inf where one of both
+    doesn't see it, and for the first one itself."""
     bent = verticals.bent(height_m)
     shown, seen = [], []
-    for k, picture in enumerate(pictures):
-        cols, rows = verticals.places(k, bent)
+    for k in frames:
+        cols, rows = verticals.places(k, bent, at)
         border = cv2.BORDER_REPLICATE
         shown.append(
-            np.asarray(cv2.remap(picture, cols, rows, cv2.INTER_LINEAR, borderMode=border), np.float32)
+            np.asarray(cv2.remap(pictures[k], cols, rows, cv2.INTER_LINEAR, borderMode=border), np.float32)
         )
-        down, across = (n - 1 for n in picture.shape)
-        seen.append((cols >= 0.0) & (cols <= across) & (rows >= 0.0) & (rows <= down))
-    means = [_mean(s) for s in shown]
-    spreads = [np.maximum(_mean(s * s) - m * m, _NOISE_GREY**2) for s, m in zip(shown, means, strict=True)]
-    return np.stack(
-        [
-            np.where(
-                seen[0] & seen[k],
-                (_mean(shown[0] * shown[k]) - means[0] * means[k]) / np.sqrt(spreads[0] * spreads[k]),
-                np.float32(-np.inf),
-            )
-            for k in range(1, len(pictures))
-        ]
-    )
+        down, across = (n - 1 for n in pictures[k].shape)
+        sees = (cols >= 0.0) & (cols <= across) & (rows >= 0.0) & (rows <= down)
+        if k in hidden_below_m:
+            sees &= height_m >= hidden_below_m[k][at]
+        seen.append(sees)
+    of_first = np.argmax(np.stack(seen), axis=0)
+    first = np.take_along_axis(np.stack(shown), of_first[None], axis=0)[0]
+    mean, spread = _mean_and_spread(first)
+    found = []
+    for k, (picture, sees) in enumerate(zip(shown, seen, strict=True)):
+        own_mean, own_spread = _mean_and_spread(picture)
+        alike = (_mean(first * picture) - mean * own_mean) / np.sqrt(spread * own_spread)
+        found.append(np.where(sees & (of_first != k), alike, np.float32(-np.inf)))
+    return np.stack(found)
+
+
+def _mean_and_spread(picture: Floats32) -> tuple[Floats32, Floats32]:
+    mean = _mean(picture)
+    return mean, np.maximum(_mean(picture * picture) - mean * mean, np.float32(_NOISE_GREY**2))
 
 
 def _mean(values: Floats32) -> Floats32:

@@ -16,8 +16,10 @@ from geomosaic.surface.aggregation import aggregated, cheapest, ring
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import Bits, census
 from geomosaic.surface.costs import census_costs
-from geomosaic.surface.refinement import likeness, refined
+from geomosaic.surface.refinement import UNSEEN, likeness, refined
+from geomosaic.surface.sharpening import sharpened
 from geomosaic.surface.verticals import Sighted, Verticals
+from geomosaic.surface.visibility import asked_frames, hidden_below
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
@@ -34,11 +36,46 @@ _NEAR_HEIGHTS: Annotated[
     int,
     Because(
         "heights",
-        "about that of the level above, twelve of its half steps to either side: with less, what is narrower "
-        "than its cells is lost, as masts and the rims of crowns",
+        "about those of the level above, at least: with less, what is narrower than its cells is lost, as "
+        "masts and the rims of crowns",
         CHOSEN,
     ),
 ] = 24
+_PAST_HEIGHTS: Annotated[
+    int,
+    Because(
+        "heights",
+        "past the lowest and the highest that the level above has about a cell, half of them to either side",
+        CHOSEN,
+    ),
+] = 8
+_MOST_HEIGHTS: Annotated[
+    int, Because("heights", "of a tile with high walls: more take time in proportion", CHOSEN)
+] = 64
+_ABOUT_CELLS: Annotated[
+    int, Because("cells", "side of the window in which the level above is asked for its heights", CHOSEN)
+] = 5
+_WALLS_SHARE: Annotated[
+    float, Because("share", "of cells that the heights of a tile suffice for: outliers don't count", CHOSEN)
+] = 0.995
+_BLOCK_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "side of the squares of a tile that ask the same frames: over larger ones other frames see better, "
+        "smaller ones take longer",
+        CHOSEN,
+    ),
+] = 32
+_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "that a cell's height comes from: with three, errors are a third larger; with seven, edges of houses "
+        "are worse and time grows",
+        "computed of a simulated town: edges of walls off by more than 1 m 26 % with five, 28 % with seven",
+    ),
+] = 5
 
 
 @dataclass(frozen=True)
@@ -78,32 +115,48 @@ class Heights:
     views: Bytes
 
 
+def unseen(up_m: Floats32) -> Heights:
+    """Heights that no frames were compared at."""
+    return Heights(up_m, np.full_like(up_m, UNSEEN), np.zeros(up_m.shape, dtype=np.uint8))
+
+
 def matched(
     search: Search, base: GroundSurface, frames: Sequence[Sighted], pictures: Sequence[Picture]
 ) -> Heights:
-    """Heights of cells, by the first frame and those that agree with it, two frames at least."""
+    """Heights of cells, by the frames that see them, two at least."""
     verticals = Verticals(search.cells, base, frames, search.lowest_m, search.highest_m)
     steps = _steps(search, verticals.base_m)
-    costs = census_costs(verticals, [p.census for p in pictures], steps, search.step_m)
+    asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _FRAMES)
+    used = sorted({k for _, chosen in asked for k in chosen})
+    hidden = {}
+    if search.about_m is not None:
+        about_m = search.about_m - verticals.base_m
+        hidden = {k: hidden_below(verticals, k, about_m, search.cells.cell_m) for k in used}
+    costs = census_costs(verticals, [p.census for p in pictures], steps, search.step_m, asked, hidden)
     height_m = _smoothed(cheapest(aggregated(costs, steps), steps) * np.float32(search.step_m))
-    greys = [p.grey for p in pictures]
-    if search.fine:
-        height_m, alike, views = refined(verticals, greys, height_m, search.step_m)
-        height_m = _smoothed(height_m)
-    else:
-        alike, views = likeness(verticals, greys, height_m)
     inner = slice(MARGIN_CELLS, -MARGIN_CELLS), slice(MARGIN_CELLS, -MARGIN_CELLS)
+    if not search.fine:
+        return unseen((verticals.base_m + height_m)[inner])
+    greys = [p.grey for p in pictures]
+    height_m, alike = refined(verticals, greys, height_m, search.step_m, asked, hidden)
+    height_m = sharpened(verticals, base, search.cells, greys, _smoothed(height_m), alike, asked)
+    alike, views = likeness(verticals, greys, height_m, asked)
     return Heights((verticals.base_m + height_m)[inner], alike[inner], views[inner])
 
 
 def _steps(search: Search, base_m: Floats32) -> NDArray[np.int16]:
     """(heights, rows, cols) that are looked at."""
     if search.about_m is None:
-        lowest, highest = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
-        found = np.arange(lowest, highest + 1, dtype=np.int16)
+        ends = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
+        found = np.arange(*ends, dtype=np.int16)
         return np.broadcast_to(found[:, None, None], (len(found), *base_m.shape))
-    middle = np.round((search.about_m - base_m) / np.float32(search.step_m)).astype(np.int16)
-    return ring(middle - np.int16(_NEAR_HEIGHTS // 2), _NEAR_HEIGHTS)
+    about = (search.about_m - base_m) / np.float32(search.step_m)
+    window = np.ones((_ABOUT_CELLS, _ABOUT_CELLS), dtype=np.uint8)
+    highest, lowest = cv2.dilate(about, window), cv2.erode(about, window)
+    apart = float(np.quantile(highest - lowest, _WALLS_SHARE)) + _PAST_HEIGHTS
+    count = 2 * round(min(max(apart, _NEAR_HEIGHTS), _MOST_HEIGHTS) / 2.0)
+    middle = np.round((highest + lowest) / 2.0).astype(np.int16)
+    return ring(middle - np.int16(count // 2), count)
 
 
 def _smoothed(height_m: Floats32) -> Floats32:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
@@ -24,6 +24,8 @@ from geomosaic.surface.cells import Cells
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+Block = tuple[slice, slice]
+WHOLE: Final = (slice(None), slice(None))
 NODE_CELLS: Annotated[
     int,
     Because(
@@ -54,15 +56,18 @@ class Verticals:
         frames: Sequence[Sighted],
         lowest_m: float,
         highest_m: float,
+        node_cells: int = NODE_CELLS,
     ) -> None:
         """lowest_m, highest_m: over the base, between which places are good to 0.1 px of a picture."""
-        self._cells = cells
-        down, across = (-(-n // NODE_CELLS) + 2 for n in (cells.rows, cells.cols))
-        nodes = cells.part(-NODE_CELLS, -NODE_CELLS, 0, 0)
-        east, north = Cells(nodes.west_m, nodes.south_m, cells.cell_m * NODE_CELLS, down, across).axes_m()
+        self._cells, self._node_cells = cells, node_cells
+        self.reach_m = lowest_m, highest_m
+        down, across = (-(-n // node_cells) + 2 for n in (cells.rows, cells.cols))
+        nodes = cells.part(-node_cells, -node_cells, 0, 0)
+        east, north = Cells(nodes.west_m, nodes.south_m, cells.cell_m * node_cells, down, across).axes_m()
         ground = np.stack(
             np.broadcast_arrays(east, north[:, None], base.up_at(east, north[:, None])), axis=-1
         )
+        self.frames = tuple(frames)
         self.base_m = self._at_cells(ground[..., 2])
         above = [float(f.pose.position_m[2] - ground[..., 2].mean()) for f in frames]
         self._away_m = np.float32(max(float(np.median(above)), 1.5 * highest_m))
@@ -84,23 +89,38 @@ class Verticals:
         """What `places` takes, of heights over the base (rows, cols)."""
         return np.asarray(height_m / (np.float32(1.0) - height_m / self._away_m))
 
-    def places(self, frame: int, bent: Floats32) -> tuple[Floats32, Floats32]:
-        """Cols and rows in a frame's picture, (rows, cols) each, NaN where it doesn't see the point."""
+    def places(self, frame: int, bent: Floats32, at: Block = WHOLE) -> tuple[Floats32, Floats32]:
+        """Cols and rows in a frame's picture of points over the cells at a block, as bent (..., rows, cols);
+        NaN where it doesn't see the point."""
         found = []
         for constant, linear, square in self._terms[frame]:
-            place = square * bent
-            place += linear
+            place = square[at] * bent
+            place += linear[at]
             place *= bent
-            place += constant
+            place += constant[at]
             found.append(place)
         return found[0], found[1]
 
+    def towards(self, frame: int) -> tuple[Floats32, Floats32, Floats32]:
+        """From each cell to below the camera: cells east and cells north, of length 1, and by how much a
+        line of sight rises with each cell (m); (rows, cols) each."""
+        east, north = self._cells.axes_m()
+        place = self.frames[frame].pose.position_m
+        off = np.stack(np.broadcast_arrays(place[0] - east, (place[1] - north)[:, None])).astype(np.float32)
+        away_m = np.maximum(np.hypot(*off), np.float32(1e-3))
+        rise = (np.float32(place[2]) - self.base_m) * np.float32(self._cells.cell_m) / away_m
+        return off[0] / away_m, off[1] / away_m, rise
+
     def _at_cells(self, nodes: NDArray[Any]) -> Floats32:
         up = cv2.resize(
-            nodes.astype(np.float32), None, fx=NODE_CELLS, fy=NODE_CELLS, interpolation=cv2.INTER_LINEAR
+            nodes.astype(np.float32),
+            None,
+            fx=self._node_cells,
+            fy=self._node_cells,
+            interpolation=cv2.INTER_LINEAR,
         )
         inner = (
-            slice(NODE_CELLS, NODE_CELLS + self._cells.rows),
-            slice(NODE_CELLS, NODE_CELLS + self._cells.cols),
+            slice(self._node_cells, self._node_cells + self._cells.rows),
+            slice(self._node_cells, self._node_cells + self._cells.cols),
         )
         return np.ascontiguousarray(up[inner])

@@ -1,0 +1,72 @@
+"""Which frames see a place: those that nothing stands before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.surface.verticals import Block, Verticals
+
+Floats32 = NDArray[np.float32]
+Asked = Sequence[tuple[Block, Sequence[int]]]
+_REACH_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "along a line of sight in which something may stand before a place: with less, high houses far off "
+        "are seen through, more takes time in proportion",
+        CHOSEN,
+    ),
+] = 16
+_NEAREST_CELLS: Annotated[
+    float, Because("cells", "away from a place: what is nearer leans, and hides itself", CHOSEN)
+] = 1.5
+_TOLERANCE_CELLS: Annotated[
+    float, Because("cells", "of height by which a place may be too low and still count as seen", CHOSEN)
+] = 1.0
+
+
+def asked_frames(
+    verticals: Verticals, shapes: list[tuple[int, int]], side: int, most: int
+) -> list[tuple[Block, tuple[int, ...]]]:
+    """Squares of cells, and for each the frames that see most of it, of those the steepest first."""
+    rows, cols = verticals.base_m.shape
+    flat = np.zeros((rows, cols), dtype=np.float32)
+    inside, slant = [], []
+    for k, (down, across) in enumerate(shapes):
+        col, row = verticals.places(k, flat)
+        inside.append((col >= 0.0) & (col < across - 1.0) & (row >= 0.0) & (row < down - 1.0))
+        slant.append(1.0 / verticals.towards(k)[2])
+    found = []
+    for top in range(0, rows, side):
+        for left in range(0, cols, side):
+            at = slice(top, top + side), slice(left, left + side)
+            share = [float(mask[at].mean()) for mask in inside]
+            seeing = [k for k, s in enumerate(share) if s > 0.0]
+            seeing.sort(key=lambda k: (share[k] < 1.0, float(slant[k][at].mean())))
+            found.append((at, tuple(seeing[:most])))
+    return found
+
+
+def hidden_below(verticals: Verticals, frame: int, height_m: Floats32, cell_m: float) -> Floats32:
+    """The height over the base (rows, cols) from which on a frame sees a cell, if the land is height_m high:
+    the highest line of sight's foot that anything on the way to the camera throws."""
+    east, north, rise = verticals.towards(frame)
+    rows, cols = height_m.shape
+    col, row = np.meshgrid(np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32))
+    low = np.full(height_m.shape, -np.inf, dtype=np.float32)
+    for away in np.arange(_NEAREST_CELLS, _REACH_CELLS, 1.0, dtype=np.float32):
+        there = cv2.remap(
+            height_m,
+            col + away * east,
+            row + away * north,
+            cv2.INTER_NEAREST,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        np.maximum(low, there - away * rise, out=low)
+    return np.asarray(low - np.float32(_TOLERANCE_CELLS * cell_m))
