@@ -100,9 +100,11 @@ def test_diff_names_the_first_stage_parameters_fingerprints_and_frames(
         {
             "stage": "adjustment.solve",
             "params": {"method": ["error_sharing", "chain"]},
-            "outputs": {"adjusted": [f"{13:040x}", f"{5:040x}"]},
         }
     ]
+    outputs = {"adjusted": [f"{13:040x}", f"{5:040x}"]}
+    assert found["fingerprints"] == [{"stage": "adjustment.solve", "outputs": outputs}]
+    assert list(found)[-1] == "fingerprints"
     (offsets,) = found["offsets"]
     assert offsets["rounds"] == [3, 4]
     assert offsets["frames"] == [

@@ -14,8 +14,9 @@ from rich.console import Console
 
 from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.recording import Recorder, compare, read_recording, summary
+from geomosaic.recording.difference_tables import show_difference
 from geomosaic.recording.reader import stage_messages
-from geomosaic.recording.tables import show_difference, show_summary
+from geomosaic.recording.tables import show_summary
 
 LINE = np.arange(0, 4000, 8)
 DCOL = 0.5 + 0.25 * np.sin(LINE / 300.0)

@@ -137,16 +137,24 @@ def _picture(answers: Inspection, frame: str, pair: tuple[str, str] | None) -> b
 def diff(
     a: Annotated[Path, typer.Argument(metavar="A.mcap", help="a recording, or a run's folder")],
     b: Annotated[Path, typer.Argument(metavar="B.mcap", help="another one")],
+    png: Png = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what differs between two recordings; exit 0 if the runs are equal and 1 if not.
+    """Say what differs between two recordings, what came of it first; exit 0 if they are equal and 1 if not.
 
-    Durations, the cache and the environment don't count.
+    Durations, the cache, the environment and the names of folders don't count. --png draws arrows from
+    where a places the frames to where b does.
     """
-    from geomosaic.recording import compare, read_recording
-    from geomosaic.recording.tables import show_difference
+    from geomosaic.pipeline import files
+    from geomosaic.recording import compare, pictures, read_recording
+    from geomosaic.recording.difference_tables import show_difference
 
-    difference = compare(read_recording(recording_file(a)), read_recording(recording_file(b)))
+    of_a, of_b = (_answers(read_recording(recording_file(path))) for path in (a, b))
+    difference = compare(of_a.recording, of_b.recording, of_a.solved, of_b.solved)
+    if png is not None:
+        files.write_bytes(
+            png, pictures.difference_png(of_a.readable(), of_b.readable(), difference["frames"])
+        )
     print(json.dumps(difference, indent=2)) if as_json else show_difference(difference, new_console())
     raise typer.Exit(0 if difference["equal"] else 1)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.projection.footprint import footprint
 from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
+from geomosaic.recording.compare_frames import places_m
 from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import messages
@@ -24,6 +25,8 @@ _LINES: Final = 300
 _MOST_THUMBNAIL_PX: Final = 4 << 20
 _OUTLINES: Final = 400
 _LABELS: Final = 300
+_ARROW: Final = 0.08
+"""Of the survey's extent: how long the longest arrow of a difference is drawn at least."""
 
 
 def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str, Any]]) -> bytes:
@@ -62,6 +65,30 @@ def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str,
         "grey outlines: as given; blue: as found; arrows: from given to found position",
         f"lines: tied pairs, green to red 0 to {most_px:.2f} px left (98 % of them); dashed: tried, not tied",
         "red: frames of which something is wrong",
+    ]
+    return png_of(canvas.finished(foot))
+
+
+def difference_png(a: Solved, b: Solved, frames: list[dict[str, Any]]) -> bytes:
+    """Where a places the frames, and arrows to where b does, drawn as much longer as lets them be seen; the
+    ten worst (`compare_frames.frames`) by name."""
+    names, from_m, to_m = places_m(a, b)
+    moves_m = to_m - from_m
+    known = moves_m[np.isfinite(moves_m).all(axis=1)]
+    longest_m = float(np.hypot(*known.T).max()) if len(known) else 0.0
+    seen = from_m[np.isfinite(from_m).all(axis=1)]
+    extent_m = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+    times = max(_ARROW * extent_m / longest_m, 1.0) if longest_m > 0.0 else 1.0
+    canvas = Canvas(np.concatenate([from_m, from_m + times * moves_m]), _PLAN_PX)
+    for start, move in zip(from_m, moves_m, strict=True):
+        canvas.dot(start, INK)
+        canvas.arrow(start, start + times * move, RED)
+    number = {name: i for i, name in enumerate(names)}
+    for f in frames[:10]:
+        if f["frame"] in number and f.get("moved_m") is not None:
+            canvas.label(from_m[number[f["frame"]]], f"{f['frame'][-18:]} {f['moved_m']:.3f} m", INK)
+    foot = [
+        f"arrows: from a's places to b's, drawn {times:.3g} times as long; the longest is {longest_m:.3g} m"
     ]
     return png_of(canvas.finished(foot))
 

@@ -93,86 +93,6 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
     console.print(table)
 
 
-def show_difference(difference: dict[str, Any], console: Console) -> None:
-    """Prints what `compare` found."""
-    if difference["equal"]:
-        console.print("the runs are equal")
-    else:
-        first = difference["first_stage"]
-        line(console, f"the runs differ; first stage that differs: {first}" if first else "the runs differ")
-    for a in difference["altered"]:
-        path = difference["paths"][a["in"] == "b"]
-        line(console, f"altered: {path}: artefact '{a['artefact']}' of stage {a['stage']}")
-    if difference["whole"]:
-        whole, cut = (0, 1) if difference["whole"][0] else (1, 0)
-        line(console, f"only {difference['paths'][whole]} is whole, not {difference['paths'][cut]}")
-    for words in difference["recipe"]:
-        line(console, words)
-    table = new_table("differences", "stage", "what", "a", "b")
-    for name, (a, b) in difference["manifest"].items():
-        row(table, "input files", name, shortened(a), shortened(b))
-    for stage in difference["stages"]:
-        if "only_in" in stage:
-            there = ("there", "") if stage["only_in"] == "a" else ("", "there")
-            row(table, stage["stage"], "stage", *there)
-        for what in ("version", "params", "inputs", "outputs", "finished"):
-            for name, (a, b) in stage.get(what, {}).items():
-                mark = what in ("inputs", "outputs")
-                values = (_mark(a), _mark(b)) if mark else (shortened(a), shortened(b))
-                row(table, stage["stage"], f"{what} {name}".strip(), *values)
-    for offsets in difference["offsets"]:
-        rounds_a, rounds_b = offsets["rounds"]
-        row(table, offsets["stage"], "rounds", rounds_a, rounds_b)
-        farthest = sorted(
-            offsets["frames"], key=lambda f: -abs(complex(f.get("d_east_m", 0), f.get("d_north_m", 0)))
-        )
-        for frame in farthest[:10]:
-            if "only_in" in frame:
-                there = ("moved", "") if frame["only_in"] == "a" else ("", "moved")
-                row(table, offsets["stage"], frame["frame"], *there)
-            else:
-                row(
-                    table,
-                    offsets["stage"],
-                    frame["frame"],
-                    "",
-                    f"{frame['d_east_m']:+.3f} m east, {frame['d_north_m']:+.3f} m north",
-                )
-        if len(farthest) > 10:
-            row(table, offsets["stage"], f"and {len(farthest) - 10} more frames", "", "")
-    for curve in difference["strips"]:
-        what = f"offsets of pair {curve['pair']}"
-        if "only_in" in curve:
-            there = ("there", "") if curve["only_in"] == "a" else ("", "there")
-            row(table, curve["stage"], what, *there)
-        else:
-            apart = f"up to {number(curve['largest_px'])} px from a's, {number(curve['rms_px'])} px RMS"
-            labels = f", {share(curve['share_relabelled'])} of the lines labelled otherwise"
-            row(table, curve["stage"], what, "", apart + labels)
-    for left in difference["strip_residuals"]:
-        what = f"left in pair {left['pair']}"
-        if "only_in" in left:
-            there = ("there", "") if left["only_in"] == "a" else ("", "there")
-            row(table, left["stage"], what, *there)
-        else:
-            both = zip(left["rms_px"], left["blocks_measured"], strict=True)
-            of_a, of_b = (f"{number(rms)} px RMS of {blocks} blocks" for rms, blocks in both)
-            change = f", up to {number(left['largest_px'])} px from a's"
-            row(table, left["stage"], what, of_a, of_b + change)
-    for warning in difference["warnings"]:
-        text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
-        row(
-            table,
-            warning["stage"],
-            warning["level"],
-            *((text, "") if warning["only_in"] == "a" else ("", text)),
-        )
-    for name, (a, b) in difference["environment"].items():
-        row(table, "(environment)", name, shortened(a), shortened(b))
-    if table.row_count:
-        console.print(table)
-
-
 def _first(rows: list[Any], what: str, console: Console) -> list[Any]:
     """As many as people read; says how many more there are."""
     if len(rows) > _MOST_ROWS:
@@ -203,10 +123,6 @@ def row(table: Table, *cells: object) -> None:
 def _text(text: str) -> str:
     """A stranger's text as rich prints it unchanged, on one line."""
     return escape(printable(text))
-
-
-def _mark(fingerprint: str | None) -> str:
-    return "missing" if fingerprint is None else fingerprint[:12]
 
 
 def shortened(value: Any) -> str:
