@@ -18,6 +18,13 @@ def map_from_work(survey: Survey, enu_m: Floats) -> Floats:
     return MapProjection(survey.map_crs).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
 
 
+def work_from_map(survey: Survey, map_m: Floats) -> Floats:
+    """East and north (..., 2) in the work frame of eastings and northings (..., 2), at its own height."""
+    geodetic = MapProjection(survey.map_crs).geodetic_from_map(map_m[..., 0], map_m[..., 1])
+    height_m = survey.work_frame.height_ellipsoidal_m
+    return survey.work_frame.enu_from_geodetic(geodetic[..., 0], geodetic[..., 1], height_m)[..., :2]
+
+
 def local_from_work(survey: Survey, enu_m: Floats) -> Floats:
     """Rotations (n, 3, 3) to the true east, north and up at points (n, 3) from the work frame's axes."""
     geodetic = survey.work_frame.geodetic_from_enu(enu_m)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
+from geomosaic.ccd.gaps import gaps
 from geomosaic.ccd.joint import far_from_nominal
 from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import UNRELIABLE, PairOffsets, Settings, StripOffsets
@@ -25,7 +26,7 @@ class CcdOffsets(Stage):
     id = "ccd.offsets"
     display_name = "Offsets between the strips"
     group = "CCD strips"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
     outputs: ClassVar[dict[str, type]] = {"offsets": StripOffsets}
 
@@ -77,6 +78,7 @@ class CcdOffsets(Stage):
             context.warn("dem-missing", "geometry", text)
         for offsets in pairs:
             self._report(context, geometry, offsets)
+        self._record_gaps(context, geometry, pairs)
         far = far_from_nominal(geometry, pairs)
         if far is not None:
             text = (
@@ -86,6 +88,24 @@ class CcdOffsets(Stage):
             context.warn("far-from-nominal", "", text)
         context.metric("offsets.method", params.method)
         return {"offsets": StripOffsets(params.method, pairs)}
+
+    @staticmethod
+    def _record_gaps(context: Context, geometry: StripGeometry, pairs: Sequence[PairOffsets]) -> None:
+        found = [(offsets.pair, gap) for offsets in pairs for gap in gaps(offsets)]
+        names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
+        context.recorder.table(
+            "strips.bridged",
+            [names[pair] for pair, _ in found],
+            {
+                "pair": [pair for pair, _ in found],
+                "first_line": [gap.first_line for _, gap in found],
+                "last_line": [gap.last_line for _, gap in found],
+                "label": [gap.label for _, gap in found],
+                "largest_sd_px": [gap.largest_sd_px for _, gap in found],
+            },
+            others=[names[pair + 1] for pair, _ in found],
+            notes=[gap.why for _, gap in found],
+        )
 
     @staticmethod
     def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:

@@ -20,7 +20,7 @@ class CcdRadiometry(Stage):
     id = "ccd.radiometry"
     display_name = "Greys of the strips"
     group = "CCD strips"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry, "offsets": StripOffsets}
     outputs: ClassVar[dict[str, type]] = {"radiometry": Radiometry}
 
@@ -40,4 +40,6 @@ class CcdRadiometry(Stage):
                 )
         context.metric("radiometry.gain", found.gain.round(6))
         context.metric("radiometry.offset", found.offset.round(4))
+        names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
+        context.recorder.table("strips.greys", names, {"gain": found.gain, "offset": found.offset})
         return {"radiometry": found}

@@ -25,7 +25,7 @@ class MosaicTones(Stage):
     id = "mosaic.tones"
     display_name = "Even the tones"
     group = "Mosaic"
-    version = 5
+    version = 6
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"tones": Tones}
 
@@ -63,6 +63,13 @@ class MosaicTones(Stage):
         values = self._values(survey, places, bands, context)
         number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
         tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images)
+        columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
+        slopes = {
+            f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i]
+            for k in range(bands)
+            for i, axis in enumerate("xy")
+        }
+        context.recorder.table("tones", [f.name for f in frames], columns | slopes)
         context.metric("tones.difference_grey", asdict(evenness))
         context.metric("tones.bend_towards_white", bool(np.isfinite(tones.white)))
         context.metric("tones.gain_sd", float(tones.gain.std()))

@@ -10,6 +10,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.residual_pattern import residual_patterns
+from geomosaic.export.on_map import work_from_map
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.mosaic.ownership import Ownership
@@ -19,6 +20,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.ground_doubt import leaning_99_px
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, verdict_of
+from geomosaic.stages.chips import record_chips
 from geomosaic.survey.model import Survey
 
 
@@ -28,7 +30,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 6
+    version = 7
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
         "ownership": Ownership,
@@ -81,6 +83,10 @@ class QualityVerdict(Stage):
             float(np.median(at[:, 2] - inputs["ground"].up_at(at[:, 0], at[:, 1]))),
             leaning_99_px(inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"]),
         )
+        record_chips(context, survey, inputs["ties"], adjusted)
+        rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
+        edges = [work_from_map(survey, ring) for _, ring in rings]
+        context.recorder.outlines("seams", [survey.frames[frame].name for frame, _ in rings], edges)
         context.report("verdict", reported(verdict))
         if verdict.grade != "good":
             context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.mend}")

@@ -18,7 +18,8 @@ from geomosaic.survey.read import check_survey_files, read_survey
 from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
 
-_THUMBNAILS = 200
+_READ_AGAIN = 200
+"""Frames, of those whose look for damage gave no thumbnail, that are read again for one."""
 
 
 def _given(params: Any) -> dict[str, Any]:
@@ -33,7 +34,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 13
+    version = 14
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
@@ -109,8 +110,10 @@ class SurveyRead(Stage):
             context.warn(warning.code, warning.frame, warning.text)
         for camera in survey.cameras:
             context.recorder.camera(camera.name, camera)
-        for frame in survey.frames[:: max(1, -(-len(survey.frames) // _THUMBNAILS))]:
+        every = -(-len(survey.frames) // _READ_AGAIN)
+        for k, frame in enumerate(survey.frames):
             context.check_cancelled()
-            small = looks[frame.path].load().thumbnail or thumbnail(read_pixels(frame, 8)[0])
-            context.recorder.image("/frames", frame.name, small)
+            small = looks[frame.path].load().thumbnail
+            if small or k % every == 0:
+                context.recorder.image("/frames", frame.name, small or thumbnail(read_pixels(frame, 8)[0]))
         return {"survey": survey}
