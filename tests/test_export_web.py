@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import sqlite3
+import zipfile
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -10,12 +14,16 @@ import pytest
 import rasterio
 import shapely
 from osgeo import gdal
+from pyproj import Transformer
+from rasterio.warp import transform_bounds
 from test_export_cog import raw_raster
 
 from geomosaic.errors import CancelledError
 from geomosaic.export.cog import write_cog
-from geomosaic.export.stac import stac_item, write_stac
-from geomosaic.export.web import write_tiles, write_vrt
+from geomosaic.export.footprints import write_footprints
+from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
+from geomosaic.export.web import write_kmz, write_mbtiles, write_tiles, write_vrt
 from geomosaic.mosaic.model import Mosaic, OutputGrid, Seamline
 
 
@@ -49,7 +57,7 @@ def test_tiles_lie_where_the_mosaic_lies(cog, tmp_path, tile_format):
     assert index["maxzoom"] == 23
     assert index["bounds"] == pytest.approx([-91.995038, 46.843320, -91.994882, 46.843382], abs=2e-6)
     names = sorted(p.name for p in (tmp_path / "tiles").iterdir())
-    assert names == [str(z) for z in range(index["minzoom"], 24)] + ["tiles.json"]
+    assert names == [str(z) for z in range(index["minzoom"], 24)] + ["index.html", "tiles.json"]
     tiles = list((tmp_path / "tiles" / "23").rglob(f"*.{tile_format}"))
     lon = (index["bounds"][0] + index["bounds"][2]) / 2
     assert str(int((lon + 180) / 360 * 2**23)) in {t.parent.name for t in tiles}
@@ -79,16 +87,120 @@ def test_the_stac_item_says_what_where_and_when(tmp_path):
     ring = np.array([[576_630.0, 5_188_180.0], [576_720.0, 5_188_180.0], [576_720.0, 5_188_240.0],
                      [576_630.0, 5_188_180.0]])  # fmt: skip
     mosaic = Mosaic(grid, "raw.tif", 3, "uint8", None, (Seamline(0, ((ring,),)),), (0,), 1)
-    item = stac_item("brighton", mosaic, [1.5e9, 1.5e9 + 90.5], ["mosaic.tif", "positions.csv"])
+    coverage = coverage_of_mosaic(mosaic)
+    item = stac_item("brighton", coverage, [1.5e9, 1.5e9 + 90.5], 1.6e9, ["mosaic.tif", "positions.csv"])
     write_stac(tmp_path / "i.json", item)
     read = json.loads((tmp_path / "i.json").read_text())
-    assert (read["type"], read["stac_version"], read["id"]) == ("Feature", "1.0.0", "brighton")
+    assert (read["type"], read["stac_version"], read["id"]) == ("Feature", "1.1.0", "brighton")
     area = shapely.geometry.shape(read["geometry"])
     assert area.bounds == pytest.approx(tuple(read["bbox"]))
     assert area.bounds == pytest.approx((-91.994991, 46.842739, -91.993801, 46.843279), abs=2e-6)
     p = read["properties"]
-    assert (p["datetime"], p["end_datetime"]) == ("2017-07-14T02:40:00.000Z", "2017-07-14T02:41:30.500Z")
-    assert (p["gsd"], p["proj:epsg"], p["proj:shape"]) == (0.02, 32615, [4000, 5000])
+    assert (p["datetime"], p["start_datetime"]) == ("2017-07-14T02:40:00Z",) * 2
+    assert p["end_datetime"] == "2017-07-14T02:41:30.500000Z"
+    assert (p["gsd"], p["proj:code"], p["proj:shape"]) == (0.02, "EPSG:32615", [4000, 5000])
     assert p["proj:bbox"] == pytest.approx([576_625.6, 5_188_170.2, 576_725.6, 5_188_250.2])
     assert read["assets"]["mosaic"]["href"] == "./mosaic.tif"
     assert set(read["assets"]) == {"mosaic", "positions"}
+    assert "proj:epsg" not in p, "gone in version 2 of the extension"
+
+
+def test_a_stac_item_without_times_or_map_invents_none(tmp_path):
+    ring = np.array([[7.0, 50.0], [7.2, 50.0], [7.2, 50.3], [7.0, 50.0]])
+    item = stac_item("scene", coverage_of_scene(ring, 2.0, 900, 700), [], 1.6e9, [])
+    p = item["properties"]
+    assert (p["datetime"], p["proj:code"], p["proj:shape"]) == ("2020-09-13T12:26:40Z", None, [900, 700])
+    assert not {"start_datetime", "end_datetime"} & set(p)
+    assert "unknown" in p["description"]
+    assert "1970" not in json.dumps(item)
+    assert item["bbox"] == [7.0, 50.0, 7.2, 50.3]
+    nowhere = stac_item("scene", coverage_of_scene(np.zeros((0, 2)), 2.0, 900, 700), [], 1.6e9, [])
+    assert nowhere["geometry"] is None
+
+
+def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
+    """Read as its specification says: a table of tiles, their rows counted from the south."""
+    coarse = tmp_path / "coarse.tif"
+    gdal.Translate(str(coarse), str(cog), outputBounds=[576_600, 5_188_300, 576_740, 5_188_300 - 140])
+    write_tiles(coarse, tmp_path / "tiles", processes=1)
+    write_mbtiles(coarse, tmp_path / "mosaic.mbtiles", processes=1)
+    with sqlite3.connect(tmp_path / "mosaic.mbtiles") as file:
+        told = dict(file.execute("SELECT name, value FROM metadata"))
+        packed = {
+            (z, x, 2**z - 1 - y): cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            for z, x, y, data in file.execute(
+                "SELECT zoom_level, tile_column, tile_row, tile_data FROM tiles"
+            )
+        }
+    index = json.loads((tmp_path / "tiles" / "tiles.json").read_text())
+    assert (int(told["minzoom"]), int(told["maxzoom"])) == (index["minzoom"], index["maxzoom"])
+    assert (told["format"], told["type"]) == ("png", "overlay")
+    tiles = list((tmp_path / "tiles").rglob("*.png"))
+    assert len(tiles) == len(packed)
+    for tile in tiles:
+        at = int(tile.parent.parent.name), int(tile.parent.name), int(tile.stem)
+        np.testing.assert_array_equal(packed[at], cv2.imread(str(tile), cv2.IMREAD_UNCHANGED))
+    with rasterio.open(tmp_path / "mosaic.mbtiles") as tiff:
+        assert tiff.crs.to_epsg() == 3857
+        west, south, east, north = transform_bounds(tiff.crs, "EPSG:32615", *tiff.bounds)
+        assert (west, south, east, north) == pytest.approx((576_600, 5_188_160, 576_740, 5_188_300), abs=40)
+        assert tiff.read(4).any()
+
+
+def test_kmz_lies_where_the_mosaic_lies(cog, tmp_path):
+    write_kmz(cog, tmp_path / "mosaic.kmz")
+    with zipfile.ZipFile(tmp_path / "mosaic.kmz") as archive:
+        names = archive.namelist()
+        assert names[0] == "doc.kml"
+        found = [
+            (name, ElementTree.fromstring(archive.read(name))) for name in names if name.endswith(".kml")
+        ]
+        ns = {"k": "http://www.opengis.net/kml/2.2"}
+        boxes, shown = [], 0
+        for name, document in found:
+            for overlay in document.iterfind(".//k:GroundOverlay", ns):
+                box = [
+                    float(overlay.findtext(f".//k:LatLonBox/k:{side}", "", ns))
+                    for side in ("west", "south", "east", "north")
+                ]
+                boxes.append(box)
+                image = f"{name.rpartition('/')[0]}/{overlay.findtext('.//k:href', '', ns)}".lstrip("/")
+                pixels = cv2.imdecode(np.frombuffer(archive.read(image), np.uint8), cv2.IMREAD_UNCHANGED)
+                shown += bool(pixels.any())
+    boxes = np.array(boxes)
+    whole = (*boxes[:, :2].min(axis=0), *boxes[:, 2:].max(axis=0))
+    assert whole == pytest.approx([-91.995038, 46.843320, -91.994882, 46.843382], abs=3e-5)
+    assert shown == len(boxes)
+
+
+def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
+    """And shows the run's layers; no name in them can end its script."""
+    evil = "</script><script>alert(1)//`${1}"
+    with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
+        fields = {"frame": [evil], "status": ["tied"]}
+        package.add_layer("frames", "", "Point", [shapely.Point(576_627.0, 5_188_249.0)], fields)
+    write_tiles(cog, tmp_path / "tiles", max_zoom=20, processes=1, layers_file=tmp_path / "layers.gpkg")
+    page = (tmp_path / "tiles" / "index.html").read_text()
+    assert not re.findall(r"(?:src\s*=\s*|url\()[\"']?https?:", page)
+    assert evil not in page
+    (text,) = re.findall(r'id="layers">(.*?)</script>', page)
+    (layer,) = json.loads(text)
+    (feature,) = layer["data"]["features"]
+    assert feature["properties"]["frame"] == evil
+    assert feature["geometry"]["coordinates"] == pytest.approx([-91.995020, 46.843370], abs=2e-5)
+
+
+def test_footprints_are_geojson_in_wgs_84(tmp_path):
+    with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
+        ring = shapely.box(576_600.0, 5_188_200.0, 576_700.0, 5_188_300.0)
+        fields = {"frame": ["a.jpg"], "time_utc": np.array(["2024-06-12T09:30:00.250"], "datetime64[ms]")}
+        package.add_layer("footprints", "", "Polygon", [ring], fields)
+    write_footprints(tmp_path / "layers.gpkg", tmp_path / "f.geojson")
+    (feature,) = json.loads((tmp_path / "f.geojson").read_text())["features"]
+    assert feature["properties"]["frame"] == "a.jpg"
+    assert feature["properties"]["time_utc"].startswith("2024-06-12T09:30:00")
+    area = shapely.geometry.shape(feature["geometry"])
+    assert area.exterior.is_ccw
+    to_map = Transformer.from_crs("OGC:CRS84", "EPSG:32615", always_xy=True)
+    back = shapely.transform(area, lambda xy: np.column_stack(to_map.transform(xy[:, 0], xy[:, 1])))
+    assert back.symmetric_difference(ring).area < 0.2

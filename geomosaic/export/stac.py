@@ -1,74 +1,121 @@
-"""A STAC item of a finished run: what, where, when, and the files that belong to it (STAC 1.0)."""
+"""A STAC item of a finished run: what, where, when, and the files that belong to it (STAC 1.1, by pystac)."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import shapely
+from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.geodesy.mapcrs import MapProjection, check_on_earth
 from geomosaic.mosaic.model import Mosaic
 
-_PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.1.0/schema.json"
 _COG: Final = "image/tiff; application=geotiff; profile=cloud-optimized"
+_TIFF: Final = "image/tiff; application=geotiff"
 ASSETS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "mosaic.tif": ("Mosaic", _COG, ("data", "visual")),
+    "mosaic_map.tif": ("Scene on the map", _COG, ("data", "visual")),
+    "mosaic_RPC.TXT": ("Rational polynomials of the scene", "text/plain", ("metadata",)),
+    "surface.tif": ("Surface", _COG, ("data",)),
+    "terrain.tif": ("Terrain", _COG, ("data",)),
+    "surface_confidence.tif": ("Deviation and views of the surface", _COG, ("metadata",)),
+    "point_cloud.laz": ("Point cloud", "application/vnd.laszip", ("data",)),
     "layers.gpkg": ("Frames, tie points, seamlines", "application/geopackage+sqlite3", ("metadata",)),
     "positions.csv": ("Exterior orientation", "text/csv", ("metadata",)),
-    "sources.tif": ("Which frame made each pixel", "image/tiff; application=geotiff", ("metadata",)),
+    "offsets.csv": ("Offsets between CCDs", "text/csv", ("metadata",)),
+    "sources.tif": ("Which frame made each pixel", _TIFF, ("metadata",)),
     "report.html": ("Report", "text/html", ("metadata",)),
 }
 """What a run folder may hold: title, media type, roles."""
 _SIMPLIFY_PX = 4.0
+_NO_TIME: Final = "The images' times are unknown: datetime is when the mosaic was written."
 
 
-def stac_item(name: str, mosaic: Mosaic, times_s: Sequence[float], files: Sequence[str]) -> dict[str, Any]:
-    """The item as plain values.
+@dataclass(frozen=True)
+class Coverage:
+    """Where a raster lies. area: in longitude and latitude of WGS 84, None where that is unknown. crs,
+    transform (six numbers, row by row) and bbox: of its map, if it has one. shape: rows, cols."""
 
-    The geometry is the mosaic's valid area in WGS 84, a little simplified; if the frames' times are unknown
-    `datetime` is null and, as STAC then wants, start and end are the epoch's.
+    area: Any
+    gsd_m: float
+    shape: tuple[int, int]
+    crs: str | None = None
+    transform: tuple[float, ...] = ()
+    bbox: tuple[float, ...] = ()
 
-    Args: files: names of those of `ASSETS` that exist; they are referred to relative to the item.
-    """
+
+def coverage_of_mosaic(mosaic: Mosaic) -> Coverage:
+    """Its valid area, a little simplified. Raises `InputError` in a local frame."""
     grid = mosaic.grid
     check_on_earth(grid.crs, "STAC item")
-    area = _valid_area(mosaic)
-    code = CRS.from_user_input(grid.crs).to_epsg()
-    start, end = (_utc(t) for t in (min(times_s, default=0.0), max(times_s, default=0.0)))
-    return {
-        "type": "Feature",
-        "stac_version": "1.0.0",
-        "stac_extensions": [_PROJECTION],
-        "id": name,
-        "geometry": shapely.geometry.mapping(area),
-        "bbox": list(area.bounds),
-        "properties": {
-            "datetime": start if times_s else None,
-            "start_datetime": start,
-            "end_datetime": end,
-            "gsd": grid.gsd_m,
-            "proj:epsg": code,
-            **({} if code else {"proj:wkt2": CRS.from_user_input(grid.crs).to_wkt()}),
-            "proj:shape": [grid.height_px, grid.width_px],
-            "proj:transform": [grid.gsd_m, 0.0, grid.west_m, 0.0, -grid.gsd_m, grid.north_m],
-            "proj:bbox": [grid.west_m, grid.south_m, grid.east_m, grid.north_m],
+    faces = [shapely.Polygon(p[0], list(p[1:])) for s in mosaic.seamlines for p in s.polygons]
+    whole = shapely.box(grid.west_m, grid.south_m, grid.east_m, grid.north_m)
+    area = shapely.simplify(shapely.unary_union(faces) if faces else whole, _SIMPLIFY_PX * grid.gsd_m)
+    projection = MapProjection(grid.crs)
+    return Coverage(
+        shapely.transform(area, lambda xy: projection.geodetic_from_map(xy[:, 0], xy[:, 1])),
+        grid.gsd_m,
+        (grid.height_px, grid.width_px),
+        grid.crs,
+        (grid.gsd_m, 0.0, grid.west_m, 0.0, -grid.gsd_m, grid.north_m),
+        (grid.west_m, grid.south_m, grid.east_m, grid.north_m),
+    )
+
+
+def coverage_of_scene(ring_deg: NDArray[np.float64], gsd_m: float, height_px: int, width_px: int) -> Coverage:
+    """A scene of strips without a map, by its outline (n, 2) of longitude and latitude, if known."""
+    area = shapely.Polygon(ring_deg) if len(ring_deg) else None
+    return Coverage(area, gsd_m, (height_px, width_px))
+
+
+def stac_item(
+    name: str, coverage: Coverage, times_s: Sequence[float], made_s: float, files: Sequence[str]
+) -> dict[str, Any]:
+    """The item as plain values.
+
+    Args: times_s: of the images, seconds since 1970 UTC; without any, `datetime` is made_s, when the mosaic
+    was written, and the description says so. files: names of those of `ASSETS` that exist; they are referred
+    to relative to the item.
+    """
+    import pystac
+    from pystac.extensions.projection import ProjectionExtension
+
+    start, end = (_utc(of(times_s)) if times_s else None for of in (min, max))
+    item = pystac.Item(
+        id=name,
+        geometry=None if coverage.area is None else shapely.geometry.mapping(coverage.area),
+        bbox=None if coverage.area is None else list(coverage.area.bounds),
+        datetime=start or _utc(made_s),
+        start_datetime=start,
+        end_datetime=end,
+        properties={
+            "gsd": coverage.gsd_m,
+            "created": pystac.utils.datetime_to_str(_utc(made_s)),
+            **({} if times_s else {"description": _NO_TIME}),
         },
-        "links": [],
-        "assets": {
-            Path(file).stem: {
-                "href": f"./{file}",
-                "title": ASSETS[file][0],
-                "type": ASSETS[file][1],
-                "roles": list(ASSETS[file][2]),
-            }
-            for file in files
-        },
-    }
+    )
+    known = None if coverage.crs is None else CRS.from_user_input(coverage.crs)
+    authority = None if known is None else known.to_authority()
+    ProjectionExtension.ext(item, add_if_missing=True).apply(
+        code=":".join(authority) if authority else None,
+        wkt2=None if known is None or authority else known.to_wkt(),
+        bbox=list(coverage.bbox) or None,
+        shape=list(coverage.shape),
+        transform=list(coverage.transform) or None,
+    )
+    item.properties.setdefault("proj:code", None)
+    for file in files:
+        title, media, roles = ASSETS[file]
+        asset = pystac.Asset(f"./{file}", title=title, media_type=media, roles=list(roles))
+        item.add_asset(Path(file).stem, asset)
+    return dict(item.to_dict(include_self_link=False, transform_hrefs=False))
 
 
 def write_stac(path: Path, item: dict[str, Any]) -> None:
@@ -76,14 +123,5 @@ def write_stac(path: Path, item: dict[str, Any]) -> None:
     path.write_text(json.dumps(item, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _valid_area(mosaic: Mosaic) -> Any:
-    grid = mosaic.grid
-    faces = [shapely.Polygon(p[0], list(p[1:])) for s in mosaic.seamlines for p in s.polygons]
-    whole = shapely.box(grid.west_m, grid.south_m, grid.east_m, grid.north_m)
-    area = shapely.simplify(shapely.unary_union(faces) if faces else whole, _SIMPLIFY_PX * grid.gsd_m)
-    projection = MapProjection(grid.crs)
-    return shapely.transform(area, lambda xy: projection.geodetic_from_map(xy[:, 0], xy[:, 1]))
-
-
-def _utc(time_s: float) -> str:
-    return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+def _utc(time_s: float) -> datetime:
+    return datetime.fromtimestamp(round(time_s, 3), UTC)

@@ -1,4 +1,4 @@
-"""The finished mosaic for other programs: a VRT beside it, and web map tiles."""
+"""The finished mosaic for other programs: a VRT beside it, web map tiles, MBTiles, KMZ."""
 
 from __future__ import annotations
 
@@ -6,25 +6,37 @@ import errno
 import json
 import math
 import os
+import sqlite3
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 from osgeo import gdal
 from rasterio.warp import transform_bounds
 
-from geomosaic.doors.gdal_failures import gdal_failures
+from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures
 from geomosaic.doors.raster import NO_SIDECARS, OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
+from geomosaic.export.tile_page import write_tile_page
 from geomosaic.geodesy.mapcrs import check_on_earth
 
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256
 _EQUATOR_M = 40_075_016.685578488
+_EARTH_RADIUS_M = _EQUATOR_M / (2.0 * math.pi)
+_MBTILES: Final = """
+BEGIN;
+PRAGMA application_id = 0x4d504258;
+CREATE TABLE metadata (name TEXT, value TEXT);
+CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB);
+CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row);
+"""
 _SHOWN_PERCENTILES = (1.0, 99.0)
 
 
@@ -46,31 +58,23 @@ def write_tiles(
     min_zoom: int | None = None,
     max_zoom: int | None = None,
     processes: int = 2,
+    layers_file: Path | None = None,
     check_cancelled: Callable[[], None] | None = None,
 ) -> None:
-    """Tiles `{z}/{x}/{y}` in Web Mercator with `tiles.json`, cut by GDAL's gdal2tiles.
+    """Tiles `{z}/{x}/{y}` in Web Mercator with `tiles.json`, cut by GDAL's gdal2tiles, and `index.html`, a
+    page that shows them and the run's layers.
 
     The finest zoom is the first whose pixels are no coarser than the mosaic's; the coarsest shows all of it
     in about one tile. More than 8 bits are stretched from the 1st to the 99th percentile; of more than three
     bands the first three are shown. Raises `OSError` if a tile can't be written.
     """
+    zooms, bounds = _zooms(mosaic_file, min_zoom, max_zoom)
     folder.mkdir(parents=True)
-    with open_raster(mosaic_file, OWN) as tiff:
-        if tiff.crs is None:
-            mend = "put it on a map first, such as with gdalwarp -rpc"
-            raise InputError("has no map projection", file=mosaic_file, mend=mend)
-        check_on_earth(tiff.crs.to_wkt(), "web map")
-        west, south, east, north = transform_bounds(tiff.crs, "OGC:CRS84", *tiff.bounds)
-        gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]
-    lat_deg = (south + north) / 2.0
-    max_zoom = math.ceil(_zoom(gsd_m, lat_deg) - 0.01) if max_zoom is None else max_zoom
-    if min_zoom is None:
-        min_zoom = min(max_zoom, max(0, math.floor(_zoom(side_m / _TILE_PX, lat_deg))))
     shown = folder / "shown.vrt"
     _write_shown(mosaic_file, shown)
     command = [
         sys.executable, "-m", "osgeo_utils.gdal2tiles", "--xyz", "--webviewer=none", "--quiet", "--exclude",
-        "--resampling=average", f"--zoom={min_zoom}-{max_zoom}", f"--processes={processes}",
+        "--resampling=average", f"--zoom={zooms[0]}-{zooms[1]}", f"--processes={processes}",
         f"--tiledriver={TILE_FORMATS[tile_format]}", str(shown), str(folder),
     ]  # fmt: skip
     _run(command, check_cancelled)
@@ -80,11 +84,106 @@ def write_tiles(
         "tilejson": "3.0.0",
         "scheme": "xyz",
         "tiles": [f"{{z}}/{{x}}/{{y}}.{tile_format}"],
-        "minzoom": min_zoom,
-        "maxzoom": max_zoom,
-        "bounds": [west, south, east, north],
+        "minzoom": zooms[0],
+        "maxzoom": zooms[1],
+        "bounds": list(bounds),
     }
     (folder / "tiles.json").write_text(json.dumps(index, indent=2) + "\n")
+    with open_raster(mosaic_file, OWN) as tiff:
+        told = f"{tiff.width:,} x {tiff.height:,} px of {tiff.res[0]:g} m"
+    write_tile_page(folder / "index.html", mosaic_file.parent.name, told, index, layers_file)
+
+
+def write_mbtiles(
+    mosaic_file: Path,
+    out: Path,
+    *,
+    tile_format: str = "png",
+    processes: int = 2,
+    check_cancelled: Callable[[], None] | None = None,
+) -> None:
+    """MBTiles 1.3: the tiles of `write_tiles` in one file, as phones and map servers take them.
+
+    GDAL's own driver ends at zoom 22, where a pixel is 2 to 4 cm.
+    Raises: `InputError` without a map; `OSError` if it can't be written.
+    """
+    with TemporaryDirectory(dir=out.parent) as scratch:
+        folder = Path(scratch) / "tiles"
+        write_tiles(
+            mosaic_file, folder, tile_format=tile_format, processes=processes, check_cancelled=check_cancelled
+        )
+        index = json.loads((folder / "tiles.json").read_text())
+        told = {
+            "name": mosaic_file.parent.name,
+            "format": tile_format,
+            "type": "overlay",
+            "minzoom": str(index["minzoom"]),
+            "maxzoom": str(index["maxzoom"]),
+            "bounds": ",".join(f"{v:.8f}" for v in index["bounds"]),
+        }
+        try:
+            with closing(sqlite3.connect(out, isolation_level=None)) as database:
+                database.executescript(_MBTILES)
+                database.executemany("INSERT INTO metadata VALUES (?, ?)", told.items())
+                database.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", _tile_rows(folder, tile_format))
+                database.execute("COMMIT")
+        except sqlite3.Error as error:
+            full = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL
+            raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
+
+
+def _tile_rows(folder: Path, tile_format: str) -> Iterator[tuple[int, int, int, bytes]]:
+    """Zoom, column, row from the south, bytes, in order of these."""
+    tiles = {
+        (int(tile.parent.parent.name), int(tile.parent.name), int(tile.stem)): tile
+        for tile in folder.glob(f"*/*/*.{tile_format}")
+    }
+    for (zoom, col, row), tile in sorted(tiles.items()):
+        yield zoom, col, 2**zoom - 1 - row, tile.read_bytes()
+
+
+def write_kmz(mosaic_file: Path, out: Path, *, progress: Progress | None = None) -> None:
+    """A KMZ for Google Earth: images of 512 px in regions, finer ones as one comes nearer.
+
+    Raises: `InputError` without a map; `OSError` if it can't be written.
+    """
+    _, (_, south, _, north) = _zooms(mosaic_file, None, None)
+    callback = GdalProgress(progress)
+    with TemporaryDirectory(dir=out.parent) as scratch, callback.reraise(), gdal_failures(out):
+        shown, warped = Path(scratch) / "shown.vrt", Path(scratch) / "warped.vrt"
+        _write_shown(mosaic_file, shown)
+        with open_raster(mosaic_file, OWN) as tiff:
+            side_deg = math.degrees(tiff.res[0] / _EARTH_RADIUS_M)
+        stretch = math.cos(math.radians((south + north) / 2.0))
+        size = {"xRes": side_deg / stretch, "yRes": side_deg, "resampleAlg": "bilinear"}
+        gdal.Warp(str(warped), str(shown), format="VRT", dstSRS="EPSG:4326", **size)
+        done = gdal.Translate(
+            str(out),
+            str(warped),
+            format="KMLSUPEROVERLAY",
+            creationOptions=["FORMAT=AUTO", f"NAME={mosaic_file.parent.name}"],
+            callback=callback,
+        )
+        close(done)
+
+
+def _zooms(
+    mosaic_file: Path, min_zoom: int | None, max_zoom: int | None
+) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
+    """The coarsest and the finest zoom, as asked for or as `write_tiles` says; west, south, east, north in
+    degrees. Raises `InputError` without a map."""
+    with open_raster(mosaic_file, OWN) as tiff:
+        if tiff.crs is None:
+            mend = "lay it on a map first, such as with geomosaic export map"
+            raise InputError("has no map projection", file=mosaic_file, mend=mend)
+        check_on_earth(tiff.crs.to_wkt(), "web map")
+        west, south, east, north = transform_bounds(tiff.crs, "OGC:CRS84", *tiff.bounds)
+        gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]
+    lat_deg = (south + north) / 2.0
+    finest = math.ceil(_zoom(gsd_m, lat_deg) - 0.01) if max_zoom is None else max_zoom
+    if min_zoom is None:
+        min_zoom = min(finest, max(0, math.floor(_zoom(side_m / _TILE_PX, lat_deg))))
+    return (min_zoom, finest), (west, south, east, north)
 
 
 def _zoom(pixel_m: float, lat_deg: float) -> float:

@@ -1,4 +1,4 @@
-"""tiles/: the mosaic as web map tiles."""
+"""tiles/: the mosaic as web map tiles, and a page that shows them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ TILES = "tiles"
 
 
 class ExportTiles(Stage):
-    """Writes tiles/{z}/{x}/{y} in Web Mercator and tiles/tiles.json."""
+    """Writes tiles/index.html, a page without network, over tiles/{z}/{x}/{y} in Web Mercator."""
 
     id = "export.tiles"
     display_name = "Write web map tiles"
     group = "Export"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
+    optional_inputs: ClassVar[dict[str, type]] = {"layers_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"tiles_folder": RunFile}
     results: ClassVar[tuple[str, ...]] = (TILES,)
 
@@ -40,6 +41,7 @@ class ExportTiles(Stage):
                 min_zoom=None if params.min_zoom == "auto" else params.min_zoom,
                 max_zoom=None if params.max_zoom == "auto" else params.max_zoom,
                 processes=params.processes,
+                layers_file=context.path_of(inputs["layers_file"]) if "layers_file" in inputs else None,
                 check_cancelled=context.check_cancelled,
             )
         return {"tiles_folder": context.run_file(TILES)}
