@@ -27,6 +27,7 @@ from geomosaic.report.overview import overview
 from geomosaic.report.page import Fact, length, markup, part, plural, render
 from geomosaic.report.solved import solved_section
 from geomosaic.report.solved_figures import ground_reason
+from geomosaic.report.surface import SurfaceSection
 from geomosaic.report.svg import short
 from geomosaic.report.verdict import verdict_section
 from geomosaic.survey.model import Survey
@@ -52,6 +53,7 @@ def render_report(
     summary: Mapping[str, Any],
     comparison: Comparison | None = None,
     verdict: Verdict | None = None,
+    surface: SurfaceSection | None = None,
 ) -> str:
     """The page's HTML.
 
@@ -83,6 +85,9 @@ def render_report(
         form_script=part("score_form.js"),
         title="Mosaic of " + plural(len(names), "frame"),
         verdict=judged.lead,
+        surface=surface,
+        surface_css=part("surface.css"),
+        surface_script=part("surface_profile.js"),
         judged=judged,
         overview=svg(drawn),
         crowded=len(names) > 60,

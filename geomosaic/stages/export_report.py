@@ -11,8 +11,10 @@ from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
+from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.frames import render_report
+from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.survey.model import Survey
 
 
@@ -28,7 +30,10 @@ class ExportReport(Stage):
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
         "mosaic": Mosaic, "mosaic_file": RunFile,
     }  # fmt: skip
-    optional_inputs: ClassVar[dict[str, type]] = {"comparison": Comparison, "verdict": Verdict}
+    optional_inputs: ClassVar[dict[str, type]] = {
+        "comparison": Comparison, "verdict": Verdict, "surface_file": RunFile, "confidence_file": RunFile,
+        "terrain_file": RunFile, "surface_comparison": SurfaceComparison,
+    }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
     results: ClassVar[tuple[str, ...]] = ("report.html",)
 
@@ -43,8 +48,18 @@ class ExportReport(Stage):
             mosaic_file=context.path_of(inputs["mosaic_file"]),
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
+            surface=_surface(inputs, context),
             summary=context.summary(),
         )
         with context.writing("report.html") as path:
             path.write_text(page, encoding="utf-8")
         return {"report_file": context.run_file("report.html")}
+
+
+def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | None:
+    if "surface_file" not in inputs:
+        return None
+    surface, confidence, terrain = (
+        context.path_of(inputs[name]) for name in ("surface_file", "confidence_file", "terrain_file")
+    )
+    return surface_section(surface, confidence, terrain, context.summary(), inputs.get("surface_comparison"))

@@ -1,0 +1,202 @@
+"""What the report shows of a matched surface: shading, a profile to draw, figures, how it compares."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import Resampling
+
+from geomosaic.doors.raster import OWN, open_raster, reading
+from geomosaic.quality.heights import HeightFigures
+from geomosaic.quality.surface import SurfaceComparison
+from geomosaic.report.glance import data_uri
+from geomosaic.report.svg import short
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+_PICTURE_PX: Final = 900
+_PROFILE_PX: Final = 380
+_LEVELS: Final = 65534
+"""Of the heights that a page holds in 16 bits; the next one stands for what is unknown."""
+_LEAST_STEP_M: Final = 0.01
+_SUN: Final = np.array([-1.0, 1.0, np.sqrt(2.0)]) / 2.0
+"""Towards the sun of shadings: north-west, 45 degrees high."""
+_DARK: Final = 0.35
+
+Row = tuple[str, str, str]
+"""Name, value, what it says."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Heights as a page holds them: a grid of cols x rows, pixel_m apart, north up; each in 16 bits, little
+    end first, in base64: low_m + step_m times the number, the highest number where it is unknown."""
+
+    cols: int
+    rows: int
+    pixel_m: float
+    low_m: float
+    step_m: float
+    surface: str
+    terrain: str
+
+
+@dataclass(frozen=True)
+class SurfaceSection:
+    """All of it; uri: the shading, low_m and high_m the ends of its colours; compared: rows of figures by
+    class, off_uri the difference between -off_m and off_m, both empty without a reference."""
+
+    uri: str
+    low_m: float
+    high_m: float
+    rows: list[Row]
+    profile: Profile
+    reference: str
+    datum: str
+    compared: list[tuple[str, list[tuple[str, HeightFigures]]]]
+    fit: str
+    off_uri: str
+    off_m: float
+
+
+def surface_section(
+    surface: Path,
+    confidence: Path,
+    terrain: Path,
+    summary: Mapping[str, Any],
+    comparison: SurfaceComparison | None,
+) -> SurfaceSection:
+    """Of the run's surface.tif, surface_confidence.tif and terrain.tif, read at reduced size."""
+    heights, pixel_m = _reduced(surface, 1, _PICTURE_PX)
+    known = heights[np.isfinite(heights)]
+    low, high = np.percentile(known, [1.0, 99.0]).tolist() if known.size else (0.0, 1.0)
+    off_m = 0.0 if comparison is None else _reach_m(comparison.difference_m)
+    return SurfaceSection(
+        _shaded(heights, pixel_m, low, high),
+        low,
+        high,
+        [*_figures(confidence, summary.get("metrics", {}), known), *_ortho(summary.get("metrics", {}))],
+        _profile(surface, terrain),
+        comparison.reference if comparison else "",
+        comparison.datum if comparison else "",
+        _compared(comparison) if comparison else [],
+        _fit(comparison) if comparison else "",
+        _difference(comparison.difference_m, off_m) if comparison else "",
+        off_m,
+    )
+
+
+def _reduced(path: Path, band: int, most_px: int) -> tuple[Floats32, float]:
+    """A band (rows, cols) at a reduced size, NaN where it is unknown, and the side of its pixels in m."""
+    with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.mend):
+        scale = max(1.0, max(raster.shape) / most_px)
+        shape = max(1, round(raster.height / scale)), max(1, round(raster.width / scale))
+        values = raster.read(band, out_shape=shape, resampling=Resampling.average, masked=True)
+        pixel_m = raster.transform.a * raster.width / shape[1]
+    return np.asarray(values.astype(np.float32).filled(np.nan)), pixel_m
+
+
+def _shaded(heights: Floats32, pixel_m: float, low: float, high: float) -> str:
+    """A data URI of heights in colours, lit from the north-west, transparent where they are unknown."""
+    known = np.isfinite(heights)
+    whole = np.where(known, heights, np.float32(low))
+    south, east = np.gradient(whole, pixel_m) if min(whole.shape) > 1 else (np.zeros_like(whole),) * 2
+    light = (-east * _SUN[0] + south * _SUN[1] + _SUN[2]) / np.sqrt(1.0 + east**2 + south**2)
+    level = np.clip((whole - low) / max(high - low, 1e-6), 0.0, 1.0) * 255.0
+    colours = cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_CIVIDIS)
+    shade = _DARK + (1.0 - _DARK) * np.clip(light / _SUN[2], 0.0, 1.3) / 1.3
+    drawn = np.dstack([np.clip(colours * (1.3 * shade[..., None]), 0, 255), np.where(known, 255, 0)])
+    return data_uri("webp", drawn.astype(np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 85])
+
+
+def _profile(surface: Path, terrain: Path) -> Profile:
+    top, pixel_m = _reduced(surface, 1, _PROFILE_PX)
+    ground, _ = _reduced(terrain, 1, _PROFILE_PX)
+    known = np.concatenate([v[np.isfinite(v)] for v in (top, ground)])
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    step = max(_LEAST_STEP_M, (high - low) / _LEVELS)
+
+    def packed(values: Floats32) -> str:
+        levels = np.where(np.isfinite(values), np.round((values - low) / step), _LEVELS + 1)
+        return base64.b64encode(levels.astype("<u2").tobytes()).decode("ascii")
+
+    return Profile(top.shape[1], top.shape[0], pixel_m, low, step, packed(top), packed(ground))
+
+
+def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) -> list[Row]:
+    told = metrics.get("surface", {})
+    views, _ = _reduced(confidence, 2, _PICTURE_PX)
+    sd, _ = _reduced(confidence, 1, _PICTURE_PX)
+    sd, seen = sd[np.isfinite(sd)], views[np.isfinite(views)]
+    rows: list[Row] = []
+    if heights.size:
+        ends = f"{heights.min():.1f} to {heights.max():.1f} m"
+        rows.append(("heights", ends, str(told.get("heights", ""))))
+    if "cell_m" in told:
+        pixel = f"written in pixels of {short(told.get('pixel_m'), 'm')}"
+        rows.append(("cells", short(told["cell_m"], "m"), pixel))
+    if seen.size:
+        matched = f"{100.0 * float(np.mean(seen > 0.0)):.0f} %"
+        rows.append(("matched", matched, "the rest is held by what lies around, or by tie points"))
+    if sd.size:
+        middle, most = np.quantile(sd, [0.5, 0.9]).tolist()
+        text = f"median {short(middle, 'm')}, 90 % below {short(most, 'm')}"
+        rows.append(("deviation", text, "as matching states it; surface_confidence.tif has it by place"))
+    if "ground_share" in told:
+        ground = f"{100.0 * told['ground_share']:.0f} %"
+        rows.append(("ground", ground, "of the cells show the ground; terrain.tif goes on beneath the rest"))
+    return rows
+
+
+def _ortho(metrics: Mapping[str, Any]) -> list[Row]:
+    """What the mosaic stands on, and why, where the run says it."""
+    told = metrics.get("ortho", {})
+    if not isinstance(told, Mapping) or "chosen" not in told:
+        return []
+    return [("the mosaic stands on", str(told["chosen"]), str(told.get("reason", "")))]
+
+
+def _compared(comparison: SurfaceComparison) -> list[tuple[str, list[tuple[str, HeightFigures]]]]:
+    whole = [("all", comparison.over_all), ("after the best shift and tilt", comparison.after_fit)]
+    parts = (
+        ("", whole),
+        ("by support", list(comparison.by_support)),
+        ("by slope of the surface", list(comparison.by_slope)),
+        ("by the reference's class", list(comparison.by_kind)),
+    )
+    return [(title, rows) for title, rows in parts if len(rows) > 1 or not title]
+
+
+def _fit(comparison: SurfaceComparison) -> str:
+    f = comparison.fit
+    if not np.isfinite(f.up_m):
+        return ""
+    tilt = 1000.0 * float(np.hypot(f.tilt_east, f.tilt_north))
+    return (
+        f"{f.east_m:+.2f} m east, {f.north_m:+.2f} m north, {f.up_m:+.2f} m up, and a tilt of {tilt:.2f} m "
+        "per km would lay the reference on the surface best"
+    )
+
+
+def _reach_m(difference: Floats32) -> float:
+    """The end of the difference's colours: 95 % are nearer to 0."""
+    known = np.abs(difference[np.isfinite(difference)])
+    return max(float(np.quantile(known, 0.95)), _LEAST_STEP_M) if known.size else 1.0
+
+
+def _difference(difference: Floats32, reach_m: float) -> str:
+    """A data URI: blue where the surface is lower, white alike, red higher."""
+    known = np.isfinite(difference)
+    share = np.clip(np.where(known, difference, 0.0) / reach_m, -1.0, 1.0)
+    fade = 1.0 - np.abs(share)
+    high, low = np.array([33.0, 38.0, 178.0]), np.array([172.0, 102.0, 33.0])  # blue, green, red
+    end = np.where(share[..., None] > 0.0, high, low)
+    colours = fade[..., None] * 247.0 + (1.0 - fade[..., None]) * end
+    return data_uri("png", np.dstack([colours, np.where(known, 255, 0)]).astype(np.uint8))
