@@ -38,6 +38,7 @@ from geomosaic.mosaic.pyramid import TileKind
 from geomosaic.mosaic.raster import Raster, index_kind, writing_mosaic
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seamlines import SeamLabels
+from geomosaic.mosaic.shadows import shaded
 from geomosaic.mosaic.sight import FrameOnMap, Sighting, seen_cells
 from geomosaic.mosaic.spread import AtOnce, Kept, Spread
 from geomosaic.mosaic.tones import Tones
@@ -109,6 +110,7 @@ def compose(
         raise UnknownNameError("resampling", resampling, RESAMPLING)
     feather_m = AUTO_FEATHER_PX * grid.gsd_m if feather_m is None else feather_m
     views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
+    views = views if ownership is None else shaded(views, ownership.hidden)
     kind = common_kind([survey.frames[v.frame] for v in views])
     scene = Scene(survey.work_frame, ground, grid, views)
     ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import Decoded, decode
+from geomosaic.mosaic.hidden import Clear
 from geomosaic.mosaic.scene import Scene, margin_px
 from geomosaic.mosaic.sight import FrameOnMap
 from geomosaic.mosaic.tones import Tones, evened
@@ -140,8 +141,18 @@ def frame_part(how: Warping, asked: Asked) -> FramePart:
 def patches(how: Warping, asked: Asked) -> Iterator[Patch]:
     """The same box by box, each within a tile. Raises: `FileError` if the frame can't be read."""
     decoded = decode(asked.on_map.frame, KERNEL_RADIUS_PX[how.resampling])
+    hidden = asked.on_map.view.hidden
+    clear = None if hidden is None else Clear(hidden)
     for box in asked.cells.boxes(TILE_PX):
-        yield _patch(how, asked.on_map.view, decoded, box)
+        patch = _patch(how, asked.on_map.view, decoded, box)
+        yield patch if clear is None else _cleared(patch, clear.margin_px(box), how)
+
+
+def _cleared(patch: Patch, clear_px: Floats32, how: Warping) -> Patch:
+    """Without what is hidden from the frame, which ends there as at its edge."""
+    if patch.margin_px is not None:
+        np.minimum(clear_px, patch.margin_px, out=clear_px)
+    return replace(patch, margin_px=clear_px if clear_px.min() <= max(how.far_px, 0.0) else None)
 
 
 def _patch(how: Warping, view: FrameView, decoded: Decoded, box: Window) -> Patch:

@@ -19,6 +19,7 @@ from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.raster import Raster, writing_mosaic
 from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window
+from geomosaic.mosaic.shadows import shaded
 from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
@@ -56,6 +57,7 @@ def plan_orthos(
     bands = [BandOfRig(survey, adjusted.poses, adjusted.cameras, ownership.used.tolist())]
     bands += other_bands(survey, adjusted.poses, used, rig) if rig.bands else []
     views = [frame_views(b.survey.work_frame, grid.crs, b.poses, b.cameras, b.used, ground) for b in bands]
+    views = [shaded(of, ownership.hidden) for of in views]
     kinds = [common_kind([b.survey.frames[v.frame] for v in of]) for b, of in zip(bands, views, strict=True)]
     lying: dict[int, list[FrameOnMap]] = {}
     for band, of in zip(bands, views, strict=True):

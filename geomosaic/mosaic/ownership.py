@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.area import Area
+from geomosaic.mosaic.hidden import Hidden
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window, distances_m, ground_of, margin_px
 from geomosaic.mosaic.views import FrameView
@@ -73,7 +74,6 @@ _AROUND_AREA_PX: Annotated[
         "mosaic.blends: halo of multi_band",
     ),
 ] = 64
-_BESIDE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ class Ownership:
 
     used (n,): which of the survey's frames may give pixels: what an owner doesn't see, another one gives.
     owner (rows, cols): index into `Survey.frames`, plus 1; 0 where no frame sees the ground. area: what the
-    mosaic is cut to, if anything; cells far from it have no owner.
+    mosaic is cut to, if anything; cells far from it have no owner. hidden: what frames can't see of the
+    ground for what stands on it.
     """
 
     grid: OutputGrid
@@ -90,6 +91,7 @@ class Ownership:
     cell_px: int
     owner: NDArray[np.int32]
     area: Area | None = None
+    hidden: tuple[Hidden, ...] = ()
 
     def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
         """The owners of all cells that a window touches, and one more on every side: row and col of the
@@ -124,6 +126,17 @@ class FrameCells:
         """Their place among all cells."""
         height, width = self.margin_px.shape
         return slice(self.row, self.row + height), slice(self.col, self.col + width)
+
+    def window(self, cell_px: int) -> Window:
+        """The pixels that they cover."""
+        height, width = self.margin_px.shape
+        return Window(self.col * cell_px, self.row * cell_px, width * cell_px, height * cell_px)
+
+    def hidden(self, cell_px: int) -> Bools | None:
+        """Which of them are hidden from the frame, more than half; None where nothing stands before it."""
+        if self.view.hidden is None:
+            return None
+        return np.asarray(self.view.hidden.share(self.window(cell_px), cell_px) > 0.5)
 
     def cropped(self, rows: slice, cols: slice) -> FrameCells:
         """Some of them."""
@@ -200,6 +213,8 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
     for view in scene.views:
         cells = frame_cells(scene, view, cell_px, smooth=True)
         mine = (cells.margin_px > 0.0) & (cells.distance_m < nearest[cells.of_all])
+        if (hidden := cells.hidden(cell_px)) is not None:
+            mine &= ~hidden
         nearest[cells.of_all][mine] = cells.distance_m[mine]
         owner[cells.of_all][mine] = view.frame + 1
     return Ownership(grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
@@ -223,9 +238,9 @@ def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]
     first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
     first_col = window.col + np.arange(-(-window.width // CELL_PX)) * CELL_PX
     met = [((first_row + k) // side - row, (first_col + k) // side - col) for k in range(0, CELL_PX, side)]
-    near = np.zeros((len(owners), *around.shape), dtype=np.uint8)
+    near, beside = np.zeros((len(owners), *around.shape), dtype=np.uint8), np.ones((3, 3), np.uint8)
     for of, number in zip(near, owners, strict=True):
-        cv2.dilate((around == number).view(np.uint8), _BESIDE, of)
+        cv2.dilate((around == number).view(np.uint8), beside, of)
     owned = functools.reduce(np.bitwise_or, [near[:, rows] for rows, _ in met])
     owned = functools.reduce(np.bitwise_or, [owned[:, :, cols] for _, cols in met])
     return [n - 1 for n in owners], owned.view(bool)

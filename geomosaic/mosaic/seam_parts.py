@@ -191,6 +191,8 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> P
     top, left = band.row - cells.row, band.col - cells.col
     at = slice(top, top + band.own.shape[0]), slice(left, left + band.own.shape[1])
     may = band.own | (band.near & (cells.margin_px[at] > _EDGE_PX))
+    if (hidden := cells.hidden(cell_px)) is not None:
+        may &= ~hidden[at]
     down, across = (np.flatnonzero(may.any(axis=axis)) for axis in (1, 0))
     inner = slice(down[0], down[-1] + 1), slice(across[0], across[-1] + 1)
     at = slice(top + down[0], top + down[-1] + 1), slice(left + across[0], left + across[-1] + 1)

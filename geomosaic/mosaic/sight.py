@@ -76,7 +76,12 @@ def cells_in_view(
     if mask_distance_px is not None:
         margin = margin_px(cells.cols_px, cells.rows_px, view.camera, mask_distance_px)
     slack = _change_within(cells.cols_px, cells.rows_px, CELL_PX * scene.grid.gsd_m / view.gsd_m)
-    return SeenCells(cells.row, cells.col, margin > -slack, margin > slack)
+    somewhere, everywhere = margin > -slack, margin > slack
+    if view.hidden is not None:
+        window = cells.window(CELL_PX)
+        somewhere &= view.hidden.widened(-1).share(window, CELL_PX) < 1.0
+        everywhere &= view.hidden.widened(1).share(window, CELL_PX) == 0.0
+    return SeenCells(cells.row, cells.col, somewhere, everywhere)
 
 
 def _change_within(cols: Floats32, rows: Floats32, expected_px: float) -> Floats32:

@@ -14,6 +14,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.mosaic.hidden import Hidden
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 
@@ -43,7 +44,7 @@ class FrameView:
     """One frame (an index into `Survey.frames`) on the map.
 
     nadir_m: easting and northing below the projection centre. bounds_m: west, south, east, north of what
-    it sees of the ground. gsd_m: its ground sampling distance.
+    it sees of the ground. gsd_m: its ground sampling distance. hidden: what stands before it, if anything.
     """
 
     frame: int
@@ -52,6 +53,7 @@ class FrameView:
     nadir_m: Floats
     bounds_m: Floats
     gsd_m: float
+    hidden: Hidden | None = None
 
     def widened(self) -> FrameView:
         """With bounds that hold all of its bent edges."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,6 +61,8 @@ _REFINEMENTS: Annotated[
         "computed on the same 20,000 rays over rough hills: ten lose 0.2 %, fifteen none",
     ),
 ] = 30
+WALLED: Final = "dense"
+"""The kind of ground that shows what stands on it."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class GroundSurface:
     """Up as a function of east and north in the work frame: a regular grid, bilinear between nodes.
 
     `up_m[i, j]` is the height at east `east_0_m + j * spacing_m`, north `north_0_m + i * spacing_m`.
-    Outside the grid the nearest edge goes on. `kind` is `flat`, `dem` or `tie_surface`. `sd_m`, of the shape
+    Outside the grid the nearest edge goes on. `kind` is `flat`, `dem`, `tie_surface`, `dense` (matched, with
+    all that stands on the ground) or `terrain` (the ground below that). `sd_m`, of the shape
     of `up_m`: deviations of the heights, where they are known.
     """
 
@@ -78,6 +81,11 @@ class GroundSurface:
     spacing_m: float
     up_m: Floats
     sd_m: Floats | None = None
+
+    @property
+    def has_walls(self) -> bool:
+        """Whether it shows what stands on the ground, so that one place hides another."""
+        return self.kind == WALLED
 
     def nodes_m(self) -> Floats:
         """East and north of the nodes, (rows, cols, 2)."""

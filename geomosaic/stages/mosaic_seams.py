@@ -14,12 +14,14 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.mosaic.alignment import read_alignment
 from geomosaic.mosaic.area import elsewhere, read_outline
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
+from geomosaic.mosaic.hidden import Hidden
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.seam_cut import NEAREST_NADIR, SEAMS, Seam
 from geomosaic.mosaic.seam_figures import seam_figures
 from geomosaic.mosaic.seam_parts import Glimpse, bands, giving, glimpsed
+from geomosaic.mosaic.shadows import hidden_parts, shaded, shadow, side_px_of
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -38,7 +40,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 6
+    version = 7
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -124,8 +126,9 @@ class MosaicSeams(Stage):
             away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
             context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
         grid = output_grid(survey.map_crs, seeing, gsd_m, names, params.max_gigapixels, origin_m)
-        scene = Scene(survey.work_frame, ground, grid, seeing)
+        scene, hidden = self._shaded(Scene(survey.work_frame, ground, grid, seeing), context)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
+        ownership = replace(ownership, hidden=hidden)
         if extent.area is not None and extent.outline is not None:
             ownership = within(ownership, extent.area)
             nearest_m[ownership.owner == 0] = -np.inf  # nothing is looked at there
@@ -140,6 +143,18 @@ class MosaicSeams(Stage):
             tones, cut = inputs.get("tones"), SEAMS[params.seam]
             ownership = self._cut(cut, params.seam, scene, ownership, nearest_m, survey, tones, context)
         return {"ownership": ownership}
+
+    @staticmethod
+    def _shaded(scene: Scene, context: Context) -> tuple[Scene, tuple[Hidden, ...]]:
+        """What frames can't see of a ground on which things stand, and the scene whose views say it."""
+        if not scene.ground.has_walls:
+            return scene, ()
+        side_px = side_px_of(scene)
+        look = partial(shadow, replace(scene, views=()), side_px)
+        shadows = context.map("shadows", look, scene.views, keys=[v.frame for v in scene.views])
+        hidden, unseen = hidden_parts(scene.grid, side_px, shadows)
+        context.metric("seams.unseen", asdict(unseen))
+        return replace(scene, views=shaded(scene.views, hidden)), hidden
 
     @staticmethod
     def _cut(
