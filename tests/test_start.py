@@ -141,7 +141,7 @@ def test_wrong_pairs_are_outvoted() -> None:
         turn = truth[j] / truth[i] if k % 8 else np.exp(1j * rng.uniform(-np.pi, np.pi))
         left.append(turn * w + 3.0 + rng.normal(0.0, 0.1, 30))
         right.append(w)
-    found = averaged(n, joints_of(pairs, left, right)) / truth
+    found = averaged(n, joints_of(pairs, zip(left, right, strict=True))) / truth
     assert np.abs(found / found.mean() - 1.0).max() < 0.02
 
 

@@ -116,9 +116,10 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
     turn, place = np.ones(len(nadir), np.complex128), nadir.copy()
     edges = net.edges
-    left = [p @ [1, 1j] - nadir[a] for p, (a, _) in zip(net.left_m, edges, strict=True)]
-    right = [p @ [1, 1j] - nadir[b] for p, (_, b) in zip(net.right_m, edges, strict=True)]
-    joints = joints_of(edges, left, right)
+    whole = zip(net.left_m, net.right_m, edges, strict=True)
+    joints = joints_of(edges, ((p @ [1, 1j] - nadir[a], q @ [1, 1j] - nadir[b]) for p, q, (a, b) in whole))
+    left = [_thinned(p) @ [1, 1j] - nadir[a] for p, (a, _) in zip(net.left_m, edges, strict=True)]
+    right = [_thinned(p) @ [1, 1j] - nadir[b] for p, (_, b) in zip(net.right_m, edges, strict=True)]
     shape = averaged(net.n, joints)
     tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
     position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt)
@@ -137,8 +138,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
             continue
         inside = set(frames)
         mine = [k for k, (a, _) in enumerate(edges) if a in inside]
-        ties = _thinned([edges[k] for k in mine], [left[k] for k in mine], [right[k] for k in mine],
-                        np.maximum(joints.miss_m[mine], net.step_m), frames)  # fmt: skip
+        ties = _ties([edges[k] for k in mine], [left[k] for k in mine], [right[k] for k in mine],
+                     np.maximum(joints.miss_m[mine], net.step_m), frames)  # fmt: skip
         fixes = (positions if not assumed[frames].all() else control).of(np.array(frames))
         turn[frames], place[frames] = _part(ties, shape[frames], beliefs.of(np.array(frames)), fixes)
     scale = np.abs(turn)
@@ -257,21 +258,25 @@ def _agreed(
     return shape * np.exp(np.clip(scale, -0.5, 0.5) + 1j * turn), east + 1j * north
 
 
-def _thinned(
+def _thinned(places_m: Floats) -> Floats:
+    """At most _MOST_TIES of a pair's, evenly by number."""
+    return places_m[np.linspace(0, len(places_m) - 1, min(len(places_m), _MOST_TIES)).astype(np.intp)]
+
+
+def _ties(
     pairs: list[tuple[int, int]],
     left: list[Complexes],
     right: list[Complexes],
     miss_m: Floats,
     frames: list[int],
 ) -> _Ties:
-    """At most _MOST_TIES of each pair, evenly by number; frames counted in their part."""
+    """Those of some pairs; frames counted in their part."""
     number = {frame: k for k, frame in enumerate(frames)}
     a, b, z_a, z_b, sd = [], [], [], [], []
     for (first, second), z, w, miss in zip(pairs, left, right, miss_m, strict=True):
-        some = np.linspace(0, len(z) - 1, min(len(z), _MOST_TIES)).astype(np.intp)
-        a.append(np.full(len(some), number[first], dtype=np.intp))
-        b.append(np.full(len(some), number[second], dtype=np.intp))
-        z_a.append(z[some])
-        z_b.append(w[some])
-        sd.append(np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0))))
+        a.append(np.full(len(z), number[first], dtype=np.intp))
+        b.append(np.full(len(z), number[second], dtype=np.intp))
+        z_a.append(z)
+        z_b.append(w)
+        sd.append(np.full(len(z), miss * np.sqrt(max(len(z) / _OF_A_PAIR, 1.0))))
     return _Ties(*(np.concatenate(part) for part in (a, b, z_a, z_b, sd)))

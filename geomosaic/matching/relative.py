@@ -3,7 +3,7 @@ scales."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -72,19 +72,18 @@ class Joints:
     miss_m: Floats
 
 
-def joints_of(
-    pairs: Sequence[tuple[int, int]], left_m: Sequence[Complexes], right_m: Sequence[Complexes]
-) -> Joints:
+def joints_of(pairs: Sequence[tuple[int, int]], both_m: Iterable[tuple[Complexes, Complexes]]) -> Joints:
     """The similarity of each pair from its tie points, east + i north from the two frames' nadir points.
 
     Neither frame is the truer one: the scale is the ratio of both clouds' extents, so that noise shrinks
     none.
     """
     turn, miss = np.ones(len(pairs), np.complex128), np.zeros(len(pairs))
-    for k, (z, w) in enumerate(zip(left_m, right_m, strict=True)):
-        turn[k], miss[k] = _similarity(z, w)
+    ties = np.zeros(len(pairs), np.intp)
+    for k, (z, w) in enumerate(both_m):
+        (turn[k], miss[k]), ties[k] = _similarity(z, w), len(z)
     both = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return Joints(both[:, 0], both[:, 1], turn, np.array([len(z) for z in left_m], dtype=np.intp), miss)
+    return Joints(both[:, 0], both[:, 1], turn, ties, miss)
 
 
 def _similarity(z: Complexes, w: Complexes) -> tuple[complex, float]:

@@ -125,8 +125,7 @@ def found_turned(
         edges = [(s.left, s.right) for s in seen]
         joints = joints_of(
             edges,
-            [(s.left_m - nadir[s.left]) @ [1, 1j] for s in seen],
-            [(s.right_m - nadir[s.right]) @ [1, 1j] for s in seen],
+            (((s.left_m - nadir[s.left]) @ [1, 1j], (s.right_m - nadir[s.right]) @ [1, 1j]) for s in seen),
         )
         parts = [
             [i for i in part if not assumed[i] and i not in headings] for part in connected_parts(n, edges)
