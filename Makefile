@@ -27,8 +27,8 @@ demo: setup ## simulate a small survey and mosaic it; IMAGES=folder mosaics that
 test: setup lint types layers unit ## all checks and tests
 
 lint: setup ## ruff
-	.venv/bin/ruff check geomosaic tests tools
-	.venv/bin/ruff format --check geomosaic tests tools
+	.venv/bin/ruff check geomosaic tests tools examples
+	.venv/bin/ruff format --check geomosaic tests tools examples
 
 types: setup ## mypy --strict on the package
 	.venv/bin/mypy
@@ -89,8 +89,8 @@ chaos: setup ## 200 runs killed, stopped, starved and their inputs changed (abou
 	$(PY) tools/chaos.py --trials $(TRIALS) --seed $(SEED) --out out/chaos
 
 format: setup ## rewrite the code's layout
-	.venv/bin/ruff check --fix geomosaic tests tools
-	.venv/bin/ruff format geomosaic tests tools
+	.venv/bin/ruff check --fix geomosaic tests tools examples
+	.venv/bin/ruff format geomosaic tests tools examples
 
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

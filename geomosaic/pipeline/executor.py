@@ -23,6 +23,7 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import SpawnContext
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 from geomosaic import __version__
@@ -124,6 +125,22 @@ def prepare_workers(modules: Iterable[str]) -> None:
             forkserver.ensure_running()
 
 
+_CONTEXT: Any = multiprocessing.get_context("forkserver" if _FORKS else "spawn")
+
+
+class _Process(_CONTEXT.Process):  # type: ignore[misc]
+    """A process that doesn't run its parent's script anew: what workers do lies in modules."""
+
+    def start(self) -> None:
+        """As every process, but for the script."""
+        script = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = script
+
+
 class _Processes(SpawnContext):
     """Processes with nothing of this one's state, remembered so that they can be ended."""
 
@@ -132,8 +149,7 @@ class _Processes(SpawnContext):
         self.started: list[Any] = []
 
     def Process(self, *args: Any, **kwargs: Any) -> Any:  # type: ignore[override]  # noqa: N802
-        context: Any = multiprocessing.get_context("forkserver" if _FORKS else "spawn")
-        process = context.Process(*args, **kwargs)
+        process = _Process(*args, **kwargs)
         self.started.append(process)
         return process
 

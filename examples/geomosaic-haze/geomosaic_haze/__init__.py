@@ -1,0 +1,1 @@
+"""How hazy frames are: an example of a stage of one's own."""

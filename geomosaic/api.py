@@ -1,0 +1,87 @@
+"""What authors of stages, blends and seams build on: the one place to import from. See docs/stages.md.
+
+What stands here changes only with a word in the changelog; other modules are geomosaic's own affair.
+"""
+
+from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.camera.exterior import Pose, Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.errors import (
+    CancelledError,
+    FileError,
+    GeomosaicError,
+    InputError,
+    NotSolvableError,
+    OutputError,
+    UnknownNameError,
+)
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.mosaic.blends import Blend, Piece
+from geomosaic.mosaic.model import Mosaic, OutputGrid
+from geomosaic.mosaic.ownership import Ownership
+from geomosaic.mosaic.seam_cut import Seam
+from geomosaic.mosaic.tones import Tones
+from geomosaic.pipeline.kept import Kept
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.placement.model import Placement
+from geomosaic.projection.footprint import footprint, ground_from_image, ground_sampling_distance_m
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.verdict import Verdict
+from geomosaic.survey.model import (
+    Attitude,
+    ControlPoint,
+    ElevationModel,
+    Frame,
+    LeftOut,
+    Position,
+    Survey,
+)
+from geomosaic.survey.pixels import read_pixels
+
+__all__ = [
+    "Adjusted",
+    "Attitude",
+    "Blend",
+    "Block",
+    "Camera",
+    "CancelledError",
+    "Context",
+    "ControlPoint",
+    "ElevationModel",
+    "FileError",
+    "Frame",
+    "GeomosaicError",
+    "GroundSurface",
+    "InputError",
+    "Kept",
+    "LeftOut",
+    "LocalFrame",
+    "Mosaic",
+    "NotSolvableError",
+    "OutputError",
+    "OutputGrid",
+    "Ownership",
+    "Piece",
+    "Placement",
+    "Pose",
+    "Poses",
+    "Position",
+    "Rotation",
+    "RunFile",
+    "Seam",
+    "Stage",
+    "StageParams",
+    "Survey",
+    "TiePair",
+    "TiePoints",
+    "Tones",
+    "UnknownNameError",
+    "Verdict",
+    "footprint",
+    "ground_from_image",
+    "ground_sampling_distance_m",
+    "param",
+    "read_pixels",
+]

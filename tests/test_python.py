@@ -1,0 +1,100 @@
+"""geomosaic from Python: runs as objects, as the documentation shows them, and a cheap import."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_surveys import small_survey
+
+import geomosaic as gm
+from geomosaic import runs
+from geomosaic.cli.mosaic import mosaic as command
+from geomosaic.errors import FileError, InputError, PoorResultError
+from geomosaic.survey.model import Survey
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> gm.Run:
+    """Four small frames, in the folder that their run lies in."""
+    folder = tmp_path_factory.mktemp("python")
+    survey = small_survey(folder, lines=1, frames_per_line=4, width_px=320, height_px=240, pos_in="exif")
+    sets = {"matching.sift.keypoints": 3000}
+    return gm.mosaic(survey.frames, folder / "run", set=sets, workers=1, overwrite=True)
+
+
+def test_what_the_documentation_shows_is_so(run: gm.Run) -> None:
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    for test in doctest.DocTestFinder().find(runs, globs={"gm": gm, "run": run, "folder": run.folder.parent}):
+        told: list[str] = []
+        doctest.DocTestRunner(optionflags=flags).run(test, out=told.append)
+        assert not told, "".join(told)
+
+
+def test_a_run_holds_its_products(run: gm.Run) -> None:
+    assert run.mosaic.crs.is_projected and run.mosaic.read(1, window=((0, 8), (0, 8))).shape == (8, 8)
+    assert set(run.frames["status"]) == {"tied"} and run.frames["lon_deg"].dtype == np.float64
+    assert {"mosaic", "layers", "positions", "report", "recording", "summary"} <= set(run.files)
+    survey = run.artefact("survey")
+    assert isinstance(survey, Survey) and len(survey.frames) == 4
+    assert run.recording.recipe_yaml.startswith("name: mosaic")
+    picture = run._repr_html_()
+    assert picture.startswith('<figure><img src="data:image/webp;base64,') and "<b>good</b>: " in picture
+    with pytest.raises(FileError, match=r"this run made no 'tie'; it made survey, "):
+        run.artefact("tie")
+    with pytest.raises(FileError, match=r"is no finished run \(run\.json is missing\)"):
+        gm.open_run(run.folder.parent)
+
+
+def test_errors_are_those_of_the_command(run: gm.Run, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no JPEG or TIFF frames"):
+        gm.mosaic(tmp_path)
+    with pytest.raises(InputError, match="unknown recipe 'quck-look'; did you mean 'quick-look'"):
+        gm.run("quck-look", run.folder.parent / "frames")
+    assert PoorResultError.exit_code == 3 and not list(tmp_path.iterdir())
+
+
+def test_every_argument_is_an_option_of_the_command() -> None:
+    given = inspect.signature(runs.mosaic).parameters.keys() - {"progress", "more"}
+    assert given <= inspect.signature(command).parameters.keys()
+
+
+CHEAP = """
+import sys, geomosaic as gm
+heavy = [n for n in ("numpy", "cv2", "osgeo", "rasterio", "typer", "rich", "pydantic") if n in sys.modules]
+assert not heavy, heavy
+import geomosaic.mosaic.grid as grid
+from geomosaic.stages import mosaic_estimate
+assert callable(gm.mosaic) and callable(gm.stages) and "mosaic" in dir(gm)
+assert gm.mosaic.grid is grid and gm.stages()["mosaic.estimate"]["group"] == "Mosaic"
+try:
+    gm.mosaik
+except AttributeError as error:
+    print(error)
+"""
+
+
+def test_the_import_is_cheap_and_rooms_with_functions_names_are_both() -> None:
+    done = subprocess.run([sys.executable, "-c", CHEAP], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("module 'geomosaic' has no attribute 'mosaik'\n", "")
+
+
+SCRIPT = """
+import sys
+import geomosaic as gm
+run = gm.run("none", sys.argv[1], sys.argv[2], workers=2)
+print(run.figures["survey"]["frames"])
+"""
+
+
+def test_a_script_needs_no_guard(run: gm.Run, tmp_path: Path) -> None:
+    """Workers don't run the script anew, as those of multiprocessing's own pools do."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = [sys.executable, tmp_path / "script.py", run.folder.parent / "frames", tmp_path / "run"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "4\n"), done.stderr
