@@ -9,10 +9,15 @@ import subprocess
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from recording_scene import FRAMES, RECIPE, written
 
-from geomosaic.recording import read_recording
+from geomosaic.recording import Recorder, read_recording
+from geomosaic.recording.list_view import frame_text, worst_frames
+from geomosaic.recording.plan_view import by_size, frame_labels
+from geomosaic.recording.story import Story
+from geomosaic.recording.view import told
 
 _SCRIPT = Path(__file__).parent / "node" / "read_mcap.mjs"
 
@@ -90,7 +95,9 @@ def test_reruns_own_reader_recovers_a_cut_file(scene: Path, rerun_reader: type, 
     assert recovered.summary_source == "reconstructed" and recovered.message_count >= ours > 10
 
 
-def test_the_view_is_a_sound_rrd_with_all_streams_on_one_timeline(scene: Path, tmp_path: Path) -> None:
+def test_the_view_is_a_sound_rrd_that_shows_what_was_told_on_any_timeline(
+    scene: Path, tmp_path: Path
+) -> None:
     pytest.importorskip("rerun", reason="Rerun isn't installed")
     from rerun.chunk import RrdReader
 
@@ -99,12 +106,42 @@ def test_the_view_is_a_sound_rrd_with_all_streams_on_one_timeline(scene: Path, t
     path = tmp_path / "out.rrd"
     write_rrd(read_recording(scene), path)
     assert [p.name for p in tmp_path.iterdir()] == ["out.rrd"]
-    entities: dict[str, set[str]] = {}
+    still: dict[str, int] = {}
+    picked: Counter[str] = Counter()
     for chunk in RrdReader(path).stream():
-        if not chunk.is_static:
-            assert "step" in chunk.timeline_names and "message_log_time" in chunk.timeline_names
-            entities.setdefault(chunk.entity_path, set()).update(chunk.to_record_batch().schema.names)
-    assert "Scalars:scalars" in entities["/plots/offsets/adjustment.solve"]
-    assert "GeoLineStrings:line_strings" in entities["/map/map/footprints"]
-    assert "GeoPoints:positions" in entities["/map/frames"]
-    assert "/artefacts" not in entities
+        if chunk.is_static:
+            still[chunk.entity_path] = chunk.num_rows
+        else:
+            assert "pick" in chunk.timeline_names
+            picked[chunk.entity_path] += chunk.num_rows
+    for entity in ("/plan/footprints_adjusted", "/lists/pairs", "/lists/said", "/stages_drawn/bars"):
+        assert still[entity] == 1, entity
+    assert {"/steps_drawn/cost", "/steps_drawn/axes"} <= still.keys()
+    assert picked["/worst_pair/image"] == 1 and picked["/worst_pair/kept"] == 1 and picked["/log"] == 2
+    assert not [e for e in (*still, *picked) if "Geo" in e or e.startswith("/map")], "no map, so no network"
+
+
+def story_of(recorder: Recorder, path: Path) -> Story:
+    """Two frames, of which one moved far and has a wrong heading."""
+    with recorder:
+        recorder.begin_run("", {}, {})
+        recorder.stage_started("adjustment.solve", 1, {}, {})
+        columns = {"east_m": [0, 9, 20.0], "north_m": [0, 0, 1.0], "yaw_deg": [10.0, 350.0, 10.0]}
+        recorder.table("frames.placed", ["a.jpg", "b|.jpg", "c.jpg"], columns)
+        found = columns | {"east_m": [1, 70, 21.0], "yaw_deg": [10.0, 200.0, 11.0]}
+        moved = {"moved_e_m": [1, 61.0, 1.0], "moved_n_m": [0, 0, 0.0]}
+        status = ["tied", "tied", "placed"]
+        recorder.table("frames.adjusted", ["a.jpg", "b|.jpg", "c.jpg"], found | moved, notes=status)
+        recorder.table("pairs.tried", ["a.jpg"], {"inliers": [3]}, ["c.jpg"], ["too few agree: 3 of 9, 16"])
+        recorder.log("warning", "its position was off", frame="b|.jpg")
+    return told(path)
+
+
+def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
+    story = story_of(Recorder(tmp_path / "run.mcap"), tmp_path / "run.mcap")
+    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    assert frame_labels(placed, adjusted) == ["a", "b| 61 m, heading 150 deg off", "c placed"]
+    assert worst_frames(story) == [2, 1, 0]
+    text = frame_text(story, 1)
+    assert "| east_m | 9.00 | 70.00 |" in text and "b\\|.jpg" in text and "- its position was off" in text
+    assert by_size(np.array([0.0, 4.0, np.nan]), 1.0).tolist()[:2] == [[60, 200, 80], [255, 60, 60]]

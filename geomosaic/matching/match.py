@@ -92,10 +92,10 @@ class PairMatch:
         if min(self.keypoints) < least:
             return f"too few keypoints: {self.keypoints[0]} and {self.keypoints[1]}"
         if self.alike < least:
-            return f"{self.alike} keypoints look alike, {least} are needed"
+            return f"too few look alike: {self.alike}, {least} are needed"
         free = int(_FREE_LEAST * least)
         wanted = least if self.agreeing < least else free
-        return f"{self.agreeing} of {self.alike} matches agree, {wanted} are needed"
+        return f"too few agree: {self.agreeing} of {self.alike}, {wanted} are needed"
 
 
 def match_pair(how: Matching, left: Features, right: Features, guess: Guess, pixel_px: float) -> PairMatch:

@@ -13,6 +13,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.model import TiePoints
+from geomosaic.projection.footprint import ground_from_images
 from geomosaic.quality.misalignment import pair_misalignments
 
 Floats = NDArray[np.float64]
@@ -29,6 +30,14 @@ WORST_PAIRS: Annotated[
     int,
     Because("pairs", "that are looked at in the pixels: as many as a person looks through", CHOSEN),
 ] = 20
+SAMPLED_TIES: Annotated[
+    int,
+    Because(
+        "tie points",
+        "that a plan shows: enough to see where the ground has none, in 100 KB",
+        CHOSEN,
+    ),
+] = 4000
 _MIX: Annotated[
     tuple[int, int, int],
     Because(
@@ -123,6 +132,22 @@ def pair_columns(
         "largest_m": of.max_m,
         "share_down_weighted": np.array([(w < DOWN_WEIGHTED).mean() if w.size else np.nan for w in taken]),
     }
+
+
+def sampled_ties(
+    ties: TiePoints, adjusted: Adjusted, most: int = SAMPLED_TIES
+) -> tuple[NDArray[np.intp], NDArray[np.intp], dict[str, Floats]]:
+    """Left and right frame (k,) of about `most` tie points, spread evenly over all, with where the left frame
+    puts them on the ground and their residuals."""
+    count = [len(t) for t in ties.pairs]
+    taken = np.arange(0, sum(count), max(1, sum(count) // most))
+    pair = np.searchsorted(np.cumsum(count), taken, side="right")
+    ends = np.array([(t.left, t.right) for t in ties.pairs], dtype=np.intp).reshape(-1, 2)[pair]
+    left, right = ends.T
+    px = np.concatenate([np.zeros((0, 2)), *(t.left_px for t in ties.pairs)])[taken]
+    residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])[taken]
+    at = ground_from_images(left, px, adjusted.poses, adjusted.cameras, adjusted.ground)
+    return left, right, {"east_m": at[:, 0], "north_m": at[:, 1], "residual_m": np.hypot(*residual.T)}
 
 
 def worst_pairs(rms_m: Floats, most: int = WORST_PAIRS) -> list[int]:

@@ -6,11 +6,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.strip_figures import LIMIT_PX
 from geomosaic.recording.model import Recording, StripCurve, StripResidual
+from geomosaic.recording.reader import printable
+from geomosaic.recording.story import Story
 from geomosaic.recording.summary import largest_length
 
 LINE: Final = "line"
+STRIP_PLAN: Final = "/strip_plan"
 _INTERVAL_90 = 1.6449
 _COLOURS = {"dcol": (90, 170, 250), "dline": (130, 200, 90), "not measured": (235, 110, 60)}
 _LEFT: Final = "/strips_left"
@@ -50,6 +54,23 @@ def log_strips(recording: Recording, stream: Any) -> None:
         stream.log(at, points, static=True)
         index = rerun.TimeColumn(LINE, sequence=left.line)
         stream.send_columns(at, [index], rerun.Scalars.columns(scalars=left.residual_px))
+
+
+def draw_strip_plan(story: Story, stream: Any) -> None:
+    """Outlines of the strips in metres about their middle, north up."""
+    import rerun
+
+    rings = [(name, ring) for name, ring in story.strips_lonlat if len(ring) and np.isfinite(ring).all()]
+    if not rings:
+        return
+    lon, lat = np.concatenate([ring for _, ring in rings]).mean(axis=0)
+    metres = LocalFrame(float(lon), float(lat), 0.0)
+    drawn = [metres.enu_from_geodetic(ring[:, 0], ring[:, 1], 0.0)[:, :2] * [1.0, -1.0] for _, ring in rings]
+    colours = [(90, 170, 250) if k % 2 else (130, 200, 90) for k in range(len(drawn))]
+    stream.log(f"{STRIP_PLAN}/outlines", rerun.LineStrips2D(drawn, colors=colours), static=True)
+    middles = [ring.mean(axis=0) for ring in drawn]
+    named = rerun.Points2D(middles, labels=[printable(n) for n, _ in rings], colors=colours, show_labels=True)
+    stream.log(f"{STRIP_PLAN}/names", named, static=True)
 
 
 def strip_views(recording: Recording) -> list[Any]:

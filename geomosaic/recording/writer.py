@@ -21,11 +21,24 @@ from google.protobuf.message import DecodeError
 
 from geomosaic import __version__
 from geomosaic.errors import InputError
-from geomosaic.recording import messages
 from geomosaic.recording.heartbeat import Beat, Heartbeat
 from geomosaic.recording.levels import wanted
 from geomosaic.recording.messagefile import MessageFile
-from geomosaic.recording.messages import Artefact, Progress, StageEvent
+from geomosaic.recording.messages import (
+    Artefact,
+    ChipTies,
+    Iteration,
+    JitterSpectrum,
+    Metric,
+    Outlines,
+    PairOffsets,
+    Progress,
+    StageEvent,
+    StripOffsets,
+    StripResiduals,
+    Table,
+    TiePoints,
+)
 from geomosaic.recording.plain import json_text, topic_part
 from geomosaic.recording.privacy import Privacy
 from geomosaic.recording.stage_calls import StageCalls
@@ -46,9 +59,9 @@ _CLASSES: dict[str, Any] = {
     kind.DESCRIPTOR.full_name: kind
     for kind in (
         *(CameraCalibration, CompressedImage, GeoJSON, LocationFix, Log),
-        *(messages.ChipTies, messages.Iteration, messages.JitterSpectrum, messages.Metric, messages.Outlines),
-        *(messages.PairOffsets, messages.StripOffsets, messages.StripResiduals, messages.Table),
-        *(messages.TiePoints, messages.Progress),
+        *(ChipTies, Iteration, JitterSpectrum, Metric, Outlines),
+        *(PairOffsets, StripOffsets, StripResiduals, Table),
+        *(TiePoints, Progress),
     )
 }
 

@@ -20,7 +20,13 @@ from geomosaic.mosaic.estimate import Estimate, room
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import footprint
-from geomosaic.quality.solved_tables import move_columns, pair_columns, pose_columns, tie_weights
+from geomosaic.quality.solved_tables import (
+    move_columns,
+    pair_columns,
+    pose_columns,
+    sampled_ties,
+    tie_weights,
+)
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.survey.model import Survey
 
@@ -97,6 +103,8 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
         ties.pairs, lefts, rights, adjusted.residuals_m, weights, strict=True
     ):
         context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual, weight)
+    left_of, right_of, of_ties = sampled_ties(ties, adjusted)
+    context.recorder.table("ties.ground", [names[i] for i in left_of], of_ties, [names[i] for i in right_of])
     columns = pose_columns(adjusted.poses) | move_columns(block.poses, adjusted, ties)
     context.recorder.table("frames.adjusted", names, columns, notes=adjusted.status)
     shown = [i for i, status in enumerate(adjusted.status) if status != "rejected"]

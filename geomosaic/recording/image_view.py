@@ -1,0 +1,137 @@
+"""The images in Rerun: the worst pairs with their tie points, the picked frame, the mosaic, all strips."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.errors import FileError
+from geomosaic.quality.solved_tables import DOWN_WEIGHTED
+from geomosaic.recording.list_view import PICK, frame_text, worst_frames
+from geomosaic.recording.plan_view import PLAN
+from geomosaic.recording.reader import printable
+from geomosaic.recording.story import Story
+from geomosaic.survey.jpeg import parse_structure
+
+CHIP: Final = "/worst_pair"
+FRAME: Final = "/picked_frame"
+FRAME_TEXT: Final = "/picked_about"
+MOSAIC: Final = "/mosaic"
+STRIPS: Final = "/strip_images"
+_MOST_PX: Final = 4096
+_KEPT, _REJECTED, _UNUSED = (70, 230, 90), (255, 60, 60), (150, 150, 160)
+
+
+def draw_chips(story: Story, stream: Any) -> None:
+    """The k-th worst pair at the k-th place of the timeline: tie points that count in green, others in red,
+    those that took no part in grey."""
+    import rerun
+
+    rms_m = {}
+    tied = story.table("pairs.adjusted")
+    for a, b, rms in zip(tied.row, tied.other, tied.column("rms_m"), strict=False):
+        rms_m[a, b] = rms
+    for jpeg, ties in story.chips:
+        stream.set_time(PICK, sequence=ties.rank)
+        stream.log(f"{CHIP}/image", rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        weight = np.array(ties.weight, dtype=np.float64)
+        for name, colour, which in (
+            ("kept", _KEPT, weight >= DOWN_WEIGHTED),
+            ("rejected", _REJECTED, weight < DOWN_WEIGHTED),
+            ("unused", _UNUSED, ~np.isfinite(weight)),
+        ):
+            sides = [(ties.left_x_px, ties.left_y_px), (ties.right_x_px, ties.right_y_px)]
+            at = np.concatenate([np.array(side, dtype=np.float64).T[which] for side in sides])
+            size = 3.0 if name == "rejected" else 1.6
+            points = rerun.Points2D(at, colors=[colour], radii=_ui(size), draw_order=30.0)
+            stream.log(f"{CHIP}/{name}", points)
+        counts = [int(np.sum(w)) for w in (weight >= DOWN_WEIGHTED, weight < DOWN_WEIGHTED)]
+        text = (
+            f"{ties.rank + 1}: {printable(ties.left)} | {printable(ties.right)}, rms "
+            f"{rms_m.get((ties.left, ties.right), np.nan):.3f} m, {counts[0]} kept, {counts[1]} rejected here"
+        )
+        label = rerun.Points2D(
+            [[ties.side_px, -30.0]], labels=[text], show_labels=True, colors=[(230, 230, 230)], radii=_ui(0.5)
+        )
+        stream.log(f"{CHIP}/about", label)
+    stream.reset_time()
+
+
+def draw_picks(story: Story, stream: Any) -> None:
+    """A frame's image and figures at its place of the timeline, and where it is on the plan."""
+    import rerun
+
+    adjusted = story.table("frames.adjusted")
+    rings = dict(story.outlines.get("adjusted", ()))
+    images = story.images.get("/frames", {})
+    for place, row in enumerate(worst_frames(story)):
+        name = adjusted.row[row]
+        stream.set_time(PICK, sequence=place)
+        if name in images:
+            stream.log(FRAME, rerun.EncodedImage(contents=images[name], media_type="image/jpeg"))
+        else:
+            stream.log(FRAME, rerun.Clear(recursive=False))
+        about = rerun.TextDocument(frame_text(story, row), media_type="text/markdown")
+        stream.log(FRAME_TEXT, about)
+        ring = rings.get(name, np.zeros((0, 2)))
+        line = [np.concatenate([ring, ring[:1]]) * [1.0, -1.0]] if len(ring) else []
+        shown = rerun.LineStrips2D(line, colors=[(255, 255, 255)], radii=_ui(1.0), draw_order=7.0)
+        stream.log(f"{PLAN}/picked", shown)
+    stream.reset_time()
+
+
+def draw_images(story: Story, stream: Any) -> None:
+    """The mosaic; of strips all of them side by side."""
+    import rerun
+
+    for jpeg in story.images.get("/images/mosaic", {}).values():
+        stream.log(MOSAIC, rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"), static=True)
+    strips = story.images.get("/strips", {})
+    if strips:
+        beside, places = _beside(list(strips.values()))
+        stream.log(f"{STRIPS}/images", rerun.Image(beside), static=True)
+        named = rerun.Points2D(
+            [[x, -12.0] for x in places],
+            labels=[printable(name) for name in strips],
+            show_labels=True,
+            colors=[(230, 230, 230)],
+            radii=_ui(0.5),
+        )
+        stream.log(f"{STRIPS}/names", named, static=True)
+
+
+def _beside(jpegs: list[bytes], gap_px: int = 12) -> tuple[NDArray[np.uint8], list[float]]:
+    """Images side by side as one, RGB, and the middle of each."""
+    images = [image for image in map(_decoded, jpegs) if image is not None]
+    high = max((len(image) for image in images), default=1)
+    parts: list[NDArray[np.uint8]] = []
+    places, at = [], 0
+    for image in images:
+        part = np.zeros((high, image.shape[1] + gap_px, 3), np.uint8)
+        part[: len(image), : image.shape[1]] = image
+        parts.append(part)
+        places.append(at + image.shape[1] / 2.0)
+        at += part.shape[1]
+    return np.concatenate(parts or [np.zeros((1, 1, 3), np.uint8)], axis=1), places
+
+
+def _decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
+    """RGB; nothing of what is no JPEG, or says that it is larger than thumbnails are."""
+    try:
+        header = parse_structure(jpeg, Path("thumbnail"), whole=False)
+        if max(header.width_px, header.height_px) > _MOST_PX:
+            return None
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
+    except (FileError, cv2.error):
+        return None
+    return None if image is None else np.asarray(image, np.uint8)
+
+
+def _ui(points: float) -> Any:
+    import rerun
+
+    return rerun.Radius.ui_points(points)

@@ -1,0 +1,81 @@
+"""Rerun's viewer: a window, or an image of it without a screen. It is bound to this machine (127.0.0.1), and
+its analytics are off."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import GeomosaicError, OutputError
+
+
+def open_viewer(file: Path) -> None:
+    """Shows an .rrd in Rerun's window until the user closes it."""
+    with _viewer(file, "--port", "auto") as viewer:
+        if viewer.wait() != 0:
+            raise GeomosaicError("Rerun's viewer failed; without a screen use --save or --screenshot")
+
+
+def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
+    """An image of an .rrd as the viewer shows it, made without a screen after `seconds` of loading."""
+    from rerun.experimental import ViewerClient
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with _viewer(file, "--headless", "--port", str(port)) as viewer:
+        deadline = time.monotonic() + 60.0
+        client = None
+        while client is None:
+            if viewer.poll() is not None or time.monotonic() > deadline:
+                mend = "install mesa-vulkan-drivers and libvulkan1"
+                raise GeomosaicError(f"Rerun's viewer didn't start without a screen; {mend}")
+            try:
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                client.get_state()
+            except (RuntimeError, ConnectionError):
+                client = None
+                time.sleep(0.5)
+        time.sleep(seconds)
+        try:
+            client.save_screenshot(str(png.absolute()))
+        except RuntimeError as error:
+            raise OutputError(f"no screenshot ({error})", file=png) from error
+
+
+@contextmanager
+def _viewer(file: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Rerun's viewer as a child with settings of its own, so that the user's stay as they are."""
+    import rerun_cli  # type: ignore[import-untyped]
+
+    program = shutil.which("rerun", path=str(Path(rerun_cli.__file__).parent)) or shutil.which("rerun")
+    if program is None:
+        raise GeomosaicError("Rerun's viewer isn't installed; pip install rerun-sdk")
+    with tempfile.TemporaryDirectory(prefix="geomosaic-view-") as settings:
+        environment = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
+        quiet: dict[str, Any] = {
+            "stdout": subprocess.DEVNULL,
+            "stderr": subprocess.DEVNULL,
+            "env": environment,
+        }
+        subprocess.run([program, "analytics", "disable"], check=False, timeout=60, **quiet)  # noqa: S603
+        command = [program, "--bind", "127.0.0.1", *arguments, str(file.absolute())]
+        viewer = subprocess.Popen(command, **quiet)  # noqa: S603
+        try:
+            yield viewer
+        finally:
+            if viewer.poll() is None:
+                viewer.terminate()
+                try:
+                    viewer.wait(timeout=10)
+                except subprocess.TimeoutExpired:
+                    viewer.kill()
+                    viewer.wait()
