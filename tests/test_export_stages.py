@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from mosaic_scenes import CAMERA, make_survey
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single import run_stage
@@ -77,3 +79,25 @@ def test_the_stac_item_lists_what_is_there(run):
     item = json.loads((folder / "mosaic.stac.json").read_text())
     assert set(item["assets"]) == {"mosaic", "layers", "positions", "sources"}
     assert item["properties"]["datetime"] == "2023-11-14T22:13:20Z"
+
+
+def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
+    """RUN/work may be deleted: what was composed is in mosaic.tif."""
+    folder, given, _ = run
+    shutil.copytree(folder, tmp_path / "RUN", ignore=shutil.ignore_patterns("work"))
+    for compression in ("zstd", "deflate"):
+        params = ExportCog.Params(compression=compression)
+        inputs = {"raster_file": given["raster_file"]}
+        run_stage(ExportCog, params, RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w")
+        with (
+            rasterio.open(folder / "mosaic.tif") as old,
+            rasterio.open(tmp_path / "RUN" / "mosaic.tif") as new,
+        ):
+            assert new.compression.name == compression
+            np.testing.assert_array_equal(old.read(), new.read())
+            np.testing.assert_array_equal(old.dataset_mask(), new.dataset_mask())
+    (tmp_path / "RUN" / "mosaic.tif").unlink()
+    with pytest.raises(FileError, match="the file is gone"):
+        run_stage(
+            ExportCog, ExportCog.Params(), RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w"
+        )

@@ -19,7 +19,7 @@ from geomosaic.cli.strips import name_strip_methods, strips
 
 _GENERATED = {
     "simulate": "Simulate surveys with known truth.",
-    "export": "Export a finished run in another form.",
+    "export": "Export a finished run in another form; 'geomosaic export RUN' lists what suits it.",
 }
 
 

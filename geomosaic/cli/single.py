@@ -22,22 +22,26 @@ if TYPE_CHECKING:
 def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
     """One command for each stage `group.*`, or for that of the name `only`; broken ones raise when run."""
     from geomosaic.cli.declared import command_of
+    from geomosaic.cli.export import add_folder, described, suiting
     from geomosaic.pipeline.registry import installed
 
     ids = [id for id in installed().ids() if id.startswith(f"{group}.")]
     if f"{group}.{only}" in ids:
         ids = [f"{group}.{only}"]
     working = {stage.id: stage for stage in installed().all()[0]} if len(ids) > 1 else {}
-    for id in ids:
-        stage = working.get(id) or (installed().get(id) if len(ids) == 1 else None)
-        if stage is None:
-            continue
+    chosen = [working.get(id) or (installed().get(id) if len(ids) == 1 else None) for id in ids]
+    stages = [stage for stage in chosen if stage is not None]
+    if group == "export" and only is not None and len(ids) > 1 and Path(only).is_dir():
+        stages = suiting(stages, Path(only))
+        add_folder(app, only)
+    for stage in stages:
         if group == "simulate":
             place, more = ("out", "folder to write"), {"seed": (Seed, None), "overwrite": (Overwrite, False)}
         else:
             place, more = ("run", "folder of a finished run"), {}
         command = command_of(stage, place, _runner(stage), {**more, "workers": (Workers, None)})
-        app.command(id.partition(".")[2])(command)
+        told = described(stage) if group == "export" and len(ids) > 1 else None
+        app.command(stage.id.partition(".")[2], short_help=told)(command)
 
 
 def _runner(stage: type[Stage]) -> Any:
@@ -51,13 +55,15 @@ def _runner(stage: type[Stage]) -> Any:
     ) -> None:
         from geomosaic.cli.declared import params_from
         from geomosaic.pipeline.run_folder import RunFolder
+        from geomosaic.pipeline.stage import RunFile
 
         before = _files(folder)
         summary, inputs = _inputs(stage, folder)
         params = params_from(stage, options)
         place = RunFolder(folder) if stage.inputs else RunFolder.opened(folder, overwrite=overwrite)
-        _run(stage, params, place, inputs, summary, seed or 0, workers)
-        made = {folder / name for name in stage.results if (folder / name).exists()}
+        values, _ = _run(stage, params, place, inputs, summary, seed or 0, workers)
+        names = {*stage.results, *(value.name for value in values.values() if isinstance(value, RunFile))}
+        made = {folder / name for name in names if (folder / name).exists()}
         for path in sorted(made or _files(folder) - before) or [folder]:
             print(path)
 
@@ -90,12 +96,12 @@ def _run(
     summary: dict[str, Any],
     seed: int = 0,
     workers: int | None = None,
-) -> Notes:
+) -> tuple[dict[str, Any], Notes]:
     from geomosaic.cli.progress import progress
     from geomosaic.pipeline.single import run_stage
 
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work, progress() as reporter:
-        _, notes = run_stage(
+        return run_stage(
             stage,
             params,
             folder,
@@ -106,7 +112,6 @@ def _run(
             reporter=reporter,
             summary=summary,
         )
-    return notes
 
 
 def evaluate(
@@ -130,7 +135,7 @@ def evaluate(
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work:
         file = Context(path.absolute().parent, work_folder=Path(work)).run_file(path.name)
     summary, inputs = _inputs(stage, target) if (target / "run.json").is_file() else ({}, {})
-    notes = _run(stage, params, RunFolder(path.parent), {**inputs, "mosaic_file": file}, summary)
+    _, notes = _run(stage, params, RunFolder(path.parent), {**inputs, "mosaic_file": file}, summary)
     if as_json:
         found = {
             "mosaic": str(path),

@@ -93,8 +93,9 @@ def write_cog(
 
 def _is_composed(source: Any) -> bool:
     """Whether composition wrote a raster, as `mosaic.raster` does."""
-    layout = source.GetMetadataItem("LAYOUT", "IMAGE_STRUCTURE")
-    return bool(layout == "COG" and source.GetMetadataItem("TIFFTAG_SOFTWARE") == SOFTWARE)
+    structure = source.GetMetadata("IMAGE_STRUCTURE")
+    made = structure.get("LAYOUT") == "COG" and structure.get("COMPRESSION") == COMPRESSION.upper()
+    return bool(made and source.GetMetadataItem("TIFFTAG_SOFTWARE") == SOFTWARE)
 
 
 def _copy(raster: Path, out: Path, progress: GdalProgress) -> None:

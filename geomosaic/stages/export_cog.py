@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.errors import FileError
 from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
@@ -45,7 +46,7 @@ class ExportCog(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """From the raster in RUN/work, which is a COG already: as it is, or kept in another way."""
-        raster = context.path_of(inputs["raster_file"])
+        raster = _raster(inputs["raster_file"], context)
         with context.writing(MOSAIC) as path:
             write_cog(
                 raster,
@@ -60,6 +61,17 @@ class ExportCog(Stage):
         image = thumbnail(_glance(context.run_folder / MOSAIC))
         context.recorder.image("/images/mosaic", "mosaic", image)
         return {"mosaic_file": context.run_file(MOSAIC)}
+
+
+def _raster(composed: RunFile, context: Context) -> Path:
+    """The composed raster; where RUN/work was deleted, the mosaic that was made of it."""
+    try:
+        return context.path_of(composed)
+    except FileError:
+        mosaic = context.run_folder / MOSAIC
+        if not mosaic.is_file():
+            raise
+        return mosaic
 
 
 def _glance(path: Path) -> Any:
