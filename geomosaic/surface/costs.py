@@ -38,10 +38,17 @@ _AGREEING: Annotated[
 ] = 2
 _CHANCE_BITS: Annotated[
     int,
-    Because(
-        "bits", "that differ by chance: what a height costs that no two frames see", "half of the census"
-    ),
+    Because("bits", "that differ by chance", "half of the census's"),
 ] = 12
+_UNSEEN_BITS: Annotated[
+    int,
+    Because(
+        "bits",
+        "that a height costs which no two frames see: less than chance, or heights that are seen at all are "
+        "preferred, whatever they show; more than what is right, or nothing is seen",
+        CHOSEN,
+    ),
+] = 8
 _CHANCE_FRAMES: Annotated[
     float,
     Because(
@@ -58,8 +65,9 @@ _NONE: Final = np.uint8(255)
 
 
 def _cost_of(frames: int, bits: int) -> int:
-    chance = _CHANCE_FRAMES if frames else 1.0
-    return round(PER_BIT * (bits + chance * _CHANCE_BITS) / (frames + chance))
+    if not frames:
+        return PER_BIT * _UNSEEN_BITS
+    return round(PER_BIT * (bits + _CHANCE_FRAMES * _CHANCE_BITS) / (frames + _CHANCE_FRAMES))
 
 
 _COSTS: Final = np.array(
@@ -83,8 +91,10 @@ def census_costs(
     of step_m. asked: blocks of cells, and the frames that are asked there, the steepest first.
     hidden_below_m: by frame, see `hidden_below`. Returns: as steps.
     """
-    costs = np.empty(steps.shape, dtype=np.uint8)
+    costs = np.full(steps.shape, _COSTS[0, 0], dtype=np.uint8)
     for at, frames in asked:
+        if len(frames) < 2:
+            continue
         here = (slice(None), *at)
         height_m = steps[here].astype(np.float32) * np.float32(step_m)
         bent = verticals.bent(height_m)

@@ -54,8 +54,9 @@ _SUPPORT: Annotated[
     float,
     Because(
         "share",
-        "of the cells around that were matched surely, below which an unsure cell is held: water and blank "
-        "roofs; with more, walls and crowns are given up, whose heights are better than what lies around",
+        "of the cells around that were matched surely, below which a cell is held: water and blank roofs, "
+        "where some match by chance; with more, walls and crowns are given up, whose heights are better than "
+        "what lies around",
         CHOSEN,
     ),
 ] = 0.25
@@ -83,7 +84,7 @@ _KEPT: Annotated[
         "a roof's height would run out to sea, with less holes in a roof become pits",
         CHOSEN,
     ),
-] = 0.8
+] = 0.6
 
 
 def fused(found: Heights, cells: Cells, base: GroundSurface) -> DenseSurface:
@@ -94,7 +95,7 @@ def fused(found: Heights, cells: Cells, base: GroundSurface) -> DenseSurface:
     window = (_AROUND_CELLS, _AROUND_CELLS)
     sure = (found.alike >= SURE).astype(np.float32)
     supported = cv2.blur(sure, window, borderType=cv2.BORDER_CONSTANT) >= _SUPPORT
-    kept = ((sure > 0.0) | supported) & (found.alike > UNSEEN)
+    kept = supported & (found.alike > UNSEEN)
     weight = kept.astype(np.float32)
     over_m = _even(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
     filled_m = _filled(over_m * weight, weight)

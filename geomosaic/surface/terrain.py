@@ -169,7 +169,7 @@ class TerrainModel:
 
 
 def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainModel:
-    """The ground below what is up to widest_m wide.
+    """The ground below what is up to widest_m wide, as far as what was matched shows it.
 
     Half a second and 60 MB a million cells.
     """
@@ -192,8 +192,7 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
     over_m = surface.up_m - about_m
     high = cv2.morphologyEx((over_m > may_miss_m).astype(np.uint8), cv2.MORPH_OPEN, _SQUARE) > 0
     ground = (np.abs(over_m) <= may_miss_m) & ~_grown(high, round(_RIM_M / cell_m))
-    up_m = about_m + filled(over_m, ground)
-    return TerrainModel(surface.cells, up_m, _deviation(surface, ground), ground & matched)
+    return _laid(surface, ground, ground & matched)
 
 
 def filled(values: Floats32, known: Bools) -> Floats32:
@@ -285,9 +284,22 @@ def _grown(places: Bools, by: int) -> Bools:
     return np.asarray(cv2.dilate(places.astype(np.uint8), window)) > 0
 
 
+def _laid(surface: DenseSurface, ground: Bools, seen: Bools) -> TerrainModel:
+    """Through the ground that was seen. Beyond, the farther away, the less that says: what was known of the
+    ground before counts by its deviation there, where it isn't what stands."""
+    known = seen if seen.any() else ground
+    up_m, sd_m = filled(surface.up_m, known), _deviation(surface, known)
+    held = ground & ~known & np.isfinite(surface.sd_m)
+    both_m = np.where(held, np.hypot(sd_m, surface.sd_m), np.float32(1.0))
+    share = np.where(held, (sd_m / both_m) ** 2, np.float32(0.0))
+    sd_m = np.where(held, sd_m * surface.sd_m / both_m, sd_m)
+    up_m = up_m + share * (surface.up_m - up_m)
+    return TerrainModel(surface.cells, up_m.astype(np.float32), sd_m.astype(np.float32), seen)
+
+
 def _deviation(surface: DenseSurface, ground: Bools) -> Floats32:
-    """That of the surface where it shows the ground; elsewhere that of the ground around, and more the
-    farther away that is."""
+    """That of the surface on the ground; elsewhere that of the ground around, and more the farther away
+    that is."""
     known = ground & np.isfinite(surface.sd_m)
     if not known.any():
         return np.full(surface.sd_m.shape, np.nan, dtype=np.float32)

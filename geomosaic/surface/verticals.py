@@ -37,6 +37,17 @@ NODE_CELLS: Annotated[
 ] = 8
 
 
+_REACH_SHARES: Annotated[
+    tuple[float, ...],
+    Because(
+        "share",
+        "of the heights that are looked at by which a vertical is fitted: where the highest are out of a "
+        "lens's sight, those nearer to the base; without, frames see nothing near their rims",
+        CHOSEN,
+    ),
+] = (1.0, 0.25, 0.05)
+
+
 @dataclass(frozen=True)
 class Sighted:
     """How a frame looks: pose, camera, and how many of its pixels one of its picture is along each side."""
@@ -71,19 +82,24 @@ class Verticals:
         self.base_m = self._at_cells(ground[..., 2])
         above = [float(f.pose.position_m[2] - ground[..., 2].mean()) for f in frames]
         self._away_m = np.float32(max(float(np.median(above)), 1.5 * highest_m))
-        heights = np.linspace(lowest_m, highest_m, 3)
-        powers = np.linalg.inv(np.vander(heights / (1.0 - heights / self._away_m), 3, increasing=True))
         self._terms = []
         for frame in frames:
-            seen = np.stack(
-                [
-                    frame.pose.image_from_ground(frame.camera, ground + np.array([0.0, 0.0, h]))
-                    for h in heights
-                ]
-            )
-            terms = np.tensordot(powers, seen / frame.reduction, axes=1)
+            terms = self._terms_at(frame, ground) / frame.reduction
             terms[0] -= 0.5  # OpenCV counts from the first pixel's middle
             self._terms.append([[self._at_cells(term[..., axis]) for term in terms] for axis in (0, 1)])
+
+    def _terms_at(self, frame: Sighted, ground: Floats) -> Floats:
+        """Constant, linear and square (3, nodes north, nodes east, 2) of a frame's cols and rows; of nodes
+        that it doesn't see at all heights, by those near the base."""
+        found = np.full((3, *ground.shape[:2], 2), np.nan)
+        for share in _REACH_SHARES:
+            heights = np.linspace(*self.reach_m, 3) * share
+            lacking = np.isnan(found).any(axis=(0, 3))
+            points = ground[lacking] + np.array([0.0, 0.0, 1.0]) * heights[:, None, None]
+            seen = frame.pose.image_from_ground(frame.camera, points)
+            bent = heights / (1.0 - heights / float(self._away_m))
+            found[:, lacking] = np.tensordot(np.linalg.inv(np.vander(bent, 3, increasing=True)), seen, axes=1)
+        return found
 
     def bent(self, height_m: Floats32) -> Floats32:
         """What `places` takes, of heights over the base (rows, cols)."""
