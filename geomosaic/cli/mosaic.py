@@ -24,7 +24,7 @@ from geomosaic.cli.options import (
     name_choices,
 )
 from geomosaic.cli.recipes import completed
-from geomosaic.errors import PoorResultError, UnknownNameError
+from geomosaic.errors import InputError, PoorResultError, UnknownNameError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.given import Given
@@ -41,6 +41,7 @@ STAGES = (
     "adjustment.rig",
     "surface.dense",
     "surface.terrain",
+    "mosaic.ground",
     "mosaic.tones",
     "mosaic.seams",
     "mosaic.compose",
@@ -59,6 +60,7 @@ OPTIONAL = (
     "matching.flying_height",
     "surface.dense",
     "surface.terrain",
+    "mosaic.ground",
     "export.surface",
     "quality.compare",
     "quality.surface",
@@ -127,6 +129,14 @@ def mosaic(
             metavar="|".join(SURFACES),
         ),
     ] = "ties",
+    ortho: Annotated[
+        str | None,
+        typer.Option(
+            help="what a dense surface's mosaic lies on: the surface (roofs in place), the terrain below "
+            "it, or auto, the one on which frames differ less [auto]",
+            metavar="auto|surface|terrain",
+        ),
+    ] = None,
     reference: Annotated[
         Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
     ] = None,
@@ -161,18 +171,24 @@ def mosaic(
         },
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
+        "mosaic.ground": {"ortho": ortho},
         "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to},
         "quality.compare": {"reference": reference},
         "quality.surface": {"reference": surface_reference},
     }
     if surface not in SURFACES:
         raise UnknownNameError("surface", surface, SURFACES)
+    if ortho is not None and surface != "dense":
+        raise InputError(
+            "--ortho chooses between a surface and the ground below it", mend="add --surface dense"
+        )
     unasked = {
         "quality.compare": reference is None,
         "quality.surface": surface_reference is None,
         "matching.flying_height": ground_height is not None,
         "surface.dense": surface != "dense",
         "surface.terrain": surface != "dense",
+        "mosaic.ground": surface != "dense",
         "export.surface": surface != "dense",
     }
     stages = [id for id in STAGES if not unasked.get(id)]

@@ -26,8 +26,8 @@ _SIDES_PX: Annotated[
     tuple[int, ...],
     Because(
         "px of the mosaic",
-        "sides of the cells of what is hidden, the one next to the distance of the ground's nodes: they share "
-        "planning cells, and the cells of ownership, without a rest",
+        "sides of the cells of what is hidden, the one next to the distance of the ground's nodes: they "
+        "share planning cells, and the cells of ownership, without a rest",
         "powers of two up to the smallest cell of mosaic.ownership",
     ),
 ] = (8, 4, 2, 1)

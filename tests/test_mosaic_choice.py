@@ -1,0 +1,43 @@
+"""Which of two grounds frames agree on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from mosaic_scenes import CAMERA, make_survey
+
+from geomosaic.mosaic.choice import agreement
+from geomosaic.mosaic.views import frame_views
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.spread import AtOnce
+
+CAMERA_WIDE = replace(
+    CAMERA, width_px=300, height_px=220, focal_length_px=170.0, principal_col_px=151.0, principal_row_px=109.0
+)
+
+
+def hall(height_m: float) -> GroundSurface:
+    """Land with a hall of 24 m x 24 m, or without."""
+    axis = -80.0 + np.arange(161)
+    east, north = np.meshgrid(axis, axis)
+    inside = (abs(east) < 12.0) & (abs(north) < 12.0)
+    return GroundSurface("dense", -80.0, -80.0, 1.0, np.where(inside, height_m, 0.0))
+
+
+def test_frames_agree_on_the_ground_that_they_saw_and_only_where_grounds_differ(tmp_path: Path) -> None:
+    """What stands agrees on the surface; frames of flat land, to which a hall was added, agree below it."""
+    for name, true_m, best in (("stands", 8.0, 0), ("flat", 0.0, 1)):
+        survey, poses, ground = make_survey(tmp_path / name, ground=hall(true_m), camera=CAMERA_WIDE)
+        n = len(poses)
+        views = frame_views(
+            survey.work_frame, survey.map_crs, poses, [CAMERA_WIDE] * n, [True] * n, hall(0.0)
+        )
+        grounds = hall(8.0), hall(0.0)
+        found = agreement(survey.frames, views, survey.work_frame, survey.map_crs, grounds, AtOnce())
+        assert found.squares > 20 and found.places > 3
+        assert found.best == best, found
+        assert found.disagreement[best] < 0.05 < found.disagreement[1 - best]
+        alike = agreement(survey.frames, views, survey.work_frame, survey.map_crs, (ground, ground), AtOnce())
+        assert (alike.squares, alike.places, alike.best) == (0, 0, 0)
