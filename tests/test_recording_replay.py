@@ -259,3 +259,13 @@ def test_a_run_is_not_replayed_over_itself(recorded: Path, capsys: pytest.Captur
     assert main(["replay", str(recorded), "-o", str(recorded)]) == 2
     assert "give another folder with -o" in capsys.readouterr().err
     assert (recorded / "run.mcap").read_bytes() == before
+
+
+def test_until_ends_the_replay_there(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out = replay(recorded, "--from", "replayed.raise", "--until", "replayed.raise")
+    assert code == 0 and RUNS == ["replayed.raise"] and not (out / "sum.txt").exists()
+    again = read_recording(out / "run.mcap")
+    assert [s.stage_id for s in again.stages] == ["replayed.find", "replayed.raise"]
+    assert "replayed.read" not in again.recipe_yaml
+    assert replay(recorded, "--until", "replayed.rais")[0] == 2
+    assert "did you mean 'replayed.raise'?" in capsys.readouterr().err

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
 from geomosaic.errors import FileError
-from geomosaic.pipeline.artefacts import decode
+from geomosaic.pipeline.artefacts import decode, encode
 from geomosaic.pipeline.context import Notes, RunFile
 from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.recipe import Recipe
@@ -22,25 +23,49 @@ from geomosaic.recording.reader import artefact_data, stage_messages
 
 @dataclass(frozen=True)
 class Given:
-    """A stage's outcome in a recording: its outputs, what it recorded, its notes, the files it read."""
+    """A stage's outcome in a recording: its outputs, what it recorded, its notes, the files it read.
+
+    replaced: bytes of outputs that aren't the recorded ones, see `with_outputs`. places: where files that it
+    read lie now, by where they lay. brought: files that it needs in the run folder and whose bytes are made
+    when they are written, by name.
+    """
 
     recording: Recording
     record: StageRecord
     entries: Mapping[str, ArtefactEntry]
     outputs: Mapping[str, Any]
     notes: Notes
+    replaced: Mapping[str, bytes] = field(default_factory=dict)
+    places: Mapping[Path, Path] = field(default_factory=dict)
+    brought: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
 
     def data(self, name: str) -> bytes:
-        """An output's bytes, as they were recorded."""
+        """An output's bytes, as they were recorded, or as what they were replaced by."""
+        if name in self.replaced:
+            return self.replaced[name]
         return artefact_data(self.recording, self.entries[name])
+
+    def with_outputs(self, change: Callable[[Any], Any]) -> Given:
+        """The same with other outputs, under fingerprints of their own; `change` gives what it leaves alone
+        as it is."""
+        outputs, entries, replaced = dict(self.outputs), dict(self.entries), dict(self.replaced)
+        for name, value in self.outputs.items():
+            new = change(value)
+            if new is not value:
+                outputs[name], replaced[name] = new, encode(new)
+                content = fingerprint_of_bytes(replaced[name])
+                mark = artefact_fingerprint(content, self.record.written, self.record.lineage)
+                entries[name] = dataclasses.replace(entries[name], fingerprint=mark)
+        return dataclasses.replace(self, outputs=outputs, entries=entries, replaced=replaced)
 
     def messages(self) -> Iterator[tuple[str, str, bytes]]:
         """Topic, schema and bytes of all the stage recorded, for `Recorder.copy`."""
         return stage_messages(self.recording, self.record.index)
 
     def files(self) -> list[str]:
-        """Names of the files in the run folder that its outputs stand for."""
-        return [name for output in self.outputs.values() for name in _named_files(output)]
+        """Names of the files in the run folder that its outputs stand for, or that are brought there."""
+        named = [name for output in self.outputs.values() for name in _named_files(output)]
+        return [*named, *self.brought]
 
     def manifest(self) -> dict[str, Any]:
         """The stage's part of the recorded input manifest, by parameter."""
@@ -53,17 +78,33 @@ class Given:
         for entry in found.values():
             if not (isinstance(entry, dict) and isinstance(entry.get("files"), dict) and "path" in entry):
                 raise FileError("its list of inputs isn't what a run writes", file=self.recording.path)
-        return found
+        return {name: moved(entry, self.places) for name, entry in found.items()} if self.places else found
 
     def read_files(self) -> Iterator[tuple[Path, str]]:
         """The files the recorded stage read, as far as they are still there, with their recorded hashes."""
         for entry in self.manifest().values():
-            place = Path(str(entry["path"]))
-            for name, mark in entry["files"].items():
-                within = name if PurePath(name).is_absolute() else PurePath(name).name
-                path = (place if place.is_dir() else place.parent) / within
+            for path, mark in files_of(entry):
                 if path.is_file():
-                    yield path, str(mark)
+                    yield path, mark
+
+
+def files_of(entry: Mapping[str, Any]) -> Iterator[tuple[Path, str]]:
+    """The files of an input in a manifest, where they lay, and their hashes."""
+    place, names = Path(str(entry["path"])), entry["files"]
+    alone = place.name in names and not place.is_dir()
+    for name, mark in names.items():
+        within = name if PurePath(name).is_absolute() else PurePath(name).name
+        yield (place.parent if alone else place) / within, str(mark)
+
+
+def moved(entry: Mapping[str, Any], places: Mapping[Path, Path]) -> dict[str, Any]:
+    """An input of a manifest whose files lie elsewhere now; their sizes are those that they had."""
+    files = [(places.get(path, path), mark) for path, mark in files_of(entry)]
+    if all(path not in places for path, _ in files_of(entry)):
+        return dict(entry)
+    folder = Path(os.path.commonpath([path.parent for path, _ in files]))
+    named = {path.name if path.parent == folder else str(path): mark for path, mark in files}
+    return {**{k: v for k, v in entry.items() if k != "bytes"}, "path": str(folder), "files": named}
 
 
 def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
@@ -113,6 +154,9 @@ def bring_files(recipe: Recipe, given: Mapping[int, Given], folder: RunFolder) -
     later = [step for i, step in enumerate(recipe.steps) if i not in given]
     wanted = {name for step in later for name in (*step.stage.inputs, *step.stage.optional_inputs)}
     for index, stage in given.items():
+        for file, data in stage.brought.items():
+            with folder.writing(file) as temporary:
+                temporary.write_bytes(data())
         recorded_folder = stage.recording.path.absolute().parent
         for name, artefact in stage.outputs.items():
             for file in _named_files(artefact):

@@ -46,6 +46,7 @@ class Stage(ABC):
     it runs every time.
     looks_ahead: True for a stage that says what the later ones will take (`context.inform`): with the last of
     these a dry run ends.
+    wants_frames: True for a stage that makes nothing of thumbnails: a replay without frames leaves it out.
     results: names of the files and folders it may write beside RUN/work. A run is refused before any work
     if one of them is there and not geomosaic's; one of an earlier run that is not made again is removed.
     """
@@ -60,6 +61,7 @@ class Stage(ABC):
     formerly: ClassVar[dict[str, str]] = {}
     cached: ClassVar[bool] = True
     looks_ahead: ClassVar[bool] = False
+    wants_frames: ClassVar[bool] = False
     results: ClassVar[tuple[str, ...]] = ()
     Params: ClassVar[type[StageParams]] = StageParams
 

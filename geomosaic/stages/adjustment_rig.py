@@ -22,6 +22,7 @@ class AdjustmentRig(Stage):
     display_name = "Register a rig's bands"
     group = "Adjustment"
     version = 2
+    wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"rig": RigPoses}
 

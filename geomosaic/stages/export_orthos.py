@@ -38,6 +38,7 @@ class ExportOrthos(Stage):
     display_name = "Write the frames' orthos"
     group = "Export"
     version = 5
+    wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,

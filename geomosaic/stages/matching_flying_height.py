@@ -26,6 +26,7 @@ class MatchingFlyingHeight(Stage):
     display_name = "Measure the flying height"
     group = "Matching"
     version = 1
+    wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
     outputs: ClassVar[dict[str, type]] = {"flying_height": FlyingHeight}
 

@@ -43,6 +43,7 @@ class MatchingSift(Stage):
     display_name = "Match frames with SIFT"
     group = "Matching"
     version = 12
+    wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
     }  # fmt: skip

@@ -31,6 +31,7 @@ class QualityVerdict(Stage):
     display_name = "Judge the mosaic"
     group = "Quality"
     version = 7
+    wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
         "ownership": Ownership,

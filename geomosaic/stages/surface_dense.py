@@ -17,6 +17,7 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.doubts import doubts
 from geomosaic.surface.fused import fused, unmatched
 from geomosaic.surface.levels import Level, levels
 from geomosaic.surface.model import DenseSurface
@@ -34,6 +35,7 @@ class SurfaceDense(Stage):
     display_name = "Match the surface"
     group = "Surface"
     version = 3
+    wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
 
@@ -79,15 +81,19 @@ class SurfaceDense(Stage):
         places = adjusted.poses.positions_m[used]
         flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
         frames = [survey.frames[i] for i in used]
+        coarse, fine = levels(cells, flying_m)
         found: list[Heights] = []
-        for number, level in enumerate(levels(cells, flying_m)):
+        for number, level in enumerate((coarse, fine)):
             looks = [(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
             sighted = [Sighted(*look) for look in looks]
             above = found[-1].up_m if found else None
             found.append(_matched(context, f"level {number + 1}", level, base, sighted, frames, above))
         surface = fused(found[-1], cells, base)
+        looked_at = found[-1].alike > UNSEEN
+        for code, text in doubts(surface, looked_at, base, coarse, found[0].up_m):
+            context.warn(code, "", text)
         context.metric("surface.cell_m", cell_m)
-        context.metric("surface.matched", float(np.mean(surface.views[found[-1].alike > UNSEEN] > 0)))
+        context.metric("surface.matched", float((surface.views > 0).sum() / max(looked_at.sum(), 1)))
         return {"ground": surface.ground(), "surface": surface}
 
 

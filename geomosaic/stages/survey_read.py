@@ -35,6 +35,7 @@ class SurveyRead(Stage):
     display_name = "Read the survey"
     group = "Survey"
     version = 14
+    wants_frames: ClassVar[bool] = True
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
     class Params(StageParams):
