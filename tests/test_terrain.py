@@ -52,7 +52,7 @@ def found(request):
 def test_nearly_all_the_land_is_found_within_three_decimetres(found):
     model, true, kind = found
     near = np.abs(model.up_m - true) <= 0.3
-    assert [near[kind == k].mean() > least for k, least in ((GROUND, 0.98), (ROOF, 0.95), (CROWN, 0.85))] == [
+    assert [near[kind == k].mean() > least for k, least in ((GROUND, 0.98), (ROOF, 0.95), (CROWN, 0.92))] == [
         True
     ] * 3
     assert abs(np.median((model.up_m - true)[kind != GROUND])) < 0.1
@@ -142,3 +142,16 @@ def test_the_stage_takes_the_surface_and_says_how_much_is_ground(tmp_path):
     out = SurfaceTerrain().run(given, SurfaceTerrain.Params(widest_m=60.0), context)
     assert np.abs(out["terrain"].up_m).max() < 0.3
     assert 0.6 < context.notes.metrics["surface"]["ground_share"] <= 0.7
+
+
+def test_what_was_known_before_counts_by_its_deviation_and_the_distance():
+    """Held cells of a wood's crowns, 5 m up and 80 m wide: near seen ground that goes on, far away they count."""
+    up = np.zeros((100, 400), dtype=np.float32)
+    up[:, 160:] = 5.0
+    surface = surface_of(up)
+    surface.views[:, 160:], surface.sd_m[:, 160:] = 0, 1.0
+    model = terrain_model(surface)
+    beside, far = model.up_m[50, 160 + 12], model.up_m[50, 160 + 200]
+    assert beside < 0.5 and far > 4.8
+    assert 0.1 < model.sd_m[50, 160 + 12] < model.sd_m[50, 160 + 200] < 1.01
+    assert not model.seen[:, 160:].any()

@@ -33,7 +33,7 @@ _OPTIONS: Final = ["TILED=YES", f"BLOCKXSIZE={_BLOCK_PX}", f"BLOCKYSIZE={_BLOCK_
 _MOSAIC_PX: Final = 4096
 """Side of a block in the mosaic's pixels, at most: 64 MB of colours."""
 _GRAIN: Final = np.float32(1024.0)
-"""Heights are whole parts of a metre: what lies below the noise would take half of the file."""
+"""Heights and deviations are whole parts of a metre: what lies below the noise takes half of a file."""
 
 
 def surface_grid(mosaic: OutputGrid, cell_m: float) -> tuple[OutputGrid, int]:
@@ -94,7 +94,7 @@ class SurfaceOnMap:
         place, place_below = _cell_of(self.surface.cells, *at), _cell_of(self.terrain.cells, *below)
         views = self.surface.views[place]
         return SurfaceBlock(
-            row, col, height_m, terrain_m, self.surface.sd_m[place], views,
+            row, col, height_m, terrain_m, _grained(self.surface.sd_m[place]), views,
             self.terrain.seen[place_below], within & (shown | (views > 0)),
         )  # fmt: skip
 
@@ -110,7 +110,11 @@ class SurfaceOnMap:
         undulation_m = self.heights.undulation_at(grid, row, col, *size)
         height_m = level_m + window.relief_m.astype(np.float64) - undulation_m
         points = window.points_m()
-        return np.round(height_m * _GRAIN).astype(np.float32) / _GRAIN, (points[..., 0], points[..., 1])
+        return _grained(height_m), (points[..., 0], points[..., 1])
+
+
+def _grained(values_m: Floats | Floats32) -> Floats32:
+    return np.round(values_m * _GRAIN).astype(np.float32) / _GRAIN
 
 
 def _inside(cells: Cells, east: Floats, north: Floats) -> Bools:
