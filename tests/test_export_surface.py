@@ -17,7 +17,7 @@ from pyproj import CRS, Transformer
 
 from geomosaic.errors import InputError
 from geomosaic.export.surface import SurfaceOnMap
-from geomosaic.export.surface_heights import height_system
+from geomosaic.export.surface_heights import HeightSystem, height_system, write_sidecar
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.mosaic.model import Mosaic, OutputGrid
@@ -200,6 +200,29 @@ def test_orthometric_heights_by_the_geoids_grid(scene, tmp_path):
         off = tiff.read(1).ravel() - land_m(lon, lat) - 8.0 + undulation_m(lon, lat)
         assert np.abs(off[tiff.read_masks(1).ravel() > 0]).max() < 0.003
     assert crs.is_compound and crs.sub_crs_list[1].to_epsg() == 5773 and crs.to_2d().to_epsg() == 32632
+    with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.open(folder / "surface.tif") as tiff:
+        tags = CRS.from_wkt(tiff.crs.to_wkt(version="WKT2_2019"))
+    assert tags.is_compound, "in the file itself as well"
+
+
+def test_a_sidecar_of_other_heights_does_not_stay(scene, tmp_path):
+    """GDAL would believe it before the file's own tags."""
+    folder = export(scene, tmp_path / "work")
+    with egm96_of(tmp_path):
+        export(scene, tmp_path / "work", heights="EPSG:5773")
+    reference = gdal.Open(str(folder / "surface.tif")).GetSpatialRef()
+    assert reference.IsCompound() and reference.GetAxesCount() == 3
+
+
+def test_maps_that_count_north_first_are_written_east_first(tmp_path):
+    """EPSG:31467's axes are northing, easting."""
+    grid = OutputGrid("EPSG:31467", 3_500_000.0, 5_400_000.0, 1.0, 600, 610)
+    path = tmp_path / "surface.tif.aux.xml"
+    write_sidecar(
+        path, HeightSystem("EPSG:31467", CRS("EPSG:31467").to_3d().to_wkt(), "", np.zeros((33, 33)))
+    )
+    assert b'dataAxisToSRSAxisMapping="2,1,3"' in path.read_bytes()
+    assert height_system(grid, "ellipsoidal").crs == "EPSG:31467"
 
 
 def test_a_geoid_without_its_grid_is_one_clear_error(scene, tmp_path):
@@ -217,7 +240,7 @@ def test_over_another_ellipsoid_no_crs_says_what_heights_count_from():
     """British heights over Airy's ellipsoid would be 50 m lower than those that are written."""
     grid = OutputGrid("EPSG:27700", 400_000.0, 300_000.0, 1.0, 600, 610)
     british = height_system(grid, "ellipsoidal")
-    assert british.crs == "EPSG:27700" and british.crs_in_space == ""
+    assert british.crs == british.whole_crs == "EPSG:27700"
     local = OutputGrid(LOCAL_CRS, 0.0, 0.0, 1.0, 600, 610)
     assert height_system(local, "ellipsoidal").crs_in_space == ""
     with pytest.raises(InputError, match="local frame"):

@@ -178,6 +178,8 @@ def mosaic(
     }
     if surface not in SURFACES:
         raise UnknownNameError("surface", surface, SURFACES)
+    if surface_reference is not None and surface != "dense":
+        raise InputError("there is no surface to compare", file=surface_reference, mend="add --surface dense")
     if ortho is not None and surface != "dense":
         raise InputError(
             "--ortho chooses between a surface and the ground below it", mend="add --surface dense"

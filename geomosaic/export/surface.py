@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from osgeo import gdal, osr
+from osgeo import gdal
 from rasterio.windows import Window
 
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_with_osgeo, reading
-from geomosaic.export.surface_heights import HeightSystem
+from geomosaic.export.surface_heights import HeightSystem, reference_of
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.projection.ground import GroundSurface
@@ -190,9 +190,7 @@ def writing_rasters(
 def _created(path: Path, grid: OutputGrid, heights: HeightSystem, bands: Bands) -> Any:
     size = grid.width_px, grid.height_px, len(bands.names)
     dataset = gdal.GetDriverByName("GTiff").Create(str(path), *size, gdal.GDT_Float32, _OPTIONS)
-    reference = osr.SpatialReference()
-    reference.SetFromUserInput(heights.crs)
-    dataset.SetSpatialRef(reference)
+    dataset.SetSpatialRef(reference_of(heights.crs))
     dataset.SetGeoTransform(grid.geotransform)
     dataset.SetMetadataItem("HEIGHTS", heights.text)
     for number, (name, unit) in enumerate(zip(bands.names, bands.units, strict=True), start=1):

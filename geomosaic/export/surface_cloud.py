@@ -12,11 +12,10 @@ import laspy
 import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from numpy.typing import NDArray
-from osgeo import osr
 
 from geomosaic.doors.raster import OWN, Raster, reading
 from geomosaic.export.surface import SurfaceBlock, mosaic_window
-from geomosaic.export.surface_heights import HeightSystem
+from geomosaic.export.surface_heights import HeightSystem, reference_of
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.raster import SOFTWARE
 
@@ -66,8 +65,7 @@ def writing_cloud(
 
 def _wkt(heights: HeightSystem) -> str:
     """As LAS wants it: WKT 1, which has ellipsoidal heights as a vertical CRS of their own."""
-    reference = osr.SpatialReference()
-    reference.SetFromUserInput(heights.crs_in_space or heights.crs)
+    reference = reference_of(heights.whole_crs)
     return str(reference.ExportToWkt(["FORMAT=WKT1", "ALLOW_ELLIPSOIDAL_HEIGHT_AS_VERTICAL_CRS=YES"]))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from osgeo import osr
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
@@ -36,6 +37,11 @@ class HeightSystem:
     crs_in_space: str
     text: str
     undulation_m: Floats
+
+    @property
+    def whole_crs(self) -> str:
+        """All that can be said."""
+        return self.crs_in_space or self.crs
 
     def undulation_at(self, grid: OutputGrid, row: int, col: int, rows: int, cols: int) -> Floats:
         """At the pixels of part of a grid, bilinear between nodes."""
@@ -96,12 +102,22 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     return HeightSystem(both.to_wkt(), "", f"{vertical.name}, metres", undulation_m)
 
 
+def reference_of(crs: str) -> Any:
+    """OSR's, east before north."""
+    reference = osr.SpatialReference()
+    reference.SetFromUserInput(crs)
+    reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+    return reference
+
+
 def write_sidecar(path: Path, heights: HeightSystem) -> None:
-    """What GDAL looks for beside a raster whose tags can't hold its CRS: GeoTIFF has no projected CRS with
+    """What GDAL believes before a raster's tags: those of a GeoTIFF can't hold a projected CRS with
     ellipsoidal heights."""
+    reference = reference_of(heights.whole_crs)
+    order = ",".join(map(str, reference.GetDataAxisToSRSAxisMapping()))
     dataset = ElementTree.Element("PAMDataset")
-    reference = ElementTree.SubElement(dataset, "SRS", dataAxisToSRSAxisMapping="1,2,3")
-    reference.text = heights.crs_in_space
+    element = ElementTree.SubElement(dataset, "SRS", dataAxisToSRSAxisMapping=order)
+    element.text = reference.ExportToWkt(["FORMAT=WKT2_2019"])
     path.write_bytes(ElementTree.tostring(dataset, "utf-8") + b"\n")
 
 

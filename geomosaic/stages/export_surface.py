@@ -87,7 +87,7 @@ class ExportSurface(Stage):
             for path in plain.values():
                 with context.writing(path.name) as out:
                     write_cog(path, out, threads=params.threads)
-        for file in SIDECARS if heights.crs_in_space else ():
+        for file in SIDECARS:
             with context.writing(file) as out:
                 write_sidecar(out, heights)
         context.metric("surface.heights", heights.text)
