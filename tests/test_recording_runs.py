@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recording_scene import RECIPE
 from test_pipeline_toy import recipe_file, registry
 
 from geomosaic.errors import GeomosaicError
@@ -151,3 +152,55 @@ def test_places_are_moved_together(tmp_path: Path) -> None:
     assert np.allclose(corners[0], moved[0, :2], atol=1e-3) and len(corners) == 3
     recording = read_recording(path)
     assert "EPSG" not in recording.recipe_yaml + str(recording.stages) and not recording.artefacts
+
+
+class _Canvas:
+    """Takes what is drawn, and remembers where."""
+
+    def __init__(self) -> None:
+        self.entities: list[str] = []
+
+    def log(self, entity: str, drawn: object, static: bool = False) -> None:
+        self.entities.append(entity)
+
+    def set_time(self, timeline: str, **at: object) -> None:
+        pass
+
+    def reset_time(self) -> None:
+        pass
+
+
+def test_a_view_follows_a_recording_as_it_grows_and_ends_with_its_run(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="Rerun isn't installed")
+    from geomosaic.recording.following import follow
+
+    recorder, canvas = Recorder(tmp_path / "run.mcap"), _Canvas()
+    recorder.begin_run(RECIPE, {}, {})
+    recorder.stage_started("a", 1, {}, {})
+    seen: list[list[str]] = []
+
+    def alive() -> bool:
+        """The run goes on only after what it wrote was drawn."""
+        seen.append(list(canvas.entities))
+        if len(seen) == 2:
+            recorder.log("info", "first line", stage="a")
+            recorder.stage_finished("a", {}, 0.1, False)
+            recorder.stage_started("b", 1, {}, {})
+        return len(seen) < 8
+
+    story = follow(tmp_path / "run.mcap", canvas, alive)
+    assert [s.stage_id for s in story.stages] == ["a", "b"] and story.stages[1].ended_ns == 0
+    assert "/stages_drawn/bars" in seen[1] and "/log" not in seen[1]
+    assert "/log" in seen[-1], "drawn before the run ended"
+    assert canvas.entities.count("/log") == 1, "each line once"
+    recorder.close()
+
+
+def test_a_viewer_that_is_not_there_makes_no_difference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GEOMOSAIC_LIVE", "rerun+http://127.0.0.1:1/proxy")
+    began = time.monotonic()
+    folder = run_toys(tmp_path, record=RecordOptions(live=True))
+    assert read_recording(folder / "run.mcap").whole
+    assert time.monotonic() - began < 20.0

@@ -85,17 +85,17 @@ def run(
         if record.level == "off":
             folder.remove(RECORDING)
         privacy = _privacy(record, recipe, folder)
+        path = None if record.level == "off" else folder.claim(RECORDING)
         try:
             with (
-                watched(record.live) as listener,
                 Recorder(
-                    None if record.level == "off" else folder.claim(RECORDING),
+                    path,
                     fixed_time=fixed_time,
                     level=record.level,
                     memory_bytes=team.memory_bytes,
                     privacy=privacy,
-                    listener=listener,
                 ) as recorder,
+                watched(path, record.live),
             ):
                 runner = _Run(
                     *(recipe, folder, team, hashes, recorder, fixed_time, reporter or Silent(), cancelled),

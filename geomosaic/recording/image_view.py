@@ -92,11 +92,11 @@ def draw_images(story: Story, stream: Any) -> None:
         stream.log(MOSAIC, rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"), static=True)
     strips = story.images.get("/strips", {})
     if strips:
-        beside, places = _beside(list(strips.values()))
-        stream.log(f"{STRIPS}/images", rerun.Image(beside), static=True)
+        stacked, places = _stacked(list(strips.values()))
+        stream.log(f"{STRIPS}/images", rerun.Image(stacked), static=True)
         named = rerun.Points2D(
-            [[x, -12.0] for x in places],
-            labels=[printable(name) for name in strips],
+            [[-70.0, y] for y in places],
+            labels=[printable(name) for name in strips][: len(places)],
             show_labels=True,
             colors=[(230, 230, 230)],
             radii=_ui(0.5),
@@ -104,19 +104,19 @@ def draw_images(story: Story, stream: Any) -> None:
         stream.log(f"{STRIPS}/names", named, static=True)
 
 
-def _beside(jpegs: list[bytes], gap_px: int = 12) -> tuple[NDArray[np.uint8], list[float]]:
-    """Images side by side as one, RGB, and the middle of each."""
-    images = [image for image in map(_decoded, jpegs) if image is not None]
-    high = max((len(image) for image in images), default=1)
+def _stacked(jpegs: list[bytes], gap_px: int = 6) -> tuple[NDArray[np.uint8], list[float]]:
+    """Strips lying, their first lines at the left, one below the other, RGB; and the middle of each."""
+    images = [np.rot90(image) for image in map(_decoded, jpegs) if image is not None]
+    wide = max((image.shape[1] for image in images), default=1)
     parts: list[NDArray[np.uint8]] = []
     places, at = [], 0
     for image in images:
-        part = np.zeros((high, image.shape[1] + gap_px, 3), np.uint8)
+        part = np.zeros((len(image) + gap_px, wide, 3), np.uint8)
         part[: len(image), : image.shape[1]] = image
         parts.append(part)
-        places.append(at + image.shape[1] / 2.0)
-        at += part.shape[1]
-    return np.concatenate(parts or [np.zeros((1, 1, 3), np.uint8)], axis=1), places
+        places.append(at + len(image) / 2.0)
+        at += len(part)
+    return np.concatenate(parts or [np.zeros((1, 1, 3), np.uint8)]), places
 
 
 def _decoded(jpeg: bytes) -> NDArray[np.uint8] | None:

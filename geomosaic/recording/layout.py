@@ -68,7 +68,7 @@ def _of_strips(recording: Recording) -> Any:
         rrb.Horizontal(
             rrb.Grid(*strip_views(recording), grid_columns=2),
             rrb.Vertical(
-                rrb.Spatial2DView(origin=STRIPS, name="strips as read"),
+                rrb.Spatial2DView(origin=STRIPS, name="strips as read, first lines at the left"),
                 rrb.Horizontal(
                     rrb.Spatial2DView(origin=STRIP_PLAN, name="plan, m"),
                     rrb.Spatial2DView(origin=MOSAIC, name="scene"),

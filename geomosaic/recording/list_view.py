@@ -70,10 +70,10 @@ def _said(story: Story) -> str:
             if verdict.get("cause")
             else []
         )
-    elif story.beat is not None:
+    elif story.beat is not None and story.stages and not story.stages[-1].ended_ns:
         b = story.beat
         at = f"{_cell(b.text)} {b.done} of {b.total}, {b.seconds:.0f} s in"
-        lines += [f"no verdict; last sign of life: **{_cell(b.stage_id)}**, {at}", ""]
+        lines += [f"not finished; last sign of life: **{_cell(b.stage_id)}**, {at}", ""]
     warned = [line for line in story.log if line.level in ("WARNING", "ERROR", "FATAL")]
     warned.sort(key=lambda line: not line.frame)
     for line in warned[:_MOST]:

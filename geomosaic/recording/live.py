@@ -1,15 +1,36 @@
-"""A run shown in Rerun while it is on."""
+"""A run shown in Rerun while it is on.
+
+A process of its own reads the recording as it grows, a second behind the run, and gives what it says to the
+viewer (`following`). So the viewer is shown the same messages as anybody later; and whether it is slow,
+closed or was never there makes no difference to the run, which knows nothing of it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
-Listener = Callable[[str, Any, int], None]
+_shows: list[subprocess.Popen[bytes]] = []
+"""Processes that show runs; nobody waits for them."""
 
 
 @contextmanager
-def watched(live: bool) -> Iterator[Listener | None]:
-    """Who hears each message, if anybody."""
-    yield None
+def watched(recording: Path | None, live: bool) -> Iterator[None]:
+    """Has the recording shown while the block is on. The viewer stays open.
+
+    Raises ModuleNotFoundError where Rerun isn't installed.
+    """
+    if live and importlib.util.find_spec("rerun") is None:
+        raise ModuleNotFoundError("No module named 'rerun'", name="rerun")
+    if live and recording is not None:
+        quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        module = "geomosaic.recording.following"
+        command = [sys.executable, "-P", "-m", module, str(recording.absolute()), str(os.getpid())]
+        _shows.append(subprocess.Popen(command, start_new_session=True, **quiet))  # noqa: S603
+    yield

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -54,11 +54,11 @@ def opened(path: Path) -> IO[bytes]:
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=MEND) from error
 
 
-def items(path: Path, file: IO[bytes]) -> Iterator[Item]:
+def items(path: Path, file: IO[bytes], more: Callable[[], bool] = lambda: False) -> Iterator[Item]:
     """Every record in the file's order, chunks unpacked.
 
     A damaged chunk is left out, and reading goes on behind it; where the file ends too early, reading
-    ends. Raises FileError if it is no MCAP file from its first bytes on.
+    ends, unless `more` may come. Raises FileError if it is no MCAP file from its first bytes on.
     """
     schemas: dict[int, str] = {}
     channels: dict[int, Channel] = {}
@@ -68,6 +68,9 @@ def items(path: Path, file: IO[bytes]) -> Iterator[Item]:
         try:
             record = next(records, None)
         except BROKEN as error:
+            if isinstance(error, EndOfFile) and more():
+                records = stream(file, offset)
+                continue
             if offset == 0:
                 problem = "this is no MCAP file, or it was cut off in its header"
                 empty = file.seek(0, 2) == 0

@@ -6,7 +6,7 @@ import contextlib
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +26,11 @@ class MessageFile:
 
     Log times rise strictly, and the sequence number counts all messages: the wall clock, or with
     `fixed_time` steps of 1 ms from the epoch. A message's own `timestamp`, if it has one, is its log time.
-    Threads may write at once. A path of None is no file. listener: hears each message when it is written.
+    Threads may write at once. A path of None is no file.
     Every method raises OutputError where the file can't be written, and from then on always.
     """
 
-    def __init__(
-        self,
-        path: Path | None,
-        profile: str,
-        fixed_time: bool,
-        listener: Callable[[str, Any, int], None] | None = None,
-    ) -> None:
-        self._listener = listener
+    def __init__(self, path: Path | None, profile: str, fixed_time: bool) -> None:
         self._path = path or Path(os.devnull)
         self._lock = threading.RLock()
         self._fixed_time = fixed_time
@@ -96,8 +89,6 @@ class MessageFile:
                 sequence=self._sequence & 0xFFFFFFFF,
                 data=message.SerializeToString(deterministic=True),
             )
-        if self._listener is not None:
-            self._listener(topic, message, self._sequence)
         self._sequence += 1
 
     def flush(self, sync: bool = True) -> None:

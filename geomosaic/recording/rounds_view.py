@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 STAGES: Final = "/stages_drawn"
 STEPS: Final = "/steps_drawn"
 SPECTRUM: Final = "/spectrum_drawn"
-_WIDE, _HIGH, _ROW = 300.0, 100.0, 22.0
+_WIDE, _HIGH, _ROW = 300.0, 100.0, 34.0
 _NAMES: Final = 260.0
 _LEAST_SHARE: Final = 0.004
 """Of a run's time: shorter stages aren't drawn."""
@@ -106,15 +106,15 @@ def draw_spectra(story: Story, stream: Any) -> None:
             line = rerun.LineStrips2D([np.column_stack([x, y])], colors=[colour], radii=_ui(1.0))
             stream.log(f"{SPECTRUM}/{what}_{axis}", line, static=True)
             text = f"{what} {axis}, largest {max(values):.2g} px"
-            at = [[_WIDE * (0.15 + 0.24 * (2 * i + j)), -8.0 - 7.0 * (j % 2)]]
+            at = [[_WIDE + 130.0, 10.0 + 26.0 * (2 * i + j)]]
             label = rerun.Points2D(at, labels=[text], show_labels=True, colors=[colour], radii=_ui(0.5))
             stream.log(f"{SPECTRUM}/{what}_{axis}_name", label, static=True)
-    ends = [f"{10 ** span[0]:.2g} Hz", f"{10 ** span[1]:.2g} Hz"]
+    ends = [f"{10**v:.3g} Hz" for v in span]
     label = rerun.Points2D(
         [[0, _HIGH + 6], [_WIDE, _HIGH + 6]], labels=ends, show_labels=True, colors=[_AXIS]
     )
     stream.log(f"{SPECTRUM}/ends", label, static=True)
-    _leave_room(stream, SPECTRUM, (-60.0, -30.0), (_WIDE + 60.0, _HIGH + 20.0))
+    _leave_room(stream, SPECTRUM, (-40.0, -10.0), (_WIDE + 270.0, _HIGH + 20.0))
 
 
 def _leave_room(stream: Any, origin: str, first: tuple[float, float], last: tuple[float, float]) -> None:

@@ -86,6 +86,12 @@ def draw(story: Story, stream: Any) -> None:
         part(story, stream)
 
 
+def draw_progress(story: Story, stream: Any) -> None:
+    """What changes while a stage is on."""
+    for part in (draw_stages, draw_lists):
+        part(story, stream)
+
+
 def draw_log(story: Story, stream: Any, first: int = 0) -> None:
     """The log's lines from a number on; the stage is their first column."""
     import rerun
@@ -103,4 +109,4 @@ def draw_log(story: Story, stream: Any, first: int = 0) -> None:
     stream.reset_time()
 
 
-__all__ = ["draw", "draw_log", "layout", "open_viewer", "screenshot", "told", "write_rrd"]
+__all__ = ["draw", "draw_log", "draw_progress", "layout", "open_viewer", "screenshot", "told", "write_rrd"]

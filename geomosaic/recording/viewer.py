@@ -54,21 +54,8 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
 @contextmanager
 def _viewer(file: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     """Rerun's viewer as a child with settings of its own, so that the user's stay as they are."""
-    import rerun_cli  # type: ignore[import-untyped]
-
-    program = shutil.which("rerun", path=str(Path(rerun_cli.__file__).parent)) or shutil.which("rerun")
-    if program is None:
-        raise GeomosaicError("Rerun's viewer isn't installed; pip install rerun-sdk")
     with tempfile.TemporaryDirectory(prefix="geomosaic-view-") as settings:
-        environment = {**os.environ, "XDG_CONFIG_HOME": settings, "XDG_DATA_HOME": settings}
-        quiet: dict[str, Any] = {
-            "stdout": subprocess.DEVNULL,
-            "stderr": subprocess.DEVNULL,
-            "env": environment,
-        }
-        subprocess.run([program, "analytics", "disable"], check=False, timeout=60, **quiet)  # noqa: S603
-        command = [program, "--bind", "127.0.0.1", *arguments, str(file.absolute())]
-        viewer = subprocess.Popen(command, **quiet)  # noqa: S603
+        viewer = started(*arguments, str(file.absolute()), settings=Path(settings))
         try:
             yield viewer
         finally:
@@ -79,3 +66,20 @@ def _viewer(file: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
                 except subprocess.TimeoutExpired:
                     viewer.kill()
                     viewer.wait()
+
+
+def started(*arguments: str, settings: Path | None = None) -> subprocess.Popen[bytes]:
+    """Rerun's viewer, bound to this machine, its analytics off. settings: a folder for what it remembers."""
+    import rerun_cli  # type: ignore[import-untyped]
+
+    program = shutil.which("rerun", path=str(Path(rerun_cli.__file__).parent)) or shutil.which("rerun")
+    if program is None:
+        raise GeomosaicError("Rerun's viewer isn't installed; pip install rerun-sdk")
+    own = {} if settings is None else {"XDG_CONFIG_HOME": str(settings), "XDG_DATA_HOME": str(settings)}
+    quiet: dict[str, Any] = {
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+        "env": {**os.environ, **own},
+    }
+    subprocess.run([program, "analytics", "disable"], check=False, timeout=60, **quiet)  # noqa: S603
+    return subprocess.Popen([program, "--bind", "127.0.0.1", *arguments], **quiet)  # noqa: S603

@@ -76,7 +76,7 @@ class Recorder(StageCalls, StripCalls):
     durations, so that equal runs give equal bytes.
 
     path: None for no file. level: one of LEVELS. memory_bytes: says what all processes hold now. privacy:
-    goes over all that is recorded. listener: is given topic, message and number of each message.
+    goes over all that is recorded.
     Raises OutputError where the file can't be written; further calls then raise it again.
     """
 
@@ -88,7 +88,6 @@ class Recorder(StageCalls, StripCalls):
         level: str = "normal",
         memory_bytes: Callable[[], int] = lambda: 0,
         privacy: Privacy | None = None,
-        listener: Callable[[str, Any, int], None] | None = None,
     ) -> None:
         self.path = path
         self.level = level
@@ -96,7 +95,7 @@ class Recorder(StageCalls, StripCalls):
         self._memory_bytes = memory_bytes
         self._privacy = privacy
         self._count = -1
-        self._file = MessageFile(path, PROFILE, fixed_time, listener)
+        self._file = MessageFile(path, PROFILE, fixed_time)
         self._heartbeat = Heartbeat(self._beat)
 
     def wants(self, kind: Any) -> bool:
