@@ -158,9 +158,13 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
 def _ortho(metrics: Mapping[str, Any]) -> list[Row]:
     """What the mosaic stands on, and why, where the run says it."""
     told = metrics.get("ortho", {})
-    if not isinstance(told, Mapping) or "chosen" not in told:
+    if "laid_on" not in told:
         return []
-    return [("the mosaic stands on", str(told["chosen"]), str(told.get("reason", "")))]
+    found, why = told.get("disagreement"), "as was asked for"
+    if found is not None:
+        each = " and ".join(f"{short(off)} on the {name}" for name, off in found.items())
+        why = f"1 - correlation of neighbouring frames is {each}, median over {told.get('places')} places"
+    return [("the mosaic stands on", f"the {told['laid_on']}", why)]
 
 
 def _compared(comparison: SurfaceComparison) -> list[tuple[str, list[tuple[str, HeightFigures]]]]:
