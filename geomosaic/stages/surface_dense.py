@@ -81,16 +81,15 @@ class SurfaceDense(Stage):
         places = adjusted.poses.positions_m[used]
         flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
         frames = [survey.frames[i] for i in used]
-        coarse, fine = levels(cells, flying_m)
         found: list[Heights] = []
-        for number, level in enumerate((coarse, fine)):
+        for number, level in enumerate(levels(cells, flying_m)):
             looks = [(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
             sighted = [Sighted(*look) for look in looks]
             above = found[-1].up_m if found else None
             found.append(_matched(context, f"level {number + 1}", level, base, sighted, frames, above))
         surface = fused(found[-1], cells, base)
         looked_at = found[-1].alike > UNSEEN
-        for code, text in doubts(surface, looked_at, base, coarse, found[0].up_m):
+        for code, text in doubts(surface, looked_at, base, level):
             context.warn(code, "", text)
         context.metric("surface.cell_m", cell_m)
         context.metric("surface.matched", float((surface.views > 0).sum() / max(looked_at.sum(), 1)))

@@ -99,7 +99,7 @@ class Verticals:
             seen = frame.pose.image_from_ground(frame.camera, points)
             bent = heights / (1.0 - heights / float(self._away_m))
             found[:, lacking] = np.tensordot(np.linalg.inv(np.vander(bent, 3, increasing=True)), seen, axes=1)
-        return found
+        return _gone_on(found)
 
     def bent(self, height_m: Floats32) -> Floats32:
         """What `places` takes, of heights over the base (rows, cols)."""
@@ -140,3 +140,16 @@ class Verticals:
             slice(self._node_cells, self._node_cells + self._cells.cols),
         )
         return np.ascontiguousarray(up[inner])
+
+
+def _gone_on(terms: Floats) -> Floats:
+    """Terms (3, rows, cols, 2) with straight continuations one node past the last ones known, so that cells
+    between the last node that a lens sees and the next have a place."""
+    found = terms.copy()
+    for axis in (1, 2):
+        for way in (slice(None), slice(None, None, -1)):
+            inwards = np.moveaxis(terms, axis, 0)[way]
+            out = np.moveaxis(found, axis, 0)[way]
+            on = 2.0 * inwards[1:-1] - inwards[2:]
+            out[:-2] = np.where(np.isnan(out[:-2]), on, out[:-2])
+    return found

@@ -1,0 +1,120 @@
+"""The surface matched between frames of a simulated town, against its true heights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dense_scene import GSD_M, Scene, scene
+
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.doubts import doubts
+from geomosaic.surface.refinement import UNSEEN
+
+GROUND, ROOF, CROWN, WALL = range(4)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return scene(tmp_path_factory.mktemp("town"), relief_m=4.0)
+
+
+@pytest.fixture(scope="module")
+def found(town: Scene):
+    return town.matched(town.cells(52.0))
+
+
+@pytest.fixture(scope="module")
+def judged(town: Scene, found):
+    errors_m, kind = town.truth(found[0])
+    return errors_m, np.where(town.frames_seeing(found[0]) >= 3, kind, -1)
+
+
+def test_ground_and_roofs_lie_right(judged) -> None:
+    errors_m, kind = judged
+    for what, off_px in ((GROUND, 0.5), (ROOF, 0.6)):
+        assert float(np.median(np.abs(errors_m[kind == what]))) < off_px * GSD_M
+
+
+@pytest.mark.parametrize(("what", "share"), [(WALL, 0.3), (CROWN, 0.35)])
+def test_few_cells_beside_walls_and_in_crowns_are_off_by_a_metre(judged, what: int, share: float) -> None:
+    errors_m, kind = judged
+    assert (kind == what).sum() > 200
+    assert float(np.mean(np.abs(errors_m[kind == what]) > 1.0)) < share
+
+
+@pytest.mark.parametrize("what", [GROUND, ROOF, CROWN, WALL])
+def test_deviations_are_what_errors_are(judged, found, what: int) -> None:
+    errors_m, kind = judged
+    there = (kind == what) & (found[0].views > 0)
+    off = np.abs(errors_m[there]) / found[0].sd_m[there]
+    assert float(np.mean(off < 1.0)) > 0.6
+    assert float(np.mean(off < 2.0)) > 0.85
+    assert float(np.sqrt(np.mean(np.minimum(off, 5.0) ** 2))) > 0.3  # nor are they far too large
+
+
+def test_what_one_frame_sees_is_held(town: Scene, found) -> None:
+    surface = found[0]
+    seeing = town.frames_seeing(surface)
+    assert (seeing < 2).any()
+    assert surface.views[seeing < 2].max() == 0
+    assert np.isfinite(surface.up_m).all()
+
+
+def test_no_spikes_at_the_rim(town: Scene) -> None:
+    places = np.array([s.pose.position_m for s in town.sighted])
+    surface = town.matched(town.cells(64.0, *(places[4, :2] + [0.0, 20.0])))[0]
+    errors_m, kind = town.truth(surface)
+    seeing = town.frames_seeing(surface)
+    open_ground = kind == GROUND
+    assert (open_ground & (seeing < 2)).sum() > 1000
+    for least, share in ((2, 0.1), (0, 0.05)):
+        there = open_ground & (seeing >= least) & (seeing < least + 2)
+        assert float(np.mean(np.abs(errors_m[there]) > 5.0)) < share
+
+
+def test_tiles_in_any_order_give_the_same_bytes(town: Scene, found) -> None:
+    again = town.matched(town.cells(52.0), backwards=True)[0]
+    for one, other in zip(vars(found[0]).values(), vars(again).values(), strict=True):
+        if isinstance(one, np.ndarray):
+            assert one.tobytes() == other.tobytes()
+
+
+def test_cells_that_no_frame_sees_keep_the_base(town: Scene) -> None:
+    surface, heights, level = town.matched(town.cells(20.0, 500.0, 500.0))
+    assert (surface.views == 0).all()
+    assert np.allclose(surface.up_m, town.base.up_m)
+    told = dict(doubts(surface, heights.alike > UNSEEN, town.base, level))
+    assert list(told) == ["surface-not-matched"]
+
+
+def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
+    middle = town.sighted[1].pose.position_m[:2]
+    pair = replace(town, sighted=town.sighted[1:3], greys=town.greys[1:3])
+    surface, heights, level = pair.matched(pair.cells(16.0, *middle))
+    errors_m, kind = pair.truth(surface)
+    seen = (pair.frames_seeing(surface) == 2) & (kind == GROUND)
+    assert float(np.median(np.abs(errors_m[seen]))) < GSD_M
+    told = dict(doubts(surface, heights.alike > UNSEEN, pair.base, level))
+    assert "surface-two-views" in told
+
+
+def test_hills_beyond_the_search_are_told_and_a_base_that_knows_them_finds_them(town: Scene, found) -> None:
+    deep = GroundSurface("flat", 0.0, 0.0, 1.0, town.base.up_m - 17.0)
+    surface, heights, level = town.matched(town.cells(24.0), deep)
+    told = dict(doubts(surface, heights.alike > UNSEEN, deep, level))
+    assert told.keys() & {"surface-out-of-reach", "surface-not-matched"}
+    told = dict(doubts(found[0], found[1].alike > UNSEEN, town.base, found[2]))
+    assert not told
+
+
+def test_water_stays_as_it_was(tmp_path) -> None:
+    lake = scene(tmp_path, water_share=1.0, frames_per_line=3)
+    surface, heights, level = lake.matched(lake.cells(24.0))
+    looked_at = heights.alike > UNSEEN
+    land = np.abs(lake.truth(surface)[0]) > 1.0
+    assert float(np.mean(surface.views[looked_at] > 0)) < 0.3
+    assert float(np.mean(land)) < 0.1
+    told = dict(doubts(surface, looked_at, lake.base, level))
+    assert "surface-not-matched" in told

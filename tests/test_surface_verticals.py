@@ -1,0 +1,134 @@
+"""Where frames see verticals, what hides them, and how neighbours' costs are summed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.aggregation import aggregated, cheapest, ring
+from geomosaic.surface.cells import Cells
+from geomosaic.surface.census import census
+from geomosaic.surface.costs import PER_BIT, census_costs
+from geomosaic.surface.verticals import Sighted, Verticals
+from geomosaic.surface.visibility import asked_frames, hidden_below
+
+LEVEL = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
+CAMERA = Camera("test", 800, 600, 700.0, 400.0, 300.0, k1=-0.05)
+
+
+def looking_down(east_m: float, north_m: float, up_m: float = 100.0, yaw_deg: float = 20.0) -> Pose:
+    rotation = Rotation.from_yaw_pitch_roll(*np.radians([yaw_deg, 2.0, -1.5]))
+    return Pose(np.array([east_m, north_m, up_m]), rotation)
+
+
+def test_places_are_the_collinearity_equations() -> None:
+    pose = looking_down(3.0, -4.0)
+    cells = Cells(-70.0, -60.0, 0.5, 240, 280)
+    verticals = Verticals(cells, LEVEL, [Sighted(pose, CAMERA, 2.0)], -10.0, 30.0)
+    east, north = cells.axes_m()
+    for height_m in (-8.0, 0.0, 13.0, 28.0):
+        points = np.stack(np.broadcast_arrays(east, north[:, None], height_m), axis=-1)
+        col, row = np.moveaxis(pose.image_from_ground(CAMERA, points), -1, 0)
+        seen = (col >= 0.0) & (col <= 800.0) & (row >= 0.0) & (row <= 600.0)
+        places = verticals.places(0, verticals.bent(np.full(seen.shape, height_m, dtype=np.float32)))
+        for found, true in zip(places, (col / 2.0 - 0.5, row / 2.0 - 0.5), strict=True):
+            assert seen.sum() > 10_000
+            assert float(np.abs(found - true)[seen].max()) < 0.15
+
+
+def test_a_frame_sees_up_to_its_rim_where_high_points_are_out_of_its_lens() -> None:
+    """Verticals whose top no lens shows are fitted by their foot."""
+    pose = looking_down(0.0, 0.0, yaw_deg=0.0)
+    narrow = dataclasses.replace(CAMERA, k1=-0.35)
+    cells = Cells(-60.0, -45.0, 0.5, 180, 240)
+    verticals = Verticals(cells, LEVEL, [Sighted(pose, narrow, 1.0)], -10.0, 60.0)
+    east, north = cells.axes_m()
+    points = np.stack(np.broadcast_arrays(east, north[:, None], 0.0), axis=-1)
+    col, row = np.moveaxis(pose.image_from_ground(narrow, points), -1, 0)
+    inside = (col >= 0.0) & (col <= 800.0) & (row >= 0.0) & (row <= 600.0)
+    found = verticals.places(0, np.zeros(inside.shape, dtype=np.float32))[0]
+    assert np.isfinite(found[inside]).all()
+
+
+def test_a_wall_hides_what_lies_behind_it() -> None:
+    pose = looking_down(40.0, 0.0)
+    cells = Cells(-10.0, -10.0, 1.0, 20, 20)
+    verticals = Verticals(cells, LEVEL, [Sighted(pose, CAMERA, 1.0)], -5.0, 30.0)
+    land = np.zeros((20, 20), dtype=np.float32)
+    land[:, 12] = 8.0  # a wall to the east, where the camera is
+    low = hidden_below(verticals, 0, land, 1.0)
+    behind, away_m = low[10, 10], 2.0
+    # the line of sight over the wall's top falls by 100 / 40 a metre; what is a cell too low counts as seen
+    assert behind == pytest.approx(8.0 - away_m * 100.0 / 40.0 - 1.0, abs=1.7)
+    assert low[10, 15] < 0.0  # before it nothing is hidden
+
+
+def test_frames_that_see_all_of_a_square_are_asked_first_and_of_those_the_steepest() -> None:
+    frames = [
+        looking_down(60.0, 0.0),
+        looking_down(10.0, 0.0),
+        looking_down(0.0, 400.0),
+        looking_down(0.0, 0.0),
+    ]
+    cells = Cells(-8.0, -8.0, 0.5, 32, 32)
+    verticals = Verticals(cells, LEVEL, [Sighted(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
+    [(_, asked)] = asked_frames(verticals, [(600, 800)] * 4, 32, 3)
+    assert asked[:2] == (3, 1)
+    assert 2 not in asked
+
+
+def test_a_height_that_two_frames_agree_on_costs_least(  # of three, one of which shows something else
+) -> None:
+    random = np.random.default_rng(1)
+    cells = Cells(-8.0, -8.0, 0.25, 64, 64)
+    scene = np.kron(random.integers(0, 255, (80, 80)), np.ones((4, 4))).astype(np.uint8)
+    poses = [looking_down(x, 0.0, yaw_deg=0.0) for x in (0.0, 30.0, -30.0)]
+    sighted = [Sighted(p, CAMERA, 1.0) for p in poses]
+    views = [_seen(scene, pose, 5.0) for pose in poses[:2]]
+    views.append(random.integers(0, 255, (600, 800)).astype(np.uint8))
+    verticals = Verticals(cells, LEVEL, sighted, -5.0, 30.0)
+    steps = np.broadcast_to(np.arange(-2, 12, dtype=np.int16)[:, None, None], (14, 64, 64))
+    whole = [((slice(0, 64), slice(0, 64)), (0, 1, 2))]
+    costs = census_costs(verticals, [census(v) for v in views], steps, 1.0, whole, {})
+    best = cheapest(aggregated(costs, steps), steps)
+    assert float(np.median(np.abs(best[8:-8, 8:-8] - 5.0))) < 0.3
+    blind = {k: np.full((64, 64), np.inf, dtype=np.float32) for k in range(3)}
+    none = census_costs(verticals, [census(v) for v in views], steps, 1.0, whole, blind)
+    assert (none == none[0, 0, 0]).all()
+    assert none[0, 0, 0] < 12 * PER_BIT
+
+
+def _seen(scene: np.ndarray, pose: Pose, height_m: float) -> np.ndarray:
+    """What a frame sees of a level image 40 m wide at a height."""
+    col, row = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
+    ray = pose.ray_from_image(CAMERA, np.stack([col, row], axis=-1))
+    at = pose.position_m + ray * ((height_m - pose.position_m[2]) / ray[..., 2])[..., None]
+    pixel_m = 40.0 / scene.shape[0]
+    place = ((at[..., :2] + 20.0) / pixel_m).astype(int).clip(0, scene.shape[0] - 1)
+    return np.asarray(scene[place[..., 1], place[..., 0]])
+
+
+def test_a_ring_holds_each_height_at_its_own_place() -> None:
+    lowest = np.array([[-7, 0, 3]], dtype=np.int16)
+    steps = ring(lowest, 8)
+    assert (steps.min(axis=0) == lowest).all()
+    assert (steps.max(axis=0) == lowest + 7).all()
+    assert ((steps % 8) == np.arange(8)[:, None, None]).all()
+
+
+def test_cells_with_other_ranges_are_summed_as_if_they_shared_all_heights() -> None:
+    random = np.random.default_rng(2)
+    whole = np.broadcast_to(np.arange(0, 12, dtype=np.int16)[:, None, None], (12, 9, 7))
+    costs = np.full((12, 9, 7), 60, dtype=np.uint8)
+    true = 4 + (np.indices((9, 7)).sum(axis=0) > 7)
+    np.put_along_axis(costs, true[None], random.integers(0, 10, (1, 9, 7)).astype(np.uint8), axis=0)
+    narrow = ring((true - 3).astype(np.int16), 8)
+    of_narrow = np.take_along_axis(costs, narrow.astype(np.intp).clip(0, 11), axis=0)
+    for given, steps in ((costs, whole), (of_narrow, narrow)):
+        assert (np.round(cheapest(aggregated(given, steps), steps)) == true).all()
