@@ -88,6 +88,9 @@ fuzz: setup ## 10,000 spoiled files of every kind through the commands (about 2 
 chaos: setup ## 200 runs killed, stopped, starved and their inputs changed (about 40 minutes); TRIALS=n SEED=n
 	$(PY) tools/chaos.py --trials $(TRIALS) --seed $(SEED) --out out/chaos
 
+docs: setup ## the site, by mkdocs-material, in out/site (needs no network to be read)
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet
+
 format: setup ## rewrite the code's layout
 	.venv/bin/ruff check --fix geomosaic tests tools examples
 	.venv/bin/ruff format geomosaic tests tools examples
@@ -95,4 +98,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-strips bench-real check-qgis fuzz chaos format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-strips bench-real check-qgis fuzz chaos docs format clean

@@ -29,7 +29,7 @@ pip install -c constraints.txt 'setuptools>=77' wheel numpy
 # Without --no-build-isolation the bindings are built without numpy support, silently.
 .venv/bin/python -c 'from osgeo import gdal_array' 2>/dev/null ||
     pip install --no-build-isolation --no-cache-dir "gdal[numpy]==$(gdal-config --version)"
-pip install --no-build-isolation -c constraints.txt -e '.[dev,dask,view]'
+pip install --no-build-isolation -c constraints.txt -e '.[dev,dask,view,docs]'
 .venv/bin/python -c 'from osgeo import gdal_array; import rasterio, cv2, geomosaic' ||
     { echo "setup: the packages are there but don't load together; see the error above" >&2; exit 1; }
 echo "setup: done, run .venv/bin/geomosaic --help"

@@ -1,0 +1,120 @@
+"""What the documents show is so: every command parses, those of the guides run, errors and codes exist."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+import typer
+
+from geomosaic.cli.app import build_app
+from geomosaic.cli.main import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md"), *(ROOT / "examples").glob("*/*.md")])
+GUIDES = ("index", "start", "howto", "python")
+SMALL = "--lines 1 --frames-per-line 4 --width-px 320 --height-px 240"
+"""A flight of four small frames does where people simulate a usual one."""
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+def shown(page: Path) -> Iterator[tuple[str, bool]]:
+    """Commands of a page, and whether they stand by themselves, not in a sentence."""
+    text = page.read_text(encoding="utf-8")
+    for line in re.findall(r"^(?: {4})?(?:\.venv/bin/)?(geomosaic [a-z].*)$", text, re.M):
+        yield line, True
+    for line in re.findall(r"`(geomosaic [a-z][^`\n]*)`", text):
+        yield line, False
+
+
+def words(line: str) -> list[str]:
+    """A command's words, without its comment and what is left to choose."""
+    line = re.split(r" {2,}|\s#", line)[0]
+    return shlex.split(re.sub(r"\[[^]]*\]|\.\.\.", "", line))[1:]
+
+
+def parse(argv: list[str]) -> None:
+    """As the command line does it, but for doing it. Raises: `click.UsageError`."""
+    command: click.Command = typer.main.get_command(build_app(argv))
+    context, rest, name = None, argv, "geomosaic"
+    while True:
+        context = command.make_context(name, rest, parent=context)
+        if not isinstance(command, click.Group):
+            return
+        asked, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        assert asked is not None and found is not None
+        command, name = found, asked
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if "geomosaic " in p.read_text()], ids=lambda p: p.name)
+def test_every_command_is_one(page: Path) -> None:
+    for line, alone in shown(page):
+        if "(" in line or re.search(r"\b(frames|run)\|", line):
+            continue
+        with contextlib.redirect_stdout(io.StringIO()):
+            try:
+                parse(words(line))
+            except (click.MissingParameter, click.exceptions.NoArgsIsHelpError):
+                assert not alone, line
+            except click.exceptions.Exit:
+                pass
+            except click.UsageError as error:
+                raise AssertionError(f"{line}: {error.format_message()}") from error
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the guides' commands are run in, one after the other."""
+    return tmp_path_factory.mktemp("guides")
+
+
+def test_the_guides_run(
+    desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(desk)
+    for name in ("start", "index", "howto"):
+        for line in "".join(blocks(ROOT / "docs" / f"{name}.md", "sh")).splitlines():
+            argv = shlex.split(line)[1:]
+            if argv[0] == "simulate":
+                argv += SMALL.split()
+            if argv[0] in ("mosaic", "run", "replay"):
+                argv += ["--workers", "1"]
+            if argv[0] == "evaluate":
+                argv += ["--set", "quality.compare.patch_px=48", "--set", "quality.compare.search_px=32"]
+            code = main(argv)
+            told = capsys.readouterr()
+            assert code == 0 or (argv[0], code) == ("diff", 1), f"{line}\n{told.out}{told.err}"
+    assert (desk / "flight" / "frames-mosaic" / "mosaic.tif").is_file()
+    for block in blocks(ROOT / "docs" / "python.md", "python"):
+        exec(block.replace(", set={", ", workers=1, set={"), globals())
+
+
+def test_errors_and_codes_are_those_of_the_source() -> None:
+    sources = (path.read_text(encoding="utf-8") for path in (ROOT / "geomosaic").rglob("*.py"))
+    text = re.sub(r'"\s+f?"', "", "\n".join(sources))
+    for line in (ROOT / "docs" / "errors.md").read_text(encoding="utf-8").splitlines():
+        first = line.split("|")[1] if line.startswith("| `") else ""
+        for quoted in re.findall(r"`([^`]+)`", first):
+            assert quoted in text, quoted
+
+
+def test_the_site_builds(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs")
+    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet", "-d", tmp_path]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "stage" / "adjustment.solve.html").read_text(encoding="utf-8")
+    assert "adjustment method" in page and 'href="matching.sift.html"' in page
+    assert "https://" not in re.sub(r'<a [^>]*>|<link rel="canonical"[^>]*>|<!--.*?-->', "", page, flags=re.S)
