@@ -1,4 +1,5 @@
-"""Makes a small run of frames and one of strips, and has a real QGIS open all that is written for it.
+"""Makes a small run of frames and one of strips, and has a real QGIS open all that is written for it, and run
+and cancel the algorithms of its toolbox.
 
 What QGIS must be able to do stands in `qgis_window.py`, which QGIS' own Python runs.
 """
@@ -61,6 +62,35 @@ def strips_run(out: Path) -> Path:
     return run
 
 
+def processing(python: str, out: Path) -> None:
+    """The algorithms in QGIS' toolbox: one runs, one is cancelled."""
+    home, run = (out / "home").absolute(), (out / "by-qgis").absolute()
+    folder = home / "QGIS/QGIS3/profiles/default/processing/scripts"
+    geomosaic("qgis-script", folder)
+    survey = (out / "survey").absolute()
+    # Debian's `qgis_process` hands on an option that only the window knows; the program itself doesn't.
+    program = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
+    if program is None:
+        sys.exit("check-qgis: there is no qgis_process")
+    words = [
+        f"SURVEY_READ_FRAMES={survey / 'frames'}", f"SURVEY_READ_POS={survey / 'pos.csv'}",
+        f"SURVEY_READ_CAMERA={survey / 'cameras.json'}", "MOSAIC_SEAMS_GSD_M=0.2", f"OUTPUT={run}",
+    ]  # fmt: skip
+    command = [program, "run", "script:geomosaic_mosaic", "--", *words]
+    environment = {**OFFSCREEN, "XDG_DATA_HOME": str(home)}
+    done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
+    if done.returncode or "100 - done" not in done.stdout or not (run / "mosaic.tif").exists():
+        sys.exit(f"check-qgis: qgis_process failed\n{done.stdout}{done.stderr}")
+    print(
+        "  qgis_process run script:geomosaic_mosaic: "
+        + done.stdout.split("verdict")[1].split("\n")[0].strip()
+    )
+    script = str(folder / "geomosaic_mosaic.py")
+    cancel = [python, str(HERE / "qgis_cancel.py"), script, str(survey / "frames"), str(out / "cancelled")]
+    if code := subprocess.run(cancel, check=False, env=OFFSCREEN).returncode:
+        sys.exit(code)
+
+
 def main() -> None:
     """Opens each run."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -77,6 +107,8 @@ def main() -> None:
         done = subprocess.run([*command, *options.window], check=False, env=OFFSCREEN)
         if done.returncode:
             sys.exit(done.returncode)
+    if options.run is None:
+        processing(python, out)
 
 
 main()

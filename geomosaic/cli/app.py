@@ -12,6 +12,7 @@ from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
 from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.mosaic import mosaic, name_methods, run
+from geomosaic.cli.qgis_script import qgis_script
 from geomosaic.cli.recipes import recipes
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
@@ -52,7 +53,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         name_methods()
     if argv[:1] == ["strips"] and asks:
         name_strip_methods()
-    for command in (mosaic, strips, run, recipes, fetch, stages, evaluate, misplacement, doctor):
+    for command in (mosaic, strips, run, recipes, fetch, stages, evaluate, misplacement, doctor, qgis_script):
         app.command()(command)
     app.registered_commands += recordings.app.registered_commands
     for group, help in _GENERATED.items():

@@ -1,0 +1,129 @@
+"""`geomosaic qgis-script`: the commands as algorithms of QGIS' Processing toolbox."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from geomosaic.errors import OutputError
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.stage import Stage
+
+_COMMANDS: Final = {
+    "mosaic": (
+        "Mosaic of aerial frames",
+        "One map-true mosaic of a folder of overlapping frames, its layers, a report and a QGIS project.",
+        "survey.read.frames",
+    ),
+    "strips": (
+        "Scene of CCD strips",
+        "One scene of the strips of a satellite's staggered CCDs, its layers and a report.",
+        "survey.strips.geometry",
+    ),
+}
+"""By command: its name in the toolbox, its help, the parameter that it takes without an option."""
+_OPTIONS: Final = {
+    "mosaic.seams.align_to": "--align-to",
+    "projection.ground.height_m": "--ground-height",
+    "quality.compare.reference": "--reference",
+    "quality.surface.reference": "--surface-reference",
+}
+"""Parameters whose options do more than set them."""
+_PLAIN: Final = (
+    "survey.read.pos", "survey.read.camera", "survey.read.dem", "survey.read.gcp", "survey.read.crs",
+    "mosaic.seams.gsd_m", "mosaic.seams.aoi", "mosaic.seams.align_to", "ccd.offsets.method",
+)  # fmt: skip
+"""What is seen at first; all else is under `Advanced`."""
+_KINDS: Final = {"true or false": "bool", "whole number": "int", "number": "float", "path": "file"}
+_PROFILE: Final = Path("QGIS/QGIS3/profiles/default/processing/scripts")
+
+
+def qgis_script(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(
+            help="folder to write to [QGIS' own for scripts]", metavar="FOLDER", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Put the commands into QGIS' Processing toolbox: as scripts that run this geomosaic."""
+    folder = folder or _scripts()
+    template = Path(__file__).with_name("qgis_algorithm.py").read_text(encoding="utf-8")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for command in _COMMANDS:
+            path = folder / f"geomosaic_{command}.py"
+            declaration = json.dumps(declared(command), indent=1, ensure_ascii=True).replace(
+                '"""', '\\"\\"\\"'
+            )
+            path.write_text(template.replace("DECLARATION", declaration, 1), encoding="utf-8")
+            print(path)
+    except OSError as error:
+        raise OutputError(
+            f"can't be written ({error.strerror})", file=folder, mend="give another folder"
+        ) from error
+
+
+def declared(command: str) -> dict[str, Any]:
+    """A command as the script has it: name, texts, words, and what `geomosaic stages --json` says of its
+    stages."""
+    from geomosaic.cli import mosaic, strips
+    from geomosaic.pipeline.registry import installed
+
+    title, help, first = _COMMANDS[command]
+    ids = mosaic.STAGES if command == "mosaic" else strips.STAGES
+    by_id = {stage.id: stage for stage in installed().all()[0]}
+    return {
+        "name": f"geomosaic_{command}",
+        "display_name": title,
+        "help": help,
+        "command": [sys.executable, "-m", "geomosaic.cli.main", command],
+        "params": list(_params((by_id[id] for id in ids if id in by_id), first)),
+    }
+
+
+def _params(stages: Iterable[type[Stage]], first: str) -> Sequence[dict[str, Any]]:
+    from geomosaic.cli.stages import describe
+
+    found, plain = [], (first, *_PLAIN)
+    for stage in stages:
+        of = describe(stage)
+        for p in of["params"]:
+            name = f"{of['id']}.{p['name']}"
+            kind = "choice" if p["choices"] else _KINDS.get(p["type"], "text")
+            found.append(
+                {
+                    "key": name.replace(".", "_").upper(),
+                    "name": name,
+                    "option": "" if name == first else _OPTIONS.get(name, "--set"),
+                    "kind": "folder" if name == "survey.read.frames" else kind,
+                    "text": _text(of["display_name"] if name not in plain else "", p),
+                    "required": name == first,
+                    "advanced": name not in plain,
+                    **{key: p[key] for key in ("choices", "default", "min", "max")},
+                }
+            )
+    return sorted(found, key=lambda p: (p["advanced"], p["name"] != first))
+
+
+def _text(stage: str, p: Mapping[str, Any]) -> str:
+    """`Lay the seams: share of ... (m)`."""
+    unit = f" ({p['unit']})" if p["unit"] else ""
+    return f"{stage}: {p['help']}{unit}" if stage else f"{p['help'][:1].upper()}{p['help'][1:]}{unit}"
+
+
+def _scripts() -> Path:
+    """Where QGIS looks for scripts of its default profile."""
+    home = Path.home()
+    if sys.platform == "darwin":
+        return home / "Library/Application Support" / _PROFILE
+    if sys.platform == "win32":
+        return Path(os.environ.get("APPDATA", home)) / _PROFILE
+    return Path(os.environ.get("XDG_DATA_HOME", home / ".local/share")) / _PROFILE
