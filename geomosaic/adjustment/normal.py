@@ -31,9 +31,15 @@ _LEAST_OF_POINTS: Annotated[
     ),
 ] = 1e-12
 
-_LOWER = np.tril_indices(3)
-_SQUARE = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
-"""Where the numbers of a symmetric matrix (3, 3) stand in its lower triangle."""
+_LOWER = np.tril_indices(len("xyz"))
+_SQUARE: Annotated[
+    Ints,
+    Because(
+        "places in a lower triangle, row by row",
+        "where the numbers of a symmetric matrix (3, 3) stand",
+        "structure: np.tril_indices(3)",
+    ),
+] = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
 
 @dataclass(frozen=True)
