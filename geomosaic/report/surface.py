@@ -151,7 +151,9 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
         rows.append(("deviation", text, "as matching states it; surface_confidence.tif has it by place"))
     if "ground_share" in told:
         ground = f"{100.0 * told['ground_share']:.0f} %"
-        rows.append(("ground", ground, "of the cells show the ground; terrain.tif goes on beneath the rest"))
+        rows.append(
+            ("ground", ground, "of the matched cells show the ground; terrain.tif goes on beneath the rest")
+        )
     return rows
 
 

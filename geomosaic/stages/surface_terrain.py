@@ -29,6 +29,7 @@ class SurfaceTerrain(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Filters the surface, and says how much of it was ground."""
-        terrain = terrain_model(inputs["surface"], params.widest_m)
-        context.metric("surface.ground_share", float(terrain.seen.mean()))
+        surface: DenseSurface = inputs["surface"]
+        terrain = terrain_model(surface, params.widest_m)
+        context.metric("surface.ground_share", terrain.share_of(surface))
         return {"terrain": terrain}

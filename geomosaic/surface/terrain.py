@@ -161,6 +161,11 @@ class TerrainModel:
     sd_m: Floats32
     seen: Bools
 
+    def share_of(self, surface: DenseSurface) -> float:
+        """Of a surface's matched cells, those that show the ground."""
+        matched = surface.views > 0
+        return float(self.seen[matched].mean()) if matched.any() else 0.0
+
     def ground(self) -> GroundSurface:
         """As what rays are projected on: a node in each cell's middle."""
         east, north = self.cells.axes_m()
@@ -182,9 +187,7 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
     low_m, square_m = squares.low(surface.up_m), cell_m * squares.by
     hills_m = np.zeros_like(low_m)
     for slope in _SLOPES:
-        standing = _standing(
-            low_m - hills_m, square_m, widest_m / 2.0, slope, max(_STEP_M, noise_m / squares.by)
-        )
+        standing = _standing(low_m - hills_m, square_m, widest_m / 2.0, slope, noise_m / squares.by)
         ground_m = hills_m + filled(low_m - hills_m, ~_grown(standing, 1))
         hills_m = np.asarray(cv2.GaussianBlur(ground_m, (0, 0), _HILLS_M / square_m), dtype=np.float32)
     about_m = squares.between(ground_m)
@@ -248,14 +251,14 @@ class _Squares:
         return np.asarray(wide, dtype=np.float32)[: self._shape[0], : self._shape[1]]
 
 
-def _standing(low_m: Floats32, square_m: float, reach_m: float, slope: float, step_m: float) -> Bools:
+def _standing(low_m: Floats32, square_m: float, reach_m: float, slope: float, noise_m: float) -> Bools:
     """What falls by more than a slope allows when windows grow up to a radius, and pits.
 
     Past the border heights go back as they came: what it cuts stands as wide again beyond.
     """
     margin = min(int(np.ceil(reach_m / square_m)), *(n - 1 for n in low_m.shape))
     wide = np.pad(low_m, margin, mode="reflect") if margin > 0 else low_m
-    found = -_opened(-wide, 1) - wide > _PIT_M
+    step_m, found = max(_STEP_M, noise_m), -_opened(-wide, 1) - wide > max(_PIT_M, noise_m)
     last, radius = filled(wide, ~found), 0
     while radius * square_m < reach_m:
         by = max(1, radius // 8)
