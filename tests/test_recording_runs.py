@@ -10,13 +10,15 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from recording_scene import RECIPE
 from test_pipeline_toy import recipe_file, registry
 
+from geomosaic.cli.main import main
+from geomosaic.cli.options import Record
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.artefacts import texts_in
@@ -24,7 +26,7 @@ from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.runner import run
 from geomosaic.recording import Recorder, artefact_data, messages, read_recording
 from geomosaic.recording.fingerprints import altered_artefacts
-from geomosaic.recording.levels import RecordOptions
+from geomosaic.recording.levels import LEVELS, RecordOptions
 from geomosaic.recording.messages import Metric, Progress
 from geomosaic.recording.privacy import Privacy
 
@@ -204,3 +206,23 @@ def test_a_viewer_that_is_not_there_makes_no_difference(
     folder = run_toys(tmp_path, record=RecordOptions(live=True))
     assert read_recording(folder / "run.mcap").whole
     assert time.monotonic() - began < 20.0
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--record", "ful"], "unknown level of --record 'ful'; did you mean 'full'?"),
+        (["--record", "off", "--live"], "--live shows what is recorded; leave --record off away"),
+    ],
+)
+def test_wrong_options_end_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], says: str
+) -> None:
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text("name: none\nstages: [{stage: simulate.frames}]\n")
+    assert main(["run", str(recipe), "-o", str(tmp_path / "run"), *options]) == 2
+    assert says in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
+def test_the_levels_are_those_that_the_help_names() -> None:
+    assert get_args(Record)[1].metavar == "|".join(LEVELS)

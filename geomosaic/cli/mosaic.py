@@ -12,8 +12,12 @@ from geomosaic.cli.options import (
     Dask,
     DryRun,
     FixedTime,
+    Live,
     Overwrite,
+    Private,
+    PrivatePlaces,
     Quiet,
+    Record,
     RunFolderBeside,
     Seed,
     Sets,
@@ -22,6 +26,7 @@ from geomosaic.cli.options import (
     beside,
     cores,
     name_choices,
+    record_options,
 )
 from geomosaic.cli.recipes import completed
 from geomosaic.errors import InputError, PoorResultError, UnknownNameError
@@ -29,6 +34,7 @@ from geomosaic.errors import InputError, PoorResultError, UnknownNameError
 if TYPE_CHECKING:
     from geomosaic.pipeline.given import Given
     from geomosaic.pipeline.recipe import Recipe
+    from geomosaic.recording.levels import RecordOptions
 
 STAGES = (
     "survey.read",
@@ -153,6 +159,10 @@ def mosaic(
     strict: Strict = False,
     dry_run: DryRun = False,
     quiet: Quiet = False,
+    record: Record = "normal",
+    private: Private = False,
+    private_places: PrivatePlaces = False,
+    live: Live = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
     prepare(STAGES, workers, dask)
@@ -196,7 +206,8 @@ def mosaic(
     stages = [id for id in STAGES if not unasked.get(id)]
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)
     output = output or beside(frames, "mosaic")
-    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet}
+    recorded = record_options(record, private, private_places, live)
+    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet, "record": recorded}
     execute(recipe, output, workers, dask, fixed_time, overwrite, **how)
 
 
@@ -233,6 +244,10 @@ def run(
     strict: Strict = False,
     dry_run: DryRun = False,
     quiet: Quiet = False,
+    record: Record = "normal",
+    private: Private = False,
+    private_places: PrivatePlaces = False,
+    live: Live = False,
 ) -> None:
     """Run a recipe."""
     from dataclasses import replace
@@ -269,7 +284,8 @@ def run(
         named = [path for step in checked.steps for path in file_values(step.params).values()]
         output = beside(input or (named or [file])[0], file.stem.replace("_", "-"))
     prepare([step.stage.id for step in checked.steps], workers, dask)
-    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet}
+    recorded = record_options(record, private, private_places, live)
+    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet, "record": recorded}
     execute(checked, output, workers, dask, fixed_time, overwrite, **how)
 
 
@@ -325,6 +341,7 @@ def execute(
     strict: bool = False,
     dry_run: bool = False,
     quiet: bool = False,
+    record: RecordOptions | None = None,
 ) -> None:
     """Runs a checked recipe with progress on stderr, and says on stdout where the results lie.
 
@@ -347,6 +364,7 @@ def execute(
             fixed_time=fixed_time,
             given=given,
             reporter=reporter,
+            record=record,
         )
     if not quiet:
         _conclude(recipe, output, summary)

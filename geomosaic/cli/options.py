@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.errors import GeomosaicError, InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from geomosaic.recording.levels import RecordOptions
 
 
 def cores() -> int:
@@ -72,8 +75,39 @@ Dask = Annotated[
 FixedTime = Annotated[
     bool, typer.Option("--fixed-time", help="leave clock times out of the recording: equal runs, equal bytes")
 ]
+Record = Annotated[
+    str,
+    typer.Option(
+        metavar="off|summary|normal|full",
+        help="what run.mcap holds: nothing; figures; also images and what a replay takes; also each pair's "
+        "tie points",
+    ),
+]
+Private = Annotated[
+    bool, typer.Option("--private", help="no folders, user or host in the recording, for strangers to read")
+]
+PrivatePlaces = Annotated[
+    bool,
+    typer.Option(
+        "--private-places",
+        help="nor where it is: places moved by what nobody is told, no replay; images still show the ground",
+    ),
+]
+Live = Annotated[bool, typer.Option("--live", help="show the run in Rerun while it is on")]
 Seed = Annotated[int | None, typer.Option(help="seed of all randomness", min=0)]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
+
+
+def record_options(record: str, private: bool, private_places: bool, live: bool) -> RecordOptions:
+    """How a run is recorded. Raises `UnknownNameError` for another level, `InputError` if nothing is to be
+    recorded and shown."""
+    from geomosaic.recording.levels import LEVELS, RecordOptions
+
+    if record not in LEVELS:
+        raise UnknownNameError("level of --record", record, LEVELS)
+    if live and record == "off":
+        raise InputError("--live shows what is recorded", mend="leave --record off away")
+    return RecordOptions(record, private, private_places, live)
 
 
 def beside(given: Path, what: str) -> Path:

@@ -11,14 +11,19 @@ from geomosaic.cli.mosaic import execute, recipe_of
 from geomosaic.cli.options import (
     DryRun,
     FixedTime,
+    Live,
     Overwrite,
+    Private,
+    PrivatePlaces,
     Quiet,
+    Record,
     RunFolderBeside,
     Seed,
     Sets,
     Workers,
     beside,
     name_choices,
+    record_options,
 )
 
 STAGES = (
@@ -60,6 +65,10 @@ def strips(
     overwrite: Overwrite = False,
     dry_run: DryRun = False,
     quiet: Quiet = False,
+    record: Record = "normal",
+    private: Private = False,
+    private_places: PrivatePlaces = False,
+    live: Live = False,
 ) -> None:
     """Make one scene of the strips of a satellite's staggered CCDs."""
     given: dict[str, dict[str, Any]] = {
@@ -68,4 +77,6 @@ def strips(
     }
     recipe = recipe_of("strips", f"strips of {geometry.name}", STAGES, given, seed, set)
     output = output or beside(geometry, "scene")
-    execute(recipe, output, workers, None, fixed_time, overwrite, dry_run=dry_run, quiet=quiet)
+    recorded = record_options(record, private, private_places, live)
+    how: dict[str, Any] = {"dry_run": dry_run, "quiet": quiet, "record": recorded}
+    execute(recipe, output, workers, None, fixed_time, overwrite, **how)
