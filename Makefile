@@ -69,6 +69,9 @@ bench-bundle: setup ## 1,000 frames with 300,000 image observations (about a min
 bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
 	$(PY) tools/bench_oracle.py
 
+bench-recording: setup ## what the recording costs: at most 5 % of the time and 1 MB a frame (about 20 minutes)
+	$(PY) tools/bench_recording.py --out out/bench-recording
+
 bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object space, speed, the paper's figures (about 2 hours)
 	$(PY) tools/bench_strips.py --seeds 20 --methods all --out out/bench-strips
 	$(PY) tools/bench_strips.py --mixed 60 --out out/bench-strips
@@ -98,4 +101,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-strips bench-real check-qgis fuzz chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-strips bench-real check-qgis fuzz chaos docs format clean
