@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import pickle
@@ -32,6 +33,7 @@ from geomosaic.pipeline.context import Context, Notes, RunFile
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.pipeline.given import given_stage
 from geomosaic.pipeline.recipe import Recipe, load_recipe
+from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.pipeline.runner import run
 from geomosaic.recording.compare import compare
@@ -68,6 +70,24 @@ def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Toys:
     made = Toys(tmp_path)
     monkeypatch.setenv("TOY_LOG", str(made.log))
     return made
+
+
+class Counting(Silent):
+    """Counts what a stage made, whenever one begins."""
+
+    def __init__(self) -> None:
+        self.alive: list[int] = []
+
+    def stage_started(self, index: int, total: int, name: str) -> None:
+        gc.collect()
+        self.alive.append(sum(isinstance(o, Numbers) and o.source == "fancy" for o in gc.get_objects()))
+
+
+def test_what_the_next_stage_does_not_take_is_no_longer_held(toys: Toys) -> None:
+    """Power makes it, sum and write take it, tell doesn't."""
+    reporter = Counting()
+    toys.run("toy.power.name=fancy", reporter=reporter)
+    assert reporter.alive == [0, 0, 1, 1, 0]
 
 
 def test_a_run_leaves_what_the_design_says(toys: Toys) -> None:

@@ -65,6 +65,10 @@ class Held:
                 self._value = decode(file, self.type)
         return self._value
 
+    def let_go(self) -> None:
+        """Forgets the value until it is asked for again."""
+        self._value = _MISSING
+
 
 @dataclass(frozen=True)
 class Finished:

@@ -16,6 +16,7 @@ from geomosaic.pipeline.cache import Finished, Held, Lineage, StageCache, file_m
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes
+from geomosaic.pipeline.freed import give_back
 from geomosaic.pipeline.given import Given, bring_files
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.plugin import blamed, code_of
@@ -176,6 +177,7 @@ class _Run:
                 self._recorder.stage_started(stage, version, params, marks, reads_run=not step.stage.cached)
                 finished, source = self._step(i, step, inputs, given.get(i))
                 self._end_stage(step.stage, finished, time.monotonic() - started, source)
+                self._let_go(self._recipe.steps[i + 1 : i + 2])
             with self._folder.writing(RUN_JSON) as path:
                 files.write_json(path, self._summary)
             self._tidy()
@@ -187,6 +189,13 @@ class _Run:
         except Exception as error:
             self._record_failure(stage, f"{type(error).__name__}: {error}")
             raise
+
+    def _let_go(self, then: Sequence[Step]) -> None:
+        """What the next step doesn't take stays on the disk alone, until a later one does."""
+        taken = {name for step in then for name in (*step.stage.inputs, *step.stage.optional_inputs)}
+        for name in self._held.keys() - taken:
+            self._held[name].let_go()
+        give_back()
 
     def _begin(self, given: Mapping[int, Given]) -> None:
         manifest: dict[str, Any] = {}
