@@ -27,6 +27,10 @@ from chaos_world import Ended, Running, Trial, World, items_of, result_of
 from trial_box import changes, snapshot
 from trial_tables import write_tables
 
+from geomosaic.errors import FileError
+from geomosaic.recording import read_recording
+from geomosaic.recording.inspection import Inspection
+
 BLOWS = {
     "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "vanish": 2, "change": 4,
     "change later": 2, "none": 1,
@@ -90,6 +94,8 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
     ended = running.end(struck)
     world.disk.large()
     put_back(world.inputs)
+    if blow.startswith("kill") and ended.code == -signal.SIGKILL:
+        detail += f" {where_it_was(trial, world.run, len(running.stages()))}"
     if blow.startswith("kill in") and AMID[blow][1] in running.stages():
         detail += " (too late)"
     judge_items(trial, before, items_of(world.run))
@@ -99,6 +105,18 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
     left = len(items_of(world.run))
     trial.blows.append(f"{blow}{detail} -> {ended.code} in {ended.seconds:.1f} s, {left} items")
     judge_blow(trial, blow, ended)
+
+
+def where_it_was(trial: Trial, run: Path, done: int) -> str:
+    """What the recording of a killed run says of where it was; `done`: how many stages its progress names."""
+    try:
+        recording = read_recording(run / "run.mcap")
+    except FileError as error:
+        return f"({error.problem})"
+    finished = sum(stage.finished for stage in recording.stages)
+    if done and not done <= finished <= done + 1:
+        trial.problems.append("wrong place")
+    return f"({Inspection(recording, None).ended().get('text', 'finished')})"
 
 
 def judge_items(trial: Trial, before: Items, after: Items) -> None:

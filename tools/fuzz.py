@@ -69,7 +69,8 @@ def warm() -> None:
     """Imports all that commands import late, so that each child finds it there."""
     names = [
         *("geomosaic.pipeline.runner", "geomosaic.pipeline.finished", "geomosaic.pipeline.given"),
-        *("geomosaic.recording.tables", "geomosaic.recording.compare", "geomosaic.cli.progress"),
+        *("geomosaic.recording.inspection_tables", "geomosaic.recording.compare", "geomosaic.cli.progress"),
+        *("geomosaic.recording.pictures", "geomosaic.pipeline.elsewhere", "geomosaic.recording.repair"),
         *(
             "scipy.ndimage",
             "scipy.optimize",

@@ -15,13 +15,13 @@ from fuzz_formats import (
     exif_tags,
     jpeg_entropy,
     jpeg_segments,
-    mcap_messages,
     mostly,
     png_chunks,
     tiff_tags,
     xmp_packet,
 )
 from fuzz_mutations import Mutate, Nasty, a_table, some_bytes, some_text, spoil_the_file
+from fuzz_recordings import a_recording
 from fuzz_trees import a_json, a_yaml, an_xml
 
 FILE_SHARE = 0.05
@@ -124,14 +124,23 @@ def _strips(box: Path, file: str, rng: Random) -> Commands:
 
 def _recording(box: Path, file: str, rng: Random) -> Commands:
     recording, out = str(box / file), str(box / "out")
+    frame, other = rng.sample(sorted(p.name for p in (box / "in" / "frames").iterdir() if p.is_file()), 2)
     replay = ["replay", recording, "-o", out, "--workers", "1", "--fixed-time"]
     return [
         rng.choice(
             (
                 ["inspect", recording],
                 ["inspect", recording, "--json"],
+                ["inspect", recording, "--worst", "9", "--stage", "placement.pos", "--json"],
+                ["inspect", recording, "--worst", "9", "--png", str(box / "out" / "plan.png")],
+                ["inspect", recording, "--frame", frame, "--png", str(box / "out" / "frame.png")],
+                ["inspect", recording, "--pair", frame, other],
+                ["inspect", recording, "--repair", str(box / "out" / "whole.mcap")],
                 ["diff", recording, str(box / "in" / "other.mcap")],
-                ["diff", str(box / "in" / "other.mcap"), recording],
+                ["diff", str(box / "in" / "other.mcap"), recording, "--json"],
+                ["view", recording, "--save", str(box / "out" / "run.rrd")],
+                [*replay, "--from", "placement.pos", "--until", "matching.sift"],
+                [*replay, "--from", "export.cog", "--frames", str(box / "in" / "frames")],
                 [*replay, "--from", "placement.pos"],
                 [*replay, "--from", "export.cog"],
                 [*replay, "--from", "export.report"],
@@ -166,7 +175,7 @@ def _by_name(file: str) -> Mutate:
     structures: dict[str, Mutate] = {
         ".json": a_json, ".yaml": a_yaml, ".csv": a_table, ".txt": a_table, ".TXT": some_text, ".vrt": an_xml,
         ".asc": a_table, ".prj": some_text, ".xml": an_xml, ".html": some_text,
-        ".tif": mostly(tiff_tags), ".png": mostly(png_chunks), ".mcap": mostly(mcap_messages),
+        ".tif": mostly(tiff_tags), ".png": mostly(png_chunks), ".mcap": mostly(a_recording),
         ".artefact": mostly(artefact_parts), ".gpkg": some_bytes,
     }  # fmt: skip
     return structures.get(Path(name).suffix, some_bytes)

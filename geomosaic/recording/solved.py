@@ -33,6 +33,12 @@ DOWN_WEIGHTED: Annotated[
         CHOSEN,
     ),
 ] = 0.5
+_FARTHEST_M: Annotated[
+    float, Because("m", "from a survey's centre that a frame can be: beyond the Earth's other side", CHOSEN)
+] = 1e8
+_OFF: Annotated[
+    float, Because("1", "by which rows of a rotation may be off unit length and square", CHOSEN)
+] = 1e-6
 _POSE = (
     *("lon_deg", "lat_deg", "height_ellipsoidal_m", "easting_m", "northing_m"),
     *("yaw_deg", "pitch_deg", "roll_deg", "sd_e_m", "sd_n_m", "sd_u_m"),
@@ -280,8 +286,17 @@ def _pose(of: Orientations | None, i: int) -> dict[str, Any] | None:
 
 
 def _whole(poses: Poses, n: int) -> bool:
+    """Whether these can be poses of n frames: of the right shapes, on Earth, and turned by rotations."""
     shapes = (poses.positions_m, poses.positions_sd_m, poses.rotations_sd_rad)
-    return all(v.shape == (n, 3) for v in shapes) and poses.rotations.shape == (n, 3, 3)
+    if any(v.shape != (n, 3) for v in shapes) or poses.rotations.shape != (n, 3, 3):
+        return False
+    there = np.isfinite(poses.positions_m).all() and np.isfinite(poses.rotations).all()
+    if not there or np.abs(poses.positions_m).max(initial=0.0) > _FARTHEST_M:
+        return False
+    if np.abs(poses.rotations).max(initial=0.0) > 2.0:
+        return False
+    turned = np.swapaxes(poses.rotations, 1, 2) @ poses.rotations - np.eye(3)
+    return bool(np.abs(turned).max(initial=0.0) < _OFF)
 
 
 def _marks(frame: NDArray[Any], px: Floats) -> NDArray[np.uint64]:
