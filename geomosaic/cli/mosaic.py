@@ -380,7 +380,7 @@ def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
         for name, text in step.stage.conclusions(summary):
             print(f"{name:<10} {text}")
     for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
-        if (output / file).exists():
+        if (output / file).exists() and not file.endswith(".aux.xml"):
             name = "recording" if file == RECORDING else Path(file).stem
             print(f"{name:<10} {output / file}")
     if summary["warnings"]:
