@@ -6,6 +6,7 @@ import functools
 import itertools
 import os
 import pickle
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -236,3 +237,22 @@ def test_a_lent_function_is_what_was_lent_or_nothing(tmp_path: Path) -> None:
     (tmp_path / "lent").write_bytes(pickle.dumps(print))
     with pytest.raises(FileError, match="isn't what the run wrote"):
         lent(1.0)
+
+
+def recalled(kept: Kept[np.ndarray]) -> int:
+    return len(kept.recall())
+
+
+def test_a_worker_at_rest_forgets_what_it_recalled(tmp_path: Path) -> None:
+    """64 MB, that the parent may need meanwhile."""
+    path = tmp_path / "large"
+    path.write_bytes(encode(np.ones(8 << 20)))
+    large = Kept[np.ndarray](np.ndarray, "mark", path)
+    with Workers(2) as workers:
+        assert workers.result(workers.submit(recalled, large)) == 8 << 20
+        most = workers.memory_bytes()
+        until = time.monotonic() + 20.0
+        while workers.memory_bytes() > most - (60 << 20) and time.monotonic() < until:
+            time.sleep(0.2)
+        assert workers.memory_bytes() <= most - (60 << 20)
+        assert workers.result(workers.submit(recalled, large)) == 8 << 20

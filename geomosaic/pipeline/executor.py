@@ -20,23 +20,48 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import SpawnContext
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 from geomosaic import __version__
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.pipeline import kept
+from geomosaic.pipeline.freed import give_back
 
 ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """How many threads numpy and scipy start, read when they are first imported."""
 
 _THREAD_LIMITS = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM")
 
+_REST_S: Annotated[
+    float,
+    Because(
+        "s",
+        "without a task, once or twice, after which a worker gives back what it keeps for the next one: it "
+        "goes on waiting while the parent does what it does alone, as in an adjustment",
+        CHOSEN,
+    ),
+] = 2.0
+
 DASK_TIMEOUT_S = 10.0
 DASK_PATIENCE_S = 30.0
 """How long a cluster may be without any worker: as long as one takes to be started anew."""
+
+
+@dataclass
+class _Tasks:
+    """How many a worker has begun and done."""
+
+    begun: int = 0
+    done: int = 0
+
+
+_tasks = _Tasks()
 
 
 def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
@@ -47,11 +72,14 @@ def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[A
     cv2 = sys.modules.get("cv2")
     if cv2 is not None:
         cv2.setNumThreads(1)
+    _tasks.begun += 1
     try:
         return function(item), os.getpid(), peak_memory_bytes()
     except Exception as error:
         error.add_note(f"in a worker process:\n{traceback.format_exc()}")
         raise _portable(error) from None
+    finally:
+        _tasks.done += 1
 
 
 def _portable(error: Exception) -> Exception:
@@ -97,8 +125,8 @@ class _Here(Executor):
 
 
 def _start_worker(environment: dict[str, str]) -> None:
-    """Gives a new worker its parent's environment of now (what it is forked from may be older), and lets it
-    die with its parent, however that dies."""
+    """Gives a new worker its parent's environment of now (what it is forked from may be older), lets it die
+    with its parent, however that dies, and has it give back its memory whenever it is at rest."""
     os.environ.update(environment)
     for name in os.environ.keys() - environment.keys():
         del os.environ[name]
@@ -106,7 +134,14 @@ def _start_worker(environment: dict[str, str]) -> None:
     if parent is not None:
 
         def follow() -> None:
-            parent.join()
+            done, given_back = 0, 0
+            while parent.is_alive():
+                parent.join(_REST_S)
+                if done == _tasks.done == _tasks.begun > given_back:
+                    kept.forget_all()
+                    give_back()
+                    given_back = done
+                done = _tasks.done
             os._exit(1)
 
         threading.Thread(target=follow, daemon=True).start()

@@ -71,8 +71,19 @@ class _Memory:
                 self._size -= self._values.popitem(last=False)[1][1]
         return value
 
+    def clear(self) -> None:
+        """Forgets all of it."""
+        with self._lock:
+            self._values.clear()
+            self._size = 0
+
 
 _memory = _Memory(_MEMORY_BYTES)
+
+
+def forget_all() -> None:
+    """What this process was referred to is read anew if it is wanted again."""
+    _memory.clear()
 
 
 @dataclass(frozen=True)
