@@ -8,7 +8,7 @@ from geomosaic.recording.image_view import CHIP, FRAME, FRAME_TEXT, MOSAIC, STRI
 from geomosaic.recording.list_view import LISTS, PICK
 from geomosaic.recording.model import Recording
 from geomosaic.recording.plan_view import NAME, PLAN
-from geomosaic.recording.rounds_view import SPECTRUM, STAGES, STEPS
+from geomosaic.recording.rounds_view import BOUNDS, SPECTRUM, STAGES, STEPS
 from geomosaic.recording.strip_view import LINE, STRIP_PLAN, strip_views
 
 
@@ -42,7 +42,7 @@ def _of_frames() -> Any:
                     origin=CHIP, name="worst pairs: green counts, red rejected, grey took no part"
                 ),
                 rrb.Horizontal(
-                    rrb.Spatial2DView(origin=FRAME, name=f"picked frame (timeline '{PICK}')"),
+                    rrb.Spatial2DView(origin=FRAME, name=f"frame at {PICK}"),
                     rrb.TextDocumentView(origin=FRAME_TEXT, name="picked frame"),
                     rrb.Spatial2DView(origin=MOSAIC, name="mosaic"),
                 ),
@@ -52,8 +52,8 @@ def _of_frames() -> Any:
         ),
         rrb.Horizontal(
             rrb.TextDocumentView(origin=f"{LISTS}/said", name="verdict and warnings"),
-            rrb.Spatial2DView(origin=STAGES, name="stages, red: not finished"),
-            rrb.Spatial2DView(origin=STEPS, name="steps of the solves: cost and sigma, logarithmic"),
+            _drawn(STAGES, "stages, red: not finished"),
+            _drawn(STEPS, "steps: cost and sigma, log"),
             _log(),
             column_shares=[4, 3, 3, 5],
         ),
@@ -73,19 +73,26 @@ def _of_strips(recording: Recording) -> Any:
                     rrb.Spatial2DView(origin=STRIP_PLAN, name="plan, m"),
                     rrb.Spatial2DView(origin=MOSAIC, name="scene"),
                 ),
-                rrb.Spatial2DView(origin=SPECTRUM, name="jitter, px by Hz, logarithmic"),
+                _drawn(SPECTRUM, "jitter, px by Hz, logarithmic"),
             ),
             column_shares=[3, 2],
         ),
         rrb.Horizontal(
             rrb.TextDocumentView(origin=f"{LISTS}/strips", name="greys, and why lines are bridged"),
             rrb.TextDocumentView(origin=f"{LISTS}/said", name="warnings"),
-            rrb.Spatial2DView(origin=STAGES, name="stages, red: not finished"),
+            _drawn(STAGES, "stages, red: not finished"),
             _log(),
             column_shares=[4, 2, 3, 4],
         ),
         row_shares=[7, 3],
     )
+
+
+def _drawn(origin: str, name: str) -> Any:
+    import rerun.blueprint as rrb
+
+    x, y = BOUNDS[origin]
+    return rrb.Spatial2DView(origin=origin, name=name, visual_bounds=rrb.VisualBounds2D(x_range=x, y_range=y))
 
 
 def _log() -> Any:

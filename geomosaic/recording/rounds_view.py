@@ -18,6 +18,12 @@ _WIDE, _HIGH, _ROW = 300.0, 100.0, 34.0
 _NAMES: Final = 260.0
 _LEAST_SHARE: Final = 0.004
 """Of a run's time: shorter stages aren't drawn."""
+BOUNDS: Final = {
+    STAGES: ((-_NAMES, _WIDE + 10.0), (-_ROW, 13.0 * _ROW)),
+    STEPS: ((-15.0, _WIDE + 15.0), (-45.0, _HIGH + 60.0)),
+    SPECTRUM: ((-20.0, _WIDE + 260.0), (-10.0, _HIGH + 20.0)),
+}
+"""What views show of each, x and y: names are as large at any scale and need room."""
 _BAR, _REUSED, _OPEN = (80, 140, 210), (90, 95, 110), (255, 90, 60)
 _COST, _SIGMA, _AXIS = (235, 150, 60), (90, 190, 250), (90, 95, 110)
 
@@ -49,7 +55,6 @@ def draw_stages(story: Story, stream: Any) -> None:
     stream.log(f"{STAGES}/bars", rerun.LineStrips2D(bars, colors=colours, radii=_ui(4.0)), static=True)
     named = rerun.Points2D(places, labels=labels, show_labels=True, colors=colours, radii=_ui(0.5))
     stream.log(f"{STAGES}/names", named, static=True)
-    _leave_room(stream, STAGES, (-_NAMES, -_ROW), (_WIDE, len(bars) * _ROW))
 
 
 def draw_steps(story: Story, stream: Any) -> None:
@@ -81,7 +86,6 @@ def draw_steps(story: Story, stream: Any) -> None:
         ),
         static=True,
     )
-    _leave_room(stream, STEPS, (-60.0, -50.0), (_WIDE + 60.0, _HIGH + 24.0 * (len(x) + 1)))
 
 
 def draw_spectra(story: Story, stream: Any) -> None:
@@ -114,15 +118,6 @@ def draw_spectra(story: Story, stream: Any) -> None:
         [[0, _HIGH + 6], [_WIDE, _HIGH + 6]], labels=ends, show_labels=True, colors=[_AXIS]
     )
     stream.log(f"{SPECTRUM}/ends", label, static=True)
-    _leave_room(stream, SPECTRUM, (-40.0, -10.0), (_WIDE + 270.0, _HIGH + 20.0))
-
-
-def _leave_room(stream: Any, origin: str, first: tuple[float, float], last: tuple[float, float]) -> None:
-    """A view shows all that is in it: names need room, too."""
-    import rerun
-
-    corners = rerun.Points2D([first, last], colors=[(0, 0, 0, 0)], radii=_ui(0.1))
-    stream.log(f"{origin}/corners", corners, static=True)
 
 
 _FRAME: Final = [[0.0, 0.0], [0.0, _HIGH], [_WIDE, _HIGH], [_WIDE, 0.0], [0.0, 0.0]]
