@@ -15,6 +15,7 @@ from osgeo import gdal, ogr, osr
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from pyproj import CRS, Transformer
 
+from geomosaic.cli.mosaic import STAGES, recipe_of
 from geomosaic.errors import InputError
 from geomosaic.export.surface import SurfaceOnMap
 from geomosaic.export.surface_heights import HeightSystem, height_system, write_sidecar
@@ -317,6 +318,18 @@ def test_the_hillshade_is_a_cog_lit_from_the_north_west(written):
     normal = np.array([-3000.0 / 75_850.0, -1500.0 / 111_170.0, 1.0])
     expected = 1.0 + 254.0 * (normal @ to_sun) / np.linalg.norm(normal)
     assert np.median(shade[40:100, 40:100]) == pytest.approx(expected, abs=1.5)
+
+
+def test_the_command_wires_the_surfaces_stages(tmp_path):
+    """Nothing runs: that every stage gets what it takes is seen when the recipe is made."""
+    given = {"survey.read": {"frames": tmp_path}, "quality.surface": {"reference": tmp_path / "dem.tif"}}
+    stages = [id for id in STAGES if id != "quality.compare"]
+    recipe = recipe_of("mosaic", "", stages, given, None, ["export.surface.heights=EPSG:5773"])
+    made = {step.stage.id: step for step in recipe.steps}
+    assert made["export.surface"].params.heights == "EPSG:5773"
+    with pytest.raises(InputError, match=r"quality\.surface needs 'surface_file'"):
+        without = [id for id in stages if id != "export.surface"]
+        recipe_of("mosaic", "", without, given, None, None)
 
 
 def test_memory_goes_by_the_block(scene):

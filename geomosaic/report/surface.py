@@ -93,12 +93,14 @@ def surface_section(
     )
 
 
-def _reduced(path: Path, band: int, most_px: int) -> tuple[Floats32, float]:
+def _reduced(
+    path: Path, band: int, most_px: int, resampling: Resampling = Resampling.average
+) -> tuple[Floats32, float]:
     """A band (rows, cols) at a reduced size, NaN where it is unknown, and the side of its pixels in m."""
     with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.mend):
         scale = max(1.0, max(raster.shape) / most_px)
         shape = max(1, round(raster.height / scale)), max(1, round(raster.width / scale))
-        values = raster.read(band, out_shape=shape, resampling=Resampling.average, masked=True)
+        values = raster.read(band, out_shape=shape, resampling=resampling, masked=True)
         pixel_m = raster.transform.a * raster.width / shape[1]
     return np.asarray(values.astype(np.float32).filled(np.nan)), pixel_m
 
@@ -132,8 +134,8 @@ def _profile(surface: Path, terrain: Path) -> Profile:
 
 def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) -> list[Row]:
     told = metrics.get("surface", {})
-    views, _ = _reduced(confidence, 2, _PICTURE_PX)
-    sd, _ = _reduced(confidence, 1, _PICTURE_PX)
+    views, _ = _reduced(confidence, 2, _PICTURE_PX, Resampling.nearest)
+    sd, _ = _reduced(confidence, 1, _PICTURE_PX, Resampling.nearest)
     sd, seen = sd[np.isfinite(sd)], views[np.isfinite(views)]
     rows: list[Row] = []
     if heights.size:
@@ -144,7 +146,13 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
         rows.append(("cells", short(told["cell_m"], "m"), pixel))
     if seen.size:
         matched = f"{100.0 * float(np.mean(seen > 0.0)):.0f} %"
-        rows.append(("matched", matched, "the rest is held by what lies around, or by tie points"))
+        rows.append(
+            (
+                "matched",
+                matched,
+                "of what surface.tif holds; the rest is held by what lies around, or by tie points",
+            )
+        )
     if sd.size:
         middle, most = np.quantile(sd, [0.5, 0.9]).tolist()
         text = f"median {short(middle, 'm')}, 90 % below {short(most, 'm')}"
