@@ -62,7 +62,7 @@ def test_it_is_told_how_far_below_the_line_of_sight_a_place_lies() -> None:
 
 
 def test_what_is_unsure_and_what_is_narrow_hides_nothing() -> None:
-    ground, places = box(sd_m=TOP_M / 2.0)
+    ground, places = box(sd_m=TOP_M)
     assert (hidden_m(ground, (-30.0, 0.0, 100.0), places)[places[..., 2] == 0.0] <= 0.0).all()
     mast = np.zeros((201, 201))
     mast[100, 100:102] = 15.0

@@ -111,7 +111,7 @@ class GroundSurface:
         at = [(north - self.north_0_m) / self.spacing_m, (east - self.east_0_m) / self.spacing_m]
         shape = np.broadcast(*at).shape
         flat = np.stack([np.broadcast_to(a, shape).ravel() for a in at])
-        return np.asarray(map_coordinates(values, flat, order=1, mode="nearest")).reshape(shape)
+        return np.asarray(map_coordinates(values, flat, np.float64, order=1, mode="nearest")).reshape(shape)
 
     def intersect(self, origin_m: ArrayLike, ray: ArrayLike) -> Floats:
         """Where rays first meet the ground, shape (..., 3); NaN where a ray doesn't come down to it.

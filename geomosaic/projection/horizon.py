@@ -35,10 +35,12 @@ _SURELY: Annotated[
     float,
     Because(
         "deviations",
-        "by which what may hide is taken to be lower: what is not sure hides nothing, with less, noise does",
-        CHOSEN,
+        "by which what may hide is taken to be lower: what is not sure hides nothing; with two, roofs that "
+        "are half sure are seen through, with none, crowns that aren't there hide",
+        "computed of a simulated town on its matched surface: within 1 m of walls and trees SSIM 0.626, with "
+        "two 0.625, with none 0.628, but 0.001 less everywhere else; 0.615 where nothing hides",
     ),
-] = 2.0
+] = 1.0
 _POLE_M: Annotated[
     float,
     Because(
@@ -55,7 +57,7 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
     them, in m: not above 0 where it sees them.
 
     Along each line from below the camera outwards, what has been seen under the least angle from level is
-    what hides; lines are as dense as nodes at the farthest place. Heights count less two deviations, and
+    what hides; lines are as dense as nodes at the farthest place. Heights count less a deviation, and
     nothing narrower than a metre.
     """
     camera = np.asarray(camera_m, dtype=np.float64)
@@ -109,9 +111,12 @@ def _bearings(off: Floats32) -> tuple[Floats32, float, float, float]:
 
 
 def _hiding(ground: GroundSurface) -> Floats32:
-    """Heights of what may hide, (rows, cols)."""
-    heights = ground.up_m.astype(np.float32)
-    if ground.sd_m is not None:
-        heights -= np.float32(_SURELY) * np.nan_to_num(ground.sd_m).astype(np.float32)
+    """Heights of what may hide, (rows, cols). The edge of what stands is seldom sure: it is as sure as what
+    stands about it."""
     side = 2 * round(_POLE_M / ground.spacing_m / 2.0) + 1
-    return np.asarray(cv2.morphologyEx(heights, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)))
+    square = np.ones((side, side), np.uint8)
+    heights = cv2.morphologyEx(ground.up_m.astype(np.float32), cv2.MORPH_OPEN, square)
+    if ground.sd_m is not None:
+        lowered = ground.up_m - _SURELY * np.nan_to_num(ground.sd_m)
+        heights = np.minimum(heights, cv2.dilate(lowered.astype(np.float32), square))
+    return np.asarray(heights, dtype=np.float32)
