@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_scene import GSD_M, Scene, scene
+from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.doubts import doubts
@@ -118,3 +119,14 @@ def test_water_stays_as_it_was(tmp_path) -> None:
     assert float(np.mean(land)) < 0.1
     told = dict(doubts(surface, looked_at, lake.base, level))
     assert "surface-not-matched" in told
+
+
+def test_one_and_two_workers_write_the_same_surface(tmp_path) -> None:
+    survey = small_survey(tmp_path / "town", buildings=2.0, buildings_stand=True, frames_per_line=3)
+    for workers in (1, 2):
+        run = tmp_path / str(workers)
+        asked = ("--workers", workers, "--surface", "dense", "--pos", survey.pos, "--camera", survey.camera)
+        assert geomosaic("mosaic", survey.frames, "-o", run, *asked) == 0
+    one, two = ((tmp_path / name / "surface.tif").read_bytes() for name in "12")
+    assert one == two
+    assert summary(tmp_path / "1")["metrics"]["surface"]["matched"] > 0.3

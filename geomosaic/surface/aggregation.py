@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +36,12 @@ _JUMP: Annotated[
         CHOSEN,
     ),
 ] = 7.0
+_DISTINCT_CELLS: Annotated[
+    int,
+    Because(
+        "cells", "side of the window in which heights are told from chance: single cells can't be", CHOSEN
+    ),
+] = 13
 _NEVER = np.int16(30000)
 
 
@@ -109,6 +116,14 @@ def cheapest(total: Costs, steps: Steps) -> NDArray[np.float32]:
     inside = (below == step - 1) & (above == step + 1) & (bend > 0.0)
     off = np.where(inside, (low - high) / (2.0 * np.where(inside, bend, 1.0)), 0.0)
     return np.asarray(step + off.clip(-0.5, 0.5), dtype=np.float32)
+
+
+def distinctness(costs: NDArray[np.uint8], total: Costs) -> NDArray[np.float32]:
+    """By how many bits the heights of a cell and those around cost less than the mean of all heights."""
+    chosen = np.take_along_axis(costs, total.argmin(axis=0)[None], axis=0)[0]
+    less = (costs.mean(axis=0, dtype=np.float32) - chosen) / np.float32(PER_BIT)
+    window = (_DISTINCT_CELLS, _DISTINCT_CELLS)
+    return np.asarray(cv2.blur(less.astype(np.float32), window), dtype=np.float32)
 
 
 def _taken(values: NDArray[np.int16], place: NDArray[np.intp]) -> NDArray[np.int16]:

@@ -89,7 +89,8 @@ class Level:
         whole = unseen(up)
         for task, heights in zip(tasks, found, strict=True):
             at = task.tile.at
-            up[at], whole.alike[at], whole.views[at] = heights.up_m, heights.alike, heights.views
+            up[at], whole.distinct[at] = heights.up_m, heights.distinct
+            whole.alike[at], whole.views[at] = heights.alike, heights.views
         return whole
 
 

@@ -18,7 +18,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.verticals import NODE_CELLS, Block, Verticals
-from geomosaic.surface.visibility import Asked, hidden_below
+from geomosaic.surface.visibility import Asked, hidden_from
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
@@ -107,8 +107,7 @@ def sharpened(
     finer = _Finer(verticals, base, cells, pictures)
     for k in range(_ROUNDS + 1):
         land_m = np.where(sure, height_m, np.minimum(lowest, height_m)).astype(np.float32)
-        used = sorted({frame for _, frames in blocks for frame in frames})
-        hidden_m = {frame: hidden_below(verticals, frame, land_m, cells.cell_m) for frame in used}
+        hidden_m = hidden_from(verticals, blocks, land_m, cells.cell_m)
         moved = height_m.copy()
         for at, frames in blocks:
             wide = _widened(at, height_m.shape)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.surface.aggregation import aggregated, cheapest, ring
+from geomosaic.surface.aggregation import aggregated, cheapest, distinctness, ring
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import Bits, census
 from geomosaic.surface.costs import census_costs
 from geomosaic.surface.refinement import UNSEEN, likeness, refined
 from geomosaic.surface.sharpening import sharpened
 from geomosaic.surface.verticals import Sighted, Verticals
-from geomosaic.surface.visibility import asked_frames, hidden_below
+from geomosaic.surface.visibility import asked_frames, hidden_from
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
@@ -108,16 +108,18 @@ class Search:
 @dataclass(frozen=True)
 class Heights:
     """Of cells (rows, cols): up_m in the work frame; alike, how alike the frames are there, from -1 to 1;
-    views, how many agree."""
+    views, how many agree; distinct, by how many bits heights in and around a cell cost less than others."""
 
     up_m: Floats32
     alike: Floats32
     views: Bytes
+    distinct: Floats32
 
 
 def unseen(up_m: Floats32) -> Heights:
     """Heights that no frames were compared at."""
-    return Heights(up_m, np.full_like(up_m, UNSEEN), np.zeros(up_m.shape, dtype=np.uint8))
+    nothing = np.zeros(up_m.shape, dtype=np.uint8)
+    return Heights(up_m, np.full_like(up_m, UNSEEN), nothing, np.zeros_like(up_m))
 
 
 def matched(
@@ -127,13 +129,13 @@ def matched(
     verticals = Verticals(search.cells, base, frames, search.lowest_m, search.highest_m)
     steps = _steps(search, verticals.base_m)
     asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _FRAMES)
-    used = sorted({k for _, chosen in asked for k in chosen})
-    hidden = {}
+    hidden: dict[int, Floats32] = {}
     if search.about_m is not None:
         about_m = search.about_m - verticals.base_m
-        hidden = {k: hidden_below(verticals, k, about_m, search.cells.cell_m) for k in used}
+        hidden = hidden_from(verticals, asked, about_m, search.cells.cell_m)
     costs = census_costs(verticals, [p.census for p in pictures], steps, search.step_m, asked, hidden)
-    height_m = _smoothed(cheapest(aggregated(costs, steps), steps) * np.float32(search.step_m))
+    total = aggregated(costs, steps)
+    height_m = _smoothed(cheapest(total, steps) * np.float32(search.step_m))
     inner = slice(MARGIN_CELLS, -MARGIN_CELLS), slice(MARGIN_CELLS, -MARGIN_CELLS)
     if not search.fine:
         return unseen((verticals.base_m + height_m)[inner])
@@ -141,7 +143,8 @@ def matched(
     height_m, alike = refined(verticals, greys, height_m, search.step_m, asked, hidden)
     height_m = sharpened(verticals, base, search.cells, greys, _smoothed(height_m), alike, asked)
     alike, views = likeness(verticals, greys, height_m, asked)
-    return Heights((verticals.base_m + height_m)[inner], alike[inner], views[inner])
+    distinct = distinctness(costs, total)
+    return Heights((verticals.base_m + height_m)[inner], alike[inner], views[inner], distinct[inner])
 
 
 def _steps(search: Search, base_m: Floats32) -> NDArray[np.int16]:

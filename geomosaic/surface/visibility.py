@@ -30,6 +30,16 @@ _TOLERANCE_CELLS: Annotated[
     float, Because("cells", "of height by which a place may be too low and still count as seen", CHOSEN)
 ] = 1.0
 
+_MOST_HIDDEN: Annotated[
+    float,
+    Because(
+        "share",
+        "of a block's cells that less than two frames see: yards between houses have less, crowns whose "
+        "heights are not known well yet more",
+        CHOSEN,
+    ),
+] = 0.3
+
 
 def asked_frames(
     verticals: Verticals, shapes: list[tuple[int, int]], side: int, most: int
@@ -70,3 +80,16 @@ def hidden_below(verticals: Verticals, frame: int, height_m: Floats32, cell_m: f
         )
         np.maximum(low, there - away * rise, out=low)
     return np.asarray(low - np.float32(_TOLERANCE_CELLS * cell_m))
+
+
+def hidden_from(verticals: Verticals, asked: Asked, height_m: Floats32, cell_m: float) -> dict[int, Floats32]:
+    """For each frame that is asked anywhere `hidden_below`; nothing is hidden in blocks where many cells of
+    the land itself would be seen by less than two frames: it is too rough to be a surface that hides."""
+    frames = sorted({k for _, chosen in asked for k in chosen})
+    found = {k: hidden_below(verticals, k, height_m, cell_m) for k in frames}
+    for at, chosen in asked:
+        seeing = sum((height_m[at] >= found[k][at]).astype(np.uint8) for k in chosen)
+        if float(np.mean(seeing < 2)) > _MOST_HIDDEN:
+            for k in chosen:
+                found[k][at] = -np.inf
+    return found
