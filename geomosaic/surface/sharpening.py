@@ -65,9 +65,9 @@ _WINDOW: Annotated[
     ),
 ] = 3
 _MOST_GREY: Annotated[
-    float,
+    int,
     Because("grey levels", "by which frames differ, at most: more says no more; and what isn't seen", CHOSEN),
-] = 30.0
+] = 30
 _KEPT_GREY: Annotated[
     float, Because("grey levels", "that another height must be better by, against noise", CHOSEN)
 ] = 0.5
@@ -176,29 +176,43 @@ class _Finer:
         bent = self._verticals.bent(dense_m)
         shown, seen = [], []
         for k in frames:
-            col, row = self._verticals.places(k, bent, (rows, cols))
+            col, row = (a.reshape(-1, size[0]) for a in self._verticals.places(k, bent, (rows, cols)))
             down, across = self._pictures[k].shape
             sees = (col >= 0.0) & (col < across - 1.0) & (row >= 0.0) & (row < down - 1.0)
-            sees &= dense_m >= cv2.resize(hidden_m[k][at], size, interpolation=cv2.INTER_NEAREST)
-            flat = col.reshape(-1, size[0]), row.reshape(-1, size[0])
+            low_m = cv2.resize(hidden_m[k][at], size, interpolation=cv2.INTER_NEAREST)
+            sees &= (dense_m >= low_m).reshape(sees.shape)
             border = cv2.BORDER_REPLICATE
-            grey = cv2.remap(self._pictures[k], *flat, cv2.INTER_LINEAR, borderMode=border)
-            shown.append(np.asarray(grey, dtype=np.float32).reshape(dense_m.shape))
+            shown.append(cv2.remap(self._pictures[k], col, row, cv2.INTER_LINEAR, borderMode=border))
             seen.append(sees)
-        of_first = np.argmax(np.stack(seen), axis=0)
-        first = np.take_along_axis(np.stack(shown), of_first[None], axis=0)[0]
-        best = [np.full(first.shape, _MOST_GREY, dtype=np.float32) for _ in range(2)]
-        for k, (grey, sees) in enumerate(zip(shown, seen, strict=True)):
-            both = sees & (of_first != k)
-            if not both[0].any():
+        sums = self._two_most_alike(shown, seen)
+        own = (size[0] // 2, len(sums) // 2)
+        found = cv2.resize(sums.astype(np.float32), own, interpolation=cv2.INTER_AREA) * np.float32(0.5)
+        if lean:
+            found = cv2.blur(found, (3, 3))
+        return np.asarray(found.reshape(len(offered_m), size[1] // 2, size[0] // 2), dtype=np.float32)
+
+    def _two_most_alike(self, shown: Sequence[Bytes], seen: Sequence[NDArray[np.bool_]]) -> Bytes:
+        """The sum of the two least differences with the first frame that sees a place; several heights lie
+        one below the other, and are mixed at their rims, which nobody looks at."""
+        first, lacking = shown[0].copy(), ~seen[0]
+        others = []
+        for grey, sees in zip(shown[1:], seen[1:], strict=True):
+            other = sees
+            if lacking.any():
+                own = lacking & sees
+                np.copyto(first, grey, where=own)
+                lacking &= ~sees
+                other = sees & ~own
+            others.append(other)
+        least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
+        for grey, other in zip(shown[1:], others, strict=True):
+            mask = other.view(np.uint8)
+            mean, own_mean = cv2.mean(first, mask)[0], cv2.mean(grey, mask)[0]
+            if own_mean <= 0.0:
                 continue
-            gain = first[0][both[0]].mean() / max(grey[0][both[0]].mean(), 1.0)
-            apart = np.minimum(np.abs(first - np.float32(gain) * grey), np.float32(_MOST_GREY))
-            apart = np.stack([cv2.blur(a, (_WINDOW, _WINDOW)) for a in apart])
-            apart[~both] = _MOST_GREY
-            best[1] = np.minimum(best[1], np.maximum(best[0], apart))
-            best[0] = np.minimum(best[0], apart)
-        mean = 0.5 * (best[0] + best[1])
-        own = (at[1].stop - at[1].start, at[0].stop - at[0].start)
-        found = [cv2.resize(m, own, interpolation=cv2.INTER_AREA) for m in mean]
-        return np.stack([cv2.blur(f, (3, 3)) for f in found] if lean else found)
+            apart = cv2.absdiff(first, cv2.convertScaleAbs(grey, alpha=mean / own_mean))
+            apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW))
+            np.copyto(apart, np.uint8(_MOST_GREY), where=~other)
+            np.minimum(second, np.maximum(least, apart), out=second)
+            np.minimum(least, apart, out=least)
+        return np.asarray(least + second, dtype=np.uint8)
