@@ -176,9 +176,12 @@ def test_a_receiver_without_a_fix(survey: Survey, refused: Refused) -> None:
 
 
 def test_a_frame_on_another_continent(survey: Survey, refused: Refused) -> None:
-    """Refused before the ground is made for all that lies between."""
+    """Left out before the ground is made for all that lies between; strictly, refused."""
     survey.change(1, lat_deg=3)
-    refused(survey.mosaic(), survey.run, survey.frame(2), "km from the middle", "correct its position")
+    strictly = survey.mosaic("--strict")
+    refused(strictly, survey.run, survey.frame(2), "km from the middle", "correct its position")
+    assert survey.mosaic("--set", "adjustment.solve.method=none") == 0
+    assert warned(survey.run, "frame-far-away") == ["F0002.jpg"]
 
 
 def test_a_frame_100_km_away(survey: Survey, refused: Refused) -> None:

@@ -34,7 +34,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 14
+    version = 15
     wants_frames: ClassVar[bool] = True
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 

@@ -44,7 +44,7 @@ _SWAPPED_M: Annotated[
         CHOSEN,
     ),
 ] = 50_000.0
-_TOO_FAR_M: Annotated[
+TOO_FAR_M: Annotated[
     float,
     Because(
         "m",
@@ -98,7 +98,6 @@ def observe(
             [p if row is None else _position(row, p) for row, p in zip(rows, own, strict=True)], anywhere
         )
         attitudes = [a if row is None else _attitude(row, a) for row, a in zip(rows, attitudes, strict=True)]
-    _check_extent(headers, positions)
     warnings += _doubts(headers, positions, attitudes)
     names = [h.name for h in headers]
     kept, high = plausible_positions(names, positions)
@@ -247,11 +246,11 @@ def _distances_m(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.linalg.norm(mid_latitude_offset_m(*a.T, *b.T), axis=1))
 
 
-def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> None:
+def check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> None:
     """No survey reaches so far: `InputError` naming the frame that lies farthest out."""
-    away = _away_m(positions)
+    away = away_m(positions)
     i = int(np.argmax(away))
-    if away[i] > _TOO_FAR_M:
+    if away[i] > TOO_FAR_M:
         raise InputError(
             f"lies {away[i] / 1000.0:.0f} km from the middle of the survey",
             file=headers[i].path,
@@ -259,7 +258,7 @@ def _check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position])
         )
 
 
-def _away_m(positions: Sequence[Position]) -> Floats:
+def away_m(positions: Sequence[Position]) -> Floats:
     """Distances (n,) from the middle of the known positions; 0 for those that aren't."""
     lonlat, known = lonlat_of(positions), np.array([p.known for p in positions])
     if not known.any():
@@ -281,7 +280,7 @@ def _doubts(
     relative = [p.height_above_ground_m == h.above_ground_m for p, h in zip(positions, heights, strict=True)]
     at = {(p.lon_deg, p.lat_deg) for p in positions if p.known}
     known = np.array([p.known for p in positions])
-    away = _away_m(positions)
+    away = away_m(positions)
     far = away > np.maximum(5000.0, 20.0 * np.median(away[known] if known.any() else away))
     cases = {
         "position-missing": (

@@ -23,7 +23,7 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
-from geomosaic.survey.observations import lonlat_of, observe
+from geomosaic.survey.observations import check_extent, lonlat_of, observe
 from geomosaic.survey.places import check_area
 from geomosaic.survey.pos import PosFile, read_pos
 from geomosaic.survey.rig import Captures, captures, incomplete_words
@@ -122,13 +122,14 @@ def read_survey(
     if rig is not None:
         headers, by_time = _in_order([b.header for b in rig.own])
     if leave_out != "none":
-        strays += _strays(headers, found, table, with_lens=cameras is not None)
+        strays += _strays(headers, found, table, with_lens=cameras is not None, strict=strict)
         headers = without(headers, strays)
     _check_alike(headers)
     left_out = (*found.left_out, *(out for _, out in strays))
     names = [h.name for h in headers]
     control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
     observed = observe(headers, table, [out.name for out in left_out], strict=strict)
+    check_extent(headers, observed.positions)
     located = [p for p in observed.positions if p.known]
     if not located and gcp is not None:
         used = lonlat_of_control(gcp, control)
@@ -255,7 +256,7 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
 
 
 def _strays(
-    headers: Sequence[FrameHeader], found: Usable, table: PosFile | None, *, with_lens: bool
+    headers: Sequence[FrameHeader], found: Usable, table: PosFile | None, *, with_lens: bool, strict: bool
 ) -> list[Stray]:
     """Images that don't belong to the survey. Args: headers of one kind, in order of capture; with_lens: a
     camera file gives the lenses."""
@@ -267,6 +268,8 @@ def _strays(
     out += blurred(rest, [found.looks[h.name] for h in rest])
     rest = without(headers, out)
     observed = observe(rest, table, [o.name for o in (*found.left_out, *(o for _, o in out))])
+    if strict:
+        check_extent(rest, observed.positions)
     return out + misplaced(rest, observed.positions, observed.attitudes)
 
 

@@ -25,6 +25,7 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
 from geomosaic.survey.model import Attitude, LeftOut, Position, Warn
 from geomosaic.survey.names import natural_key, some
+from geomosaic.survey.observations import TOO_FAR_M, away_m
 from geomosaic.survey.plausible import Limit
 
 Floats = NDArray[np.float64]
@@ -112,6 +113,7 @@ _WORDS: Final = {
     "frame-copy": "copies of other frames",
     "frame-take-off": "taken far below all others at the flight's beginning or end",
     "frame-oblique": "look aside or to the horizon while most look down",
+    "frame-far-away": "farther away than any survey reaches",
     "frame-other-place": "of another flight, far from the largest: mosaic it by itself",
     "frame-blurred": "far blurrier than the frames beside them, which are sharp",
     "frame-no-camera": "no lens is reported, nor are they of the others' camera",
@@ -234,9 +236,14 @@ def misplaced(
     lonlat = np.array([[p.lon_deg, p.lat_deg] for p in positions])
     known = np.array([p.known for p in positions])
     out: dict[int, Stray] = {}
-    for i, away_m in _other_flights(lonlat, known).items():
+    from_middle_m = away_m(positions)
+    for i in np.flatnonzero(from_middle_m > TOO_FAR_M).tolist():
+        known[i] = False
+        text = f"lies {from_middle_m[i] / 1000.0:.0f} km from the middle of the survey"
+        out[i] = _out("frame-far-away", headers[i], text)
+    for i, apart_m in _other_flights(lonlat, known).items():
         out[i] = _out(
-            "frame-other-place", headers[i], f"belongs to another flight, {away_m / 1000.0:.1f} km away"
+            "frame-other-place", headers[i], f"belongs to another flight, {apart_m / 1000.0:.1f} km away"
         )
     rest = np.array([i for i in range(len(headers)) if i not in out], dtype=np.intp)
     above = _heights_above_ground_m([positions[i] for i in rest])
