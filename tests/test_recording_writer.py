@@ -69,10 +69,10 @@ def test_values_of_foxgloves_messages(scene: Path) -> None:
     assert fix.HasField("color") and fix.color.a == 1.0
     unsure = decoded(scene, "/location/tied")[0]
     assert unsure.position_covariance_type == 0 and not unsure.position_covariance
-    camera = decoded(scene, "/camera/FC_220")[0]
-    assert (camera.K[2], camera.K[5]) == (2001.0, 1498.75), "OpenCV's origin is half a pixel off the corner's"
-    assert list(camera.D) == [-0.011, 0.003, 1e-4, -2e-4, 5e-4]
-    assert camera.frame_id == CAMERA.name
+    camera = decoded(scene, "/tables/camera.FC_220")[0]
+    known = dict(zip(camera.column, camera.value, strict=True))
+    assert (known["principal_col_px"], known["principal_row_px"], known["k1"]) == (2001.5, 1499.25, -0.011)
+    assert (list(camera.row), list(camera.note)) == ([CAMERA.name], ["brown"])
     image = cv2.imdecode(np.frombuffer(decoded(scene, "/images/before")[0].data, np.uint8), cv2.IMREAD_COLOR)
     assert np.abs(image.mean(axis=(0, 1)) - [60, 30, 200]).max() < 3, "blue, green, red"
     footprints = json.loads(decoded(scene, "/map/footprints")[0].geojson)

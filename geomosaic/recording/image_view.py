@@ -95,7 +95,7 @@ def draw_images(story: Story, stream: Any) -> None:
         stacked, places = _stacked(list(strips.values()))
         stream.log(f"{STRIPS}/images", rerun.Image(stacked), static=True)
         named = rerun.Points2D(
-            [[-70.0, y] for y in places],
+            [[45.0, y] for y in places],
             labels=[printable(name) for name in strips][: len(places)],
             show_labels=True,
             colors=[(230, 230, 230)],

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
@@ -14,7 +14,6 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import ArrayLike
 
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.lens import opencv_terms
 from geomosaic.recording.chips import Chip
 from geomosaic.recording.messages import ChipTies, Iteration, Metric, Outlines, PairOffsets, Table, TiePoints
 from geomosaic.recording.plain import as_text, json_text, single, topic_part
@@ -248,17 +247,11 @@ class StageCalls:
         self._write("/chips/ties", message)
 
     def camera(self, name: str, camera: Camera) -> None:
-        """A camera's interior orientation as OpenCV's model: pixel centres on whole numbers."""
-        f = camera.focal_length_px
-        col, row = camera.principal_col_px - 0.5, camera.principal_row_px - 0.5
-        message = CameraCalibration(
-            frame_id=as_text(name),
-            width=camera.width_px,
-            height=camera.height_px,
-            distortion_model="plumb_bob" if camera.kind == "brown" else "kannala_brandt",
-            D=opencv_terms(camera.kind, camera.terms, camera.radius_limit),
-            K=[f, 0.0, col, 0.0, f, row, 0.0, 0.0, 1.0],
-            R=np.eye(3).ravel(),
-            P=[f, 0.0, col, 0.0, 0.0, f, row, 0.0, 0.0, 0.0, 1.0, 0.0],
-        )
-        self._write(f"/camera/{topic_part(name)}", message)
+        """A camera's interior orientation: pixels with the corner origin, terms of its kind of lens, which
+        the note names.
+
+        Not as foxglove.CameraCalibration: Rerun takes that for a camera in space whose place nobody tells,
+        and opens a view with an error.
+        """
+        columns = {k: v for k, v in asdict(camera).items() if isinstance(v, int | float)}
+        self.table(f"camera.{name}", [name], columns, notes=[camera.kind])
