@@ -26,7 +26,16 @@ from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 
 PLAN = StripPlan(seed=4, ccds=4, width_px=384, lines=3200, row_separation_lines=700, relief_m=150.0)
-FINAL = {"mosaic.tif", "mosaic_RPC.TXT", "offsets.csv", "layers.gpkg", "report.html", "run.mcap", "run.json"}
+FINAL = {
+    "mosaic.tif",
+    "mosaic_RPC.TXT",
+    "offsets.csv",
+    "layers.gpkg",
+    "project.qgz",
+    "report.html",
+    "run.mcap",
+    "run.json",
+}
 
 RECIPES = Path(__file__).parents[1] / "recipes"
 
@@ -292,4 +301,4 @@ def test_no_input_is_overwritten(
 
 def test_tiles_want_a_map(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert geomosaic("export", "tiles", run) == 2
-    assert "has no map projection; put it on a map first" in capsys.readouterr().err
+    assert "has no map projection; lay it on a map first" in capsys.readouterr().err

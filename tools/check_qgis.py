@@ -59,6 +59,8 @@ def strips_run(out: Path) -> Path:
     if not (run / "run.json").exists():
         geomosaic("simulate", "strips", strips, "--ccds", "4", "--lines", "4096", "--overwrite")
         geomosaic("strips", strips / "geometry.yaml", "-o", run)
+        geomosaic("export", "map", run)
+        geomosaic("export", "project", run)
     return run
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from pathlib import Path
 
 from qgis.core import (
@@ -17,6 +16,8 @@ from qgis.core import (
     QgsExpressionContextUtils,
     QgsLayerTreeModel,
     QgsMapLayer,
+    QgsMapRendererSequentialJob,
+    QgsMapSettings,
     QgsProject,
     QgsProviderRegistry,
     QgsRasterLayer,
@@ -25,11 +26,10 @@ from qgis.core import (
 )
 from qgis.gui import QgsLayerTreeView, QgsMapCanvas
 from qgis.PyQt.QtCore import QSize, Qt, QVariant
-from qgis.PyQt.QtGui import QImage
-from qgis.PyQt.QtWidgets import QSplitter
+from qgis.PyQt.QtGui import QImage, QPixmap
+from qgis.PyQt.QtWidgets import QLabel, QSplitter
 
 WIDTH, HEIGHT, TREE = 1500, 900, 390
-MOST_S = 120.0
 OURS = "geomosaic_"
 
 
@@ -104,27 +104,31 @@ def draw(
         if name in show + hide:
             node.setItemVisibilityChecked(name in show)
     view = QgsLayerTreeView()
-    canvas.setLayers([node.layer() for node in root.findLayers() if node.isVisible()])
     model = QgsLayerTreeModel(root)
     model.setFlag(QgsLayerTreeModel.AllowNodeChangeVisibility)
     view.setModel(model)
+    canvas.setExtent(extent)
+    canvas.zoomByFactor(part)
+    settings = QgsMapSettings()
+    settings.setLayers([node.layer() for node in root.findLayers() if node.isVisible()])
+    settings.setDestinationCrs(project.crs())
+    settings.setTransformContext(project.transformContext())
+    settings.setOutputSize(QSize(WIDTH - TREE, HEIGHT))
+    settings.setExtent(canvas.extent())
+    job = QgsMapRendererSequentialJob(settings)
+    job.start()
+    job.waitForFinished()
+    if job.errors():
+        fail(f"{job.errors()[0].layerID}: {job.errors()[0].message}")
+    label = QLabel()
+    label.setPixmap(QPixmap.fromImage(job.renderedImage()))
     window = QSplitter(Qt.Horizontal)
     window.addWidget(view)
-    window.addWidget(canvas)
+    window.addWidget(label)
     window.resize(WIDTH, HEIGHT)
     window.setSizes([TREE, WIDTH - TREE])
     window.show()
     QgsApplication.processEvents()
-    canvas.setExtent(extent)
-    canvas.zoomByFactor(part)
-    QgsApplication.processEvents()
-    drawn: list[bool] = []
-    canvas.mapCanvasRefreshed.connect(lambda: drawn.append(True))
-    canvas.refreshAllLayers()
-    started = time.monotonic()
-    while (not drawn or canvas.isDrawing()) and time.monotonic() - started < MOST_S:
-        QgsApplication.processEvents()
-        time.sleep(0.02)
     if not window.grab().save(str(out)):
         fail(f"{out} can't be written")
     image = QImage(str(out)).scaled(QSize(60, 36))

@@ -55,7 +55,7 @@ def qgis_script(
 ) -> None:
     """Put the commands into QGIS' Processing toolbox: as scripts that run this geomosaic."""
     folder = folder or _scripts()
-    template = Path(__file__).with_name("qgis_algorithm.py").read_text(encoding="utf-8")
+    template = Path(__file__).with_name("qgis_algorithm.py.in").read_text(encoding="utf-8")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for command in _COMMANDS:

@@ -12,6 +12,7 @@ from defusedxml.ElementTree import fromstring
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import Group, Shown
+from geomosaic.export.web import on_map
 
 _TITLES: Final[dict[str, tuple[str, bool]]] = {
     "frames": ("Frames", True),
@@ -48,19 +49,23 @@ _GOLDEN: Final = 0.618_033_988_749_895
 def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, float, float], list[Group]]:
     """A run's project: its CRS, what of it is seen at first, and its groups.
 
-    package: the run's layers.gpkg; rasters are those beside it. A scene of strips without a map is left out.
+    package: the run's layers.gpkg; rasters are those beside it. A scene of strips is shown by its
+    mosaic_map.tif, if that was made.
     """
     crs, shown = vector_layers(package)
-    on_map = []
+    rasters = []
+    mosaic = on_map(mosaic)
     if (bounds := _bounds(mosaic)) is not None:
-        on_map = [image_layer(mosaic, "Mosaic")]
+        rasters = [image_layer(mosaic, "Mosaic")]
         if (sources := mosaic.with_name(_SOURCES)).is_file():
-            on_map.insert(0, source_layer(sources))
+            rasters.insert(0, source_layer(sources))
     groups = [
         Group(title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals")
         for title, names in _GROUPS.items()
     ]
-    groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + on_map)))
+    groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters)))
+    if bounds is not None:
+        crs = _crs(mosaic)
     return crs, bounds or bounds_of_layers(package, list(shown)), groups
 
 
@@ -170,6 +175,11 @@ def _bounds(path: Path) -> tuple[float, float, float, float] | None:
     with open_raster(path, OWN) as tiff:
         west, south, east, north = tiff.bounds
         return None if tiff.crs is None else (west, south, east, north)
+
+
+def _crs(path: Path) -> str:
+    with open_raster(path, OWN) as tiff:
+        return str(tiff.crs.to_wkt())
 
 
 def bounds_of_layers(package: Path, names: Sequence[str]) -> tuple[float, float, float, float]:

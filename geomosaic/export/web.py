@@ -26,6 +26,7 @@ from geomosaic.errors import InputError
 from geomosaic.export.tile_page import write_tile_page
 from geomosaic.geodesy.mapcrs import check_on_earth
 
+SCENE_MAP: Final = "mosaic_map.tif"
 TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256
 _EQUATOR_M = 40_075_016.685578488
@@ -38,6 +39,15 @@ CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, t
 CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row);
 """
 _SHOWN_PERCENTILES = (1.0, 99.0)
+
+
+def on_map(mosaic_file: Path) -> Path:
+    """A mosaic, or for a scene of strips the one beside it that was laid on a map, if there is one."""
+    laid = mosaic_file.with_name(SCENE_MAP)
+    if not laid.is_file():
+        return mosaic_file
+    with open_raster(mosaic_file, OWN) as tiff:
+        return laid if tiff.crs is None else mosaic_file
 
 
 def write_vrt(mosaic_file: Path, out: Path) -> None:

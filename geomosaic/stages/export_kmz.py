@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from geomosaic.export.web import write_kmz
+from geomosaic.export.web import on_map, write_kmz
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 
 KMZ = "mosaic.kmz"
@@ -26,7 +26,7 @@ class ExportKmz(Stage):
         """By GDAL's super-overlays."""
         with context.writing(KMZ) as path:
             write_kmz(
-                context.path_of(inputs["mosaic_file"]),
+                on_map(context.path_of(inputs["mosaic_file"])),
                 path,
                 progress=lambda done, total: context.progress(done, total, KMZ),
             )

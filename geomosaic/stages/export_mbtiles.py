@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from geomosaic.export.web import TILE_FORMATS, write_mbtiles
+from geomosaic.export.web import TILE_FORMATS, on_map, write_mbtiles
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 
 MBTILES = "mosaic.mbtiles"
@@ -32,7 +32,7 @@ class ExportMbtiles(Stage):
         """The tiles of export.tiles."""
         with context.writing(MBTILES) as path:
             write_mbtiles(
-                context.path_of(inputs["mosaic_file"]),
+                on_map(context.path_of(inputs["mosaic_file"])),
                 path,
                 tile_format=params.format,
                 processes=params.processes,

@@ -10,6 +10,8 @@ from geomosaic.export.project_layers import project_of
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 
 PROJECT = "project.qgz"
+TITLE = "Mosaic"
+"""Not the folder's name: equal runs give equal bytes wherever they lie."""
 
 
 class ExportProject(Stage):
@@ -32,5 +34,5 @@ class ExportProject(Stage):
         layers, mosaic = (context.path_of(inputs[name]) for name in ("layers_file", "mosaic_file"))
         crs, extent, groups = project_of(layers, mosaic)
         with context.writing(PROJECT) as path:
-            write_project(path, context.run_folder.name, crs, extent, groups)
+            write_project(path, TITLE, crs, extent, groups)
         return {"project_file": context.run_file(PROJECT)}

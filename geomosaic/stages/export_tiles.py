@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from geomosaic.export.web import TILE_FORMATS, write_tiles
+from geomosaic.export.web import TILE_FORMATS, on_map, write_tiles
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 
 TILES = "tiles"
@@ -35,7 +35,7 @@ class ExportTiles(Stage):
         """By way of GDAL's gdal2tiles."""
         with context.writing(TILES) as folder:
             write_tiles(
-                context.path_of(inputs["mosaic_file"]),
+                on_map(context.path_of(inputs["mosaic_file"])),
                 folder,
                 tile_format=params.format,
                 min_zoom=None if params.min_zoom == "auto" else params.min_zoom,

@@ -1,0 +1,75 @@
+"""A scene of strips on a map: each pixel shows what the RPC sees at its place on the ground."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+from pyproj import Transformer
+from rasterio.errors import NotGeoreferencedWarning
+from small_surveys import geomosaic
+
+from geomosaic.camera.rpc import Rpc
+from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic.simulate.strips import simulate_strips
+
+PLAN = StripPlan(seed=5, ccds=2, width_px=256, lines=1500, row_separation_lines=300, relief_m=150.0)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("map")
+    scene = simulate_strips(folder / "scene", PLAN)
+    assert geomosaic("strips", scene.geometry, "-o", folder / "run") == 0
+    assert geomosaic("export", "map", folder / "run") == 0
+    return folder / "run", scene.geometry.parent / "dem.tif"
+
+
+def test_pixels_lie_where_rpc_and_dem_put_them(run):
+    folder, dem_file = run
+    assert validate(str(folder / "mosaic_map.tif"), full_check=True)[:2] == ([], [])
+    with rasterio.open(dem_file) as dem:
+        heights, to_dem, crs_dem = dem.read(1).astype(np.float32), ~dem.transform, dem.crs
+    with rasterio.open(folder / "mosaic_map.tif") as tiff:
+        laid, valid, transform, crs = tiff.read(1), tiff.dataset_mask() > 0, tiff.transform, tiff.crs
+        assert tiff.res == (PLAN.ground_pixel_m, PLAN.ground_pixel_m)
+        assert transform.c % PLAN.ground_pixel_m == transform.f % PLAN.ground_pixel_m == 0.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(folder / "mosaic.tif") as tiff:
+            scene, rpc = tiff.read(1).astype(np.float32), Rpc.from_metadata(tiff.tags(ns="RPC"))
+    rows, cols = (of[::37] for of in np.nonzero(cv2.erode(valid.astype(np.uint8), np.ones((15, 15)))))
+    east, north = transform.c + (cols + 0.5) * transform.a, transform.f + (rows + 0.5) * transform.e
+    lon, lat = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(east, north)
+    x, y = Transformer.from_crs("EPSG:4326", crs_dem, always_xy=True).transform(lon, lat)
+    col, row = to_dem.a * x + to_dem.c - 0.5, to_dem.e * y + to_dem.f - 0.5
+    height = cv2.remap(heights, *(of[:, None].astype(np.float32) for of in (col, row)), cv2.INTER_LINEAR)[
+        :, 0
+    ]
+    at = rpc.image_from_ground(np.column_stack([lon, lat, height])).astype(np.float32) - 0.5
+    shifts = [(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)]
+    off = [
+        np.mean(
+            (cv2.remap(scene, at[:, :1] + dx, at[:, 1:] + dy, cv2.INTER_CUBIC)[:, 0] - laid[rows, cols]) ** 2
+        )
+        for dx, dy in shifts
+    ]
+    assert len(rows) > 5000
+    assert min(off[1:]) > 1.3 * off[0], "nowhere but where it is, to a tenth of a pixel"
+    for one, other in ((1, 2), (3, 4)):  # a parabola through three
+        assert abs(0.1 * (off[one] - off[other]) / (off[one] + off[other] - 2.0 * off[0])) < 0.02
+
+
+def test_project_and_tiles_take_the_scene_on_the_map(run):
+    folder, _ = run
+    assert geomosaic("export", "project", folder) == 0
+    assert geomosaic("export", "tiles", folder) == 0
+    index = json.loads((folder / "tiles" / "tiles.json").read_text())
+    with rasterio.open(folder / "mosaic_map.tif") as tiff:
+        box = rasterio.warp.transform_bounds(tiff.crs, "EPSG:4326", *tiff.bounds)
+    assert index["bounds"] == pytest.approx(box, abs=1e-6)
