@@ -182,11 +182,12 @@ class _Finer:
             low_m = cv2.resize(hidden_m[k][at], size, interpolation=cv2.INTER_NEAREST)
             sees &= (dense_m >= low_m).reshape(sees.shape)
             border = cv2.BORDER_REPLICATE
-            shown.append(cv2.remap(self._pictures[k], col, row, cv2.INTER_LINEAR, borderMode=border))
+            grey = cv2.remap(self._pictures[k], col, row, cv2.INTER_LINEAR, borderMode=border)
+            shown.append(np.asarray(grey, dtype=np.uint8))
             seen.append(sees)
         sums = self._two_most_alike(shown, seen)
         own = (size[0] // 2, len(sums) // 2)
-        found = cv2.resize(sums.astype(np.float32), own, interpolation=cv2.INTER_AREA) * np.float32(0.5)
+        found = cv2.resize(0.5 * sums.astype(np.float32), own, interpolation=cv2.INTER_AREA)
         if lean:
             found = cv2.blur(found, (3, 3))
         return np.asarray(found.reshape(len(offered_m), size[1] // 2, size[0] // 2), dtype=np.float32)
