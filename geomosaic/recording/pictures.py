@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 import cv2
@@ -13,6 +15,7 @@ from geomosaic.projection.footprint import footprint
 from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
 from geomosaic.recording.compare_frames import places_m
 from geomosaic.recording.mcapfile import BROKEN
+from geomosaic.recording.messages import ChipTies
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import messages
 from geomosaic.recording.solved import DOWN_WEIGHTED, Solved
@@ -105,7 +108,8 @@ def frame_png(recording: Recording, solved: Solved, name: str) -> bytes:
 
 
 def pair_png(recording: Recording, solved: Solved, left: str, right: str) -> bytes:
-    """Both thumbnails side by side, lines between tie points: green, or red where the solve doubts them."""
+    """Both thumbnails, lines between their tie points: green, or red where the solve doubts them; below them
+    the recorded chip, if there is one."""
     a, b = solved.names.index(left), solved.names.index(right)
     (one, one_scale), (other, other_scale) = _shown(recording, solved, a), _shown(recording, solved, b)
     height = max(len(one), len(other))
@@ -124,7 +128,39 @@ def pair_png(recording: Recording, solved: Solved, left: str, right: str) -> byt
                     cv2.line(image, ends[0], ends[1], RED if w < DOWN_WEIGHTED else GOOD, 1, cv2.LINE_AA)
     words = f"{left} - {right}: {count} tie points"
     words += f", {_LINES} shown" if count > _LINES else "" if count else ", not tied"
-    return png_of(_titled(image, words))
+    images = [_titled(image, words)]
+    chip = _chip(recording, left, right)
+    if chip is not None:
+        images.append(_titled(chip, "where they miss most, at full resolution"))
+    return png_of(_stacked(images))
+
+
+def _chip(recording: Recording, left: str, right: str) -> Image | None:
+    """What a pair's frames show at full resolution where their tie points miss most, with these in it."""
+    image: Image | None = None
+    for topic, _, data in messages(recording.path, "foxglove.CompressedImage"):
+        if topic == "/chips":
+            with suppress(*BROKEN):
+                message = CompressedImage.FromString(data)
+                if message.frame_id == f"{left} - {right}":
+                    image = _decoded(message.data)
+    if image is None:
+        return None
+    for _, _, data in messages(recording.path, "geomosaic.ChipTies"):
+        with suppress(*BROKEN):
+            ties = ChipTies.FromString(data)
+            if (ties.left, ties.right) == (left, right):
+                weight = np.array(ties.weight, dtype=np.float64)
+                for x, y in ((ties.left_x_px, ties.left_y_px), (ties.right_x_px, ties.right_y_px)):
+                    _dots(image, np.array([x, y], dtype=np.float64).T, weight)
+    return image
+
+
+def _stacked(images: Sequence[Image]) -> Image:
+    """Images below each other, on white."""
+    width = max(i.shape[1] for i in images)
+    wide = [np.pad(i, ((0, 0), (0, width - i.shape[1]), (0, 0)), constant_values=255) for i in images]
+    return np.concatenate(wide)
 
 
 def _positions(solved: Solved) -> tuple[Floats, Floats | None]:
@@ -164,13 +200,21 @@ def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]
 
 def _enlarged(jpeg: bytes, size: tuple[int, int], otherwise: Image) -> Image:
     """A small JPEG in another size; `otherwise` for what is none."""
+    small = _decoded(jpeg)
+    if small is None:
+        return otherwise
+    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def _decoded(jpeg: bytes) -> Image | None:
+    """A small JPEG's pixels; None for what is none."""
     try:
         small = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
-        return otherwise
+        return None
     if small is None or small.shape[0] * small.shape[1] > _MOST_THUMBNAIL_PX:
-        return otherwise
-    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+        return None
+    return np.asarray(small, dtype=np.uint8)
 
 
 def _dots(image: Image, at: Floats, weight: Floats) -> None:
