@@ -13,6 +13,7 @@ from scipy.ndimage import map_coordinates
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.projection.walk import first_drops
 
 Floats = NDArray[np.float64]
 MOST_NODES: Annotated[
@@ -116,9 +117,9 @@ class GroundSurface:
     def intersect(self, origin_m: ArrayLike, ray: ArrayLike) -> Floats:
         """Where rays first meet the ground, shape (..., 3); NaN where a ray doesn't come down to it.
 
-        Each ray is sampled between the surface's highest and lowest level; the first crossing is
-        refined by the Illinois variant of the secant method, so that slopes steeper than the ray
-        can't make it diverge.
+        Over a ground with walls a ray is walked cell by cell, as far as it lies within the grid. Elsewhere
+        it is sampled between the surface's highest and lowest level; the first crossing is refined by the
+        Illinois variant of the secant method, so that slopes steeper than the ray can't make it diverge.
 
         Args: origin_m (..., 3) or (3,), ray (..., 3) directions of any length.
         """
@@ -126,6 +127,25 @@ class GroundSurface:
         origin = np.broadcast_to(np.asarray(origin_m, dtype=np.float64), ray.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             per_drop = np.where(ray[..., 2:] < -1e-9, ray / -ray[..., 2:], np.nan)
+        if not self.has_walls or min(self.up_m.shape) < 2:
+            return self._sampled(origin, per_drop)
+        hit, down = np.full((per_drop[..., 0].size, 3), np.nan), per_drop.reshape(-1, 3)
+        start = origin.reshape(-1, 3)
+        corner = np.array([self.north_0_m, self.east_0_m])
+        at = (start[:, 1::-1] - corner) / self.spacing_m
+        slope = down[:, 1::-1] / self.spacing_m
+        first = np.maximum(start[:, 2] - float(self.up_m.max()) - 1e-3, 0.0)
+        last = start[:, 2] - float(self.up_m.min()) + 1e-3
+        ends = np.stack([at + slope * drop[:, None] for drop in (first, last)])
+        within = ((ends >= 0.0) & (ends <= np.array(self.up_m.shape) - 1.0)).all(axis=(0, 2))
+        drop = first_drops(
+            self.up_m, at[within], slope[within], start[within, 2], first[within], last[within]
+        )
+        hit[within] = start[within] + down[within] * drop[:, None]
+        hit[~within] = self._sampled(start[~within], down[~within])
+        return hit.reshape(ray.shape)
+
+    def _sampled(self, origin: Floats, per_drop: Floats) -> Floats:
         high, low = float(self.up_m.max()), float(self.up_m.min())
         top = np.maximum(origin[..., 2] - high - 1e-3, 0.0)
         bottom = origin[..., 2] - low + 1e-3
