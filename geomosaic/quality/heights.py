@@ -27,8 +27,14 @@ _KINDS: Final = {
     5: "high vegetation", 6: "building", 9: "water", 10: "rail", 11: "road", 17: "bridge",
 }  # fmt: skip
 """ASPRS, LAS specification 1.4 R15, table 17."""
-NOISE: Final = (7, 18)
-"""Classes that are no surface: low and high noise."""
+NOISE: Annotated[
+    tuple[int, ...],
+    Because(
+        "ASPRS classes",
+        "that are no surface: low and high noise; counted, they would be the surface's blunders",
+        "LAS specification 1.4 R15, table 17",
+    ),
+] = (7, 18)
 
 
 @dataclass(frozen=True)
