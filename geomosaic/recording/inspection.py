@@ -7,15 +7,9 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.model import LogLine, Recording, StageRecord
-from geomosaic.recording.solved import (
-    DOWN_WEIGHTED,
-    Solved,
-    frame_figures,
-    known,
-    pair_figures,
-    status_counts,
-)
+from geomosaic.recording.solved import Solved, frame_figures, known, pair_figures, status_counts
 from geomosaic.recording.worst import faults, worst_frames, worst_pairs
 
 SHOWN = 5

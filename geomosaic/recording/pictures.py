@@ -12,13 +12,14 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.projection.footprint import footprint
+from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
 from geomosaic.recording.compare_frames import places_m
 from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.messages import ChipTies
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import messages
-from geomosaic.recording.solved import DOWN_WEIGHTED, Solved
+from geomosaic.recording.solved import Solved
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

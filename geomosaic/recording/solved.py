@@ -21,18 +21,10 @@ from geomosaic.matching.turned import righted
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.quality.misalignment import pair_misalignments
+from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-DOWN_WEIGHTED: Annotated[
-    float,
-    Because(
-        "of the weight of a tie point without a residual",
-        "below half of it a tie point is doubted; a tenth, as the verdict has it, is next to no say, and "
-        "overlooks pairs of which all points are half believed",
-        CHOSEN,
-    ),
-] = 0.5
 _FARTHEST_M: Annotated[
     float, Because("m", "from a survey's centre that a frame can be: beyond the Earth's other side", CHOSEN)
 ] = 1e8
@@ -44,8 +36,6 @@ _POSE = (
     *("yaw_deg", "pitch_deg", "roll_deg", "sd_e_m", "sd_n_m", "sd_u_m"),
     *("sd_omega_deg", "sd_phi_deg", "sd_kappa_deg"),
 )
-_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
-"""Odd 64-bit numbers (the golden ratio's, and xxHash's primes 2 and 5) that make one of three."""
 
 
 @dataclass(frozen=True)
@@ -154,24 +144,9 @@ class Solved:
 
     @cached_property
     def weights(self) -> tuple[Floats, ...]:
-        """The solve's weight of each tie point of each pair, (k,): the lesser of both sides'; NaN for those
-        that the thinned solve didn't see."""
-        pairs = () if self.ties is None else self.ties.pairs
+        """The solve's weight of each tie point of each pair, see `tie_weights`."""
         image = None if self.adjusted is None else self.adjusted.image_residuals
-        if image is None or not len(image.frame):
-            return tuple(np.full(len(t), np.nan) for t in pairs)
-        marks = _marks(image.frame, image.image_px)
-        order = np.argsort(marks, kind="stable")
-        marks, weights = marks[order], image.weight[order]
-        out = []
-        for t in pairs:
-            sides = []
-            for frame, px in ((t.left, t.left_px), (t.right, t.right_px)):
-                mine = _marks(np.full(len(px), frame), px)
-                at = np.minimum(np.searchsorted(marks, mine), len(marks) - 1)
-                sides.append(np.where(marks[at] == mine, weights[at], np.nan))
-            out.append(np.fmin(*sides))
-        return tuple(out)
+        return tie_weights(self.ties or TiePoints(()), image)
 
     @cached_property
     def pixel_m(self) -> float:
@@ -297,13 +272,3 @@ def _whole(poses: Poses, n: int) -> bool:
         return False
     turned = np.swapaxes(poses.rotations, 1, 2) @ poses.rotations - np.eye(3)
     return bool(np.abs(turned).max(initial=0.0) < _OFF)
-
-
-def _marks(frame: NDArray[Any], px: Floats) -> NDArray[np.uint64]:
-    """One number for each observation, (k,): frame, col and row, mixed."""
-    parts = np.stack([frame.astype(np.uint64), *np.ascontiguousarray(px.T, np.float64).view(np.uint64)])
-    mixed = np.zeros(len(px), dtype=np.uint64)
-    for part, odd in zip(parts, _MIX, strict=True):
-        mixed = (mixed ^ part) * odd
-        mixed ^= mixed >> np.uint64(29)
-    return mixed
