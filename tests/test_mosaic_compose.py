@@ -159,7 +159,7 @@ def test_a_hard_seam_has_no_mixed_pixel(tmp_path):
     with rasterio.open(sources) as tiff:
         index = tiff.read(1)
         assert tiff.tags()["FRAME_2"] == "frame 01.tif"
-        assert tiff.dtypes == ("uint16",)
+        assert tiff.dtypes == ("uint8",)
     np.testing.assert_array_equal(index, np.where(valid, pixels[..., 0] // 80, 0))
 
 

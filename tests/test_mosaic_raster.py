@@ -13,6 +13,7 @@ import pytest
 import rasterio
 from osgeo import gdal
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+from rasterio.enums import ColorInterp
 
 from geomosaic.export.cog import write_cog
 from geomosaic.mosaic import cog_layout
@@ -125,17 +126,19 @@ def test_tiles_made_elsewhere_are_the_same_bytes(tmp_path: Path, width: int, hei
             raster.write(of(window, pixels, valid))
     with blocks as raster:
         for place in sorted({place_over(w) for w in tiles}, reverse=True):
-            done, under = [], {}
+            done, under, numbers = [], {}, {}
             for window in (w for w in tiles if place_over(w) == place):
                 one = of(window, pixels, valid)
                 tile = kind.tile(one.pixels, one.valid)
                 given = index.tile(one.source(index.dtype)[..., None], one.valid)
                 done.append(Blended(window, tile, given, np.zeros((0, 0), np.int32), None, ()))
-                under[window.row // TILE_PX % 2, window.col // TILE_PX % 2] = tile
+                at = window.row // TILE_PX % 2, window.col // TILE_PX % 2
+                under[at], numbers[at] = tile, given
             down, across = (
                 min(TILE_PX, -(-n // 2) - k * TILE_PX) for n, k in zip((height, width), place, strict=True)
             )
-            raster.put(BlendedBlock(place, tuple(done), kind.over(under, down, across)))
+            over, index_over = kind.over(under, down, across), index.over(numbers, down, across)
+            raster.put(BlendedBlock(place, tuple(done), over, index_over))
     for suffix in (".tif", ".sources"):
         written_whole, written_by_blocks = (path.with_suffix(suffix).read_bytes() for path in paths)
         assert written_by_blocks == written_whole
@@ -145,7 +148,29 @@ def test_the_sources_are_numbers_from_one_and_names(tmp_path: Path) -> None:
     pixels, valid = image(1, "uint8")
     with rasterio.open(written(tmp_path / "a.tif", pixels, valid).with_suffix(".sources")) as tiff:
         np.testing.assert_array_equal(tiff.read(1), np.where(valid, 2, 0))
-        assert (tiff.nodata, tiff.dtypes, tiff.tags()["FRAME_2"]) == (0, ("uint16",), "b")
+        assert (tiff.nodata, tiff.dtypes, tiff.tags()["FRAME_2"]) == (0, ("uint8",), "b")
+
+
+def test_the_sources_have_colours_and_overviews_of_numbers(tmp_path: Path) -> None:
+    """Never means of two frames' numbers, which would be a third one's."""
+    pixels, valid = image(1, "uint8")
+    path = written(tmp_path / "a.tif", pixels, valid).with_suffix(".sources")
+    assert validate(str(path), full_check=True)[:2] == ([], [])
+    with rasterio.open(path) as tiff:
+        assert tiff.colorinterp == (ColorInterp.palette,)
+        colours = tiff.colormap(1)
+        assert len({colours[n] for n in range(1, 256)}) > 250
+        assert tiff.overviews(1)[0] == 2
+    with rasterio.open(path, overview_level=0) as tiff:
+        np.testing.assert_array_equal(tiff.read(1), np.where(valid, 2, 0)[::2, ::2])
+    with rasterio.open(path, overview_level=1) as tiff:
+        np.testing.assert_array_equal(tiff.read(1), np.where(valid, 2, 0)[::4, ::4])
+
+
+def test_more_frames_than_colours_have_larger_numbers() -> None:
+    assert [index_kind(n).dtype.name for n in (255, 256, 65_535, 65_536)] == [
+        "uint8", "uint16", "uint16", "uint32",
+    ]  # fmt: skip
 
 
 def test_what_is_left_out_or_never_comes_is_empty(tmp_path: Path) -> None:

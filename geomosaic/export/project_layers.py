@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +12,7 @@ from defusedxml.ElementTree import fromstring
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import Group, Shown
 from geomosaic.export.web import on_map
+from geomosaic.mosaic.palette import frame_colour
 
 _TITLES: Final[dict[str, tuple[str, bool]]] = {
     "frames": ("Frames", True),
@@ -42,8 +42,6 @@ _SOURCES: Final = "sources.tif"
 _RGB: Final = ("red", "green", "blue")
 _SPREAD: Final = 2.0
 """Deviations about the mean that are stretched from black to white, as QGIS does by default."""
-_GOLDEN: Final = 0.618_033_988_749_895
-"""The golden section of the circle of hues: any few numbers in a row differ well."""
 
 
 def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, float, float], list[Group]]:
@@ -152,13 +150,6 @@ def source_layer(path: Path) -> Shown:
             label=frames[number],
         )  # fmt: skip
     return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
-
-
-def frame_colour(number: int) -> tuple[int, int, int]:
-    """Red, green and blue, 0 to 255, of the frame of a number."""
-    hue, shade = number * _GOLDEN % 1.0, 0.95 - 0.25 * (number % 3) / 2.0
-    rgb: tuple[int, int, int] = tuple(round(255 * c) for c in colorsys.hsv_to_rgb(hue, 0.75, shade))  # type: ignore[assignment]
-    return rgb
 
 
 def _raster(

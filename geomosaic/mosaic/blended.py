@@ -79,11 +79,12 @@ class WantedBlock:
 
 @dataclass(frozen=True)
 class BlendedBlock:
-    """The same, finished, and the overview's tile; None where nothing is shown."""
+    """The same, finished, and the overview's tiles; None where nothing is shown."""
 
     place: tuple[int, int]
     windows: tuple[Blended, ...]
     over: Tile | None
+    index_over: Tile | None
 
 
 def place_over(window: Window) -> tuple[int, int]:
@@ -93,19 +94,25 @@ def place_over(window: Window) -> tuple[int, int]:
 
 def blended(how: Blending, of: WantedBlock) -> BlendedBlock:
     """All pixels of some windows, as tiles of the files they go to."""
-    (i, j), made, halves = of.place, [], {}
+    (i, j), made = of.place, []
+    tiles: dict[tuple[int, int], Tile | None] = {}
+    indices: dict[tuple[int, int], Tile | None] = {}
     for wanted in of.windows:
         done = _blended(how, wanted)
         at = wanted.window.row // TILE_PX - 2 * i, wanted.window.col // TILE_PX - 2 * j
-        if done.tile is not None:
-            halves[at] = done.tile
-            done = replace(done, tile=replace(done.tile, half=None, half_valid=None))
-        made.append(done)
+        tiles[at], indices[at] = done.tile, done.index
+        made.append(replace(done, tile=_without_half(done.tile), index=_without_half(done.index)))
     height, width = (
         min(TILE_PX, -(-size // 2) - first * TILE_PX)
         for size, first in ((how.grid.height_px, i), (how.grid.width_px, j))
     )
-    return BlendedBlock(of.place, tuple(made), how.kind.over(halves, height, width))
+    index_over = None if how.index is None else how.index.over(indices, height, width)
+    return BlendedBlock(of.place, tuple(made), how.kind.over(tiles, height, width), index_over)
+
+
+def _without_half(tile: Tile | None) -> Tile | None:
+    """A tile whose overview's tile is made."""
+    return None if tile is None else replace(tile, half=None, half_valid=None)
 
 
 def _blended(how: Blending, of: Wanted) -> Blended:

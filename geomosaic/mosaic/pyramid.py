@@ -49,7 +49,8 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class TileKind:
-    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image."""
+    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image; without one they
+    are numbers that have no mean: of four, an overview takes the first."""
 
     bands: int
     dtype: np.dtype[Any]
@@ -67,7 +68,7 @@ class TileKind:
         if not valid.any():
             return None
         if not self.masked:
-            return Tile(self.packed(pixels), b"", None, None, None)
+            return Tile(self.packed(pixels), b"", None, pixels[::2, ::2], valid[::2, ::2])
         figures = _figures(pixels, valid) if first else None
         return Tile(self.packed(pixels), packed_mask(valid), figures, *halved(pixels, valid))
 

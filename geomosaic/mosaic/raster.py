@@ -19,6 +19,7 @@ from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
 from geomosaic.mosaic.blended import BlendedBlock
 from geomosaic.mosaic.cog_layout import Tags, directories, write_cog_of
 from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.palette import frame_colour
 from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, TileKind
 from geomosaic.mosaic.window import Composed, Window
 
@@ -29,6 +30,8 @@ SOFTWARE: Final = f"geomosaic {__version__}"
 STATISTICS: Final = ("MINIMUM", "MAXIMUM", "MEAN", "STDDEV")
 _PREDICTOR: Final = {"f": "3", "i": "2", "u": "2"}
 """TIFF's, by numpy's kinds of numbers."""
+_INDICES: Final = ("uint8", "uint16", "uint32")
+"""Types of the frames' numbers; those of 8 bits have colours."""
 _COLOURS: Final = {
     1: (gdal.GCI_GrayIndex,),
     3: (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand),
@@ -54,7 +57,7 @@ class Raster:
         at = {(w.window.row // TILE_PX, w.window.col // TILE_PX): w for w in done.windows}
         self._image.put_under(done.place, {place: w.tile for place, w in at.items()}, done.over)
         if self._sources is not None:
-            self._sources.put_under(done.place, {place: w.index for place, w in at.items()}, None)
+            self._sources.put_under(done.place, {place: w.index for place, w in at.items()}, done.index_over)
 
     def leave_out(self, window: Window) -> None:
         """One in which nothing is shown: what it is part of need not wait for it."""
@@ -64,7 +67,8 @@ class Raster:
 
 def index_kind(frames: int) -> TileKind:
     """The tiles that say which of so many frames made each pixel."""
-    return TileKind(1, np.dtype("uint16" if frames < 65535 else "uint32"), masked=False)
+    dtype = next(of for of in _INDICES if frames <= np.iinfo(of).max)
+    return TileKind(1, np.dtype(dtype), masked=False)
 
 
 @contextmanager
@@ -94,7 +98,8 @@ def writing_mosaic(
             kind = index_kind(len(frames))
             names = {f"FRAME_{i + 1}": name for i, name in enumerate(frames)}
             told = ("index of the frame that made the pixel, from 1",)
-            of = Look(kind, grid, _COLOURS[1], told, names)
+            colours = (gdal.GCI_PaletteIndex,) if kind.dtype == np.uint8 else _COLOURS[1]
+            of = Look(kind, grid, colours, told, names)
             index = files.enter_context(_writing(sources, grid.width_px, grid.height_px, of))
         yield Raster(image, index)
 
@@ -128,7 +133,7 @@ class Look:
 @contextmanager
 def _writing(path: Path, width: int, height: int, look: Look) -> Iterator[Pyramid]:
     with TemporaryFile(dir=path.parent) as tiles:
-        pyramid = Pyramid(width, height, look.kind, tiles, overviews=look.kind.masked)
+        pyramid = Pyramid(width, height, look.kind, tiles, overviews=True)
         yield pyramid
         pyramid.finish()
         tiles.flush()
@@ -170,7 +175,12 @@ def _directories(look: Look, statistics: NDArray[np.float64] | None) -> list[Tag
 
 
 def _describe(band: Any, look: Look, k: int, statistics: NDArray[np.float64] | None) -> None:
-    if k < len(look.colours):
+    if look.colours == (gdal.GCI_PaletteIndex,):
+        table = gdal.ColorTable()
+        for number in range(1, 256):
+            table.SetColorEntry(number, frame_colour(number))
+        band.SetColorTable(table)
+    elif k < len(look.colours):
         band.SetColorInterpretation(look.colours[k])
     if k < len(look.band_names):
         band.SetDescription(look.band_names[k])
