@@ -45,6 +45,9 @@ bench-paper: setup ## the paper's comparison of adjustment methods (about 10 min
 bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
 	$(PY) tools/bench_composition.py --out out/bench-composition
 
+bench-surface: setup ## the dense surface of three simulated towns against their truth, and of a real flight (about 10 minutes)
+	$(PY) tools/bench_surface.py --out out/bench-surface
+
 bench-accuracy: bench-monte-carlo bench-bundle ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
 
@@ -101,4 +104,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-strips bench-real check-qgis fuzz chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-strips bench-real check-qgis fuzz chaos docs format clean

@@ -45,13 +45,15 @@ def halves(data: Path, out: Path, full: Path) -> list[Row]:
         print("no mask of trees and roofs: laspy and lazrs are missing ('pip install laspy lazrs')")
     mosaics = [_half(frames[k::2], out / f"brighton-{name}") for k, name in enumerate(("odd", "even"))]
     rows = [_row("split-half: own adjustments", compare(*mosaics, search_px=160), cloud, out / "halves.json")]
-    alike = [_composed(full, k, out / f"brighton-one-{name}.tif") for k, name in enumerate(("odd", "even"))]
-    rows.append(
-        _row(
-            "split-half: one adjustment of all frames, composed from each half", compare(*alike), cloud, None
-        )
-    )
+    rows.append(halves_of_one(full, out, cloud))
     return rows
+
+
+def halves_of_one(full: Path, out: Path, cloud: Floats | None) -> Row:
+    """The row of both halves' mosaics on the poses, lenses and ground of a finished run of all frames."""
+    alike = [_composed(full, k, out / f"brighton-one-{name}.tif") for k, name in enumerate(("odd", "even"))]
+    what = "split-half: one adjustment of all frames, composed from each half"
+    return _row(what, compare(*alike), cloud, None)
 
 
 def _half(frames: list[Path], run: Path) -> Path:
