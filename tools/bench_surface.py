@@ -4,7 +4,7 @@
 
 Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 50 % overlap, hills of 10 m, houses with walls of
 3.5 to 10 m, trees, through the whole command with cells of 4 ground pixels. Of a real flight (18 frames of
-9 MP) the seconds and the memory of the stage, and mosaics of its odd and even frames on one surface, laid over
+9 MP) seconds and memory of the stage, and mosaics of its odd and even frames on one surface, laid over
 each other; skipped without the data. Tables go to standard output and OUT/surface.json.
 """
 
