@@ -130,6 +130,22 @@ def test_a_shell_completes(line: str, found: str, tmp_path: Path) -> None:
     assert (done.stdout.split(), done.stderr) == ([found], "")
 
 
+LIGHT = """
+import sys
+from geomosaic.cli.main import main
+code = main(sys.argv[1:])
+heavy = [n for n in ("numpy", "scipy", "cv2", "osgeo", "rasterio", "mcap") if n in sys.modules]
+sys.exit(f"{code}, loads {heavy}" if code or heavy else 0)
+"""
+
+
+@pytest.mark.parametrize("command", [["--version"], ["recipes", "--makefile"]])
+def test_the_start_is_light(command: list[str]) -> None:
+    """A tenth of the time that libraries would take: shells and Makefiles ask often."""
+    done = subprocess.run([sys.executable, "-c", LIGHT, *command], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("command", [[], ["mosaic"], ["export", "tiles"]])
 def test_h_is_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert geomosaic(*command, "-h") == 0

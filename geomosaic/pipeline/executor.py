@@ -30,7 +30,6 @@ from typing import Annotated, Any, Final
 from geomosaic import __version__
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.pipeline import kept
 from geomosaic.pipeline.freed import give_back
 
 ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -130,6 +129,8 @@ def _start_worker(environment: dict[str, str]) -> None:
     os.environ.update(environment)
     for name in os.environ.keys() - environment.keys():
         del os.environ[name]
+    from geomosaic.pipeline import kept  # where there are workers; every command imports this module
+
     parent = multiprocessing.parent_process()
     if parent is not None:
 
