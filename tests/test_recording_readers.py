@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from recording_scene import FRAMES, RECIPE, written
 
+from geomosaic.errors import FileError
 from geomosaic.recording import Recorder, read_recording
+from geomosaic.recording.chips import Chip
 from geomosaic.recording.list_view import frame_text, worst_frames
 from geomosaic.recording.plan_view import by_size, frame_labels
 from geomosaic.recording.story import Story
@@ -119,6 +121,27 @@ def test_the_view_is_a_sound_rrd_that_shows_what_was_told_on_any_timeline(
     assert {"/steps_drawn/cost", "/steps_drawn/axes"} <= still.keys()
     assert picked["/worst_pair/image"] == 1 and picked["/worst_pair/kept"] == 1 and picked["/log"] == 2
     assert not [e for e in (*still, *picked) if "Geo" in e or e.startswith("/map")], "no map, so no network"
+
+
+def test_a_view_takes_no_more_than_a_recording_can_hold(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        recorder.stage_started("survey.read", 1, {}, {})
+        for k in range(20):
+            recorder.image("/frames", f"{k}.jpg", bytes(8 * 2**20))
+    assert path.stat().st_size < 100_000
+    with pytest.raises(FileError, match="far more than the file itself"):
+        told(path)
+
+
+def test_tie_points_of_unequal_lengths_are_left_out(tmp_path: Path) -> None:
+    path, jpeg = tmp_path / "run.mcap", b"jpeg"
+    with Recorder(path) as recorder:
+        recorder.stage_started("quality.verdict", 1, {}, {})
+        none = np.zeros((0, 2))
+        recorder.chip(0, "a", "b", Chip(jpeg, 400, (0, 0), (0, 0), 0, none, none, none, np.ones(3)))
+        recorder.chip(1, "a", "c", Chip(jpeg, 400, (0, 0), (0, 0), 0, none, none, none, np.ones(0)))
+    assert [ties.rank for _, ties in told(path).chips] == [1]
 
 
 def story_of(recorder: Recorder, path: Path) -> Story:

@@ -116,6 +116,7 @@ class Story:
             case "CompressedImage":
                 self.images.setdefault(topic, {})[message.frame_id] = message.data
             case "ChipTies":
+                _check_even(message)
                 jpeg = self.images.get("/chips", {}).pop(f"{message.left} - {message.right}", None)
                 if jpeg is not None:
                     self.chips.append((jpeg, message))
@@ -147,6 +148,12 @@ def _table(message: Any) -> ToldTable:
         raise ValueError("a table of unequal lengths")
     columns = dict(zip(message.column, values, strict=True))
     return ToldTable(tuple(message.row), tuple(message.other), columns, tuple(message.note))
+
+
+def _check_even(ties: Any) -> None:
+    sides = (ties.left_x_px, ties.left_y_px, ties.right_x_px, ties.right_y_px, ties.weight)
+    if len({len(side) for side in sides}) != 1:
+        raise ValueError("tie points of unequal lengths")
 
 
 def _outlines(message: Any) -> list[tuple[str, Floats]]:

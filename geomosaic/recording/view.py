@@ -15,7 +15,7 @@ from geomosaic.errors import FileError, OutputError
 from geomosaic.recording.image_view import draw_chips, draw_images, draw_picks
 from geomosaic.recording.layout import layout
 from geomosaic.recording.list_view import PICK, draw_lists
-from geomosaic.recording.mcapfile import BROKEN, items, opened
+from geomosaic.recording.mcapfile import BROKEN, MEND, items, opened
 from geomosaic.recording.model import Recording
 from geomosaic.recording.plan_view import draw_plan
 from geomosaic.recording.reader import printable
@@ -26,6 +26,9 @@ from geomosaic.recording.viewer import open_viewer, screenshot
 
 STEP = "step"
 LOG = "/log"
+MOST_TOLD = 20
+"""Times a recording's own size that what it shows may take, beside 64 MiB: images hardly pack, tables do."""
+_ALWAYS_BYTES = 64 * 2**20
 _STAGE_WIDTH = 22
 
 _PARTS = (
@@ -66,12 +69,20 @@ def write_rrd(recording: Recording, path: Path) -> None:
 
 
 def told(path: Path) -> Story:
-    """What a recording tells a view; messages that are damaged are left out."""
-    story = Story()
+    """What a recording tells a view; messages that are damaged are left out.
+
+    Raises FileError if it would take far more memory than the file.
+    """
+    story, left_bytes = Story(), MOST_TOLD * path.stat().st_size + _ALWAYS_BYTES
     with opened(path) as file:
         for item in items(path, file):
             if not isinstance(item.record, Message) or item.schema not in SHOWN:
                 continue
+            left_bytes -= len(item.record.data)
+            if left_bytes < 0:
+                raise FileError(
+                    "what it shows would take far more than the file itself", file=path, mend=MEND
+                )
             try:
                 message = SHOWN[item.schema].FromString(item.record.data)
                 story.take(item.topic, message, item.record.sequence, item.record.log_time)
