@@ -8,6 +8,8 @@ from typing import Any
 
 import cv2
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from recorded_survey import bad_survey, planted
 from recording_scene import written
 
@@ -158,3 +160,35 @@ def test_a_survey_that_cannot_be_read_leaves_the_rest(
     assert "its frames can't be read" in as_text(capsys, path)
     assert main(["inspect", str(path), "--frame", "DJI_0001"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_recording_without_artefacts_answers_from_its_tables(
+    survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What level `summary` leaves of the same run."""
+    whole, few = survey / "run" / "run.mcap", tmp_path / "run.mcap"
+    with whole.open("rb") as file, few.open("wb") as target:
+        reader, writer = make_reader(file), Writer(target)
+        writer.start(reader.get_header().profile)
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if schema.name in ("geomosaic.Artefact", "foxglove.CompressedImage"):
+                continue
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "protobuf", number)
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()
+    of_all, of_few = (as_json(capsys, path, "--worst", 50)["worst"] for path in (whole, few))
+    for key in ("pairs_tied", "pairs_untied", "frames_by_status"):
+        assert of_few[key] == of_all[key]
+    accused = sorted((f["code"], name) for f in of_few["faults"] for name in f["frames"])
+    assert accused == planted(survey)
+    (name,) = (frame for code, frame in accused if code == "position-wrong")
+    one, other = (as_json(capsys, path, "--frame", name)["frame"] for path in (whole, few))
+    for key in ("moved_m", "tie_points", "share_down_weighted", "pairs_tied"):
+        assert other[key] == pytest.approx(one[key])
+    assert f"{one['moved_m'][0]:.2f} m east" in as_text(capsys, few, "--frame", name)
+    assert main(["inspect", str(few), "--png", str(tmp_path / "x.png")]) == 2

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
@@ -13,6 +12,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import artefact_data
 from geomosaic.recording.solved import Solved
+from geomosaic.recording.tabled import warned
 from geomosaic.survey.model import Survey
 
 Kind = TypeVar("Kind")
@@ -30,7 +30,7 @@ def solved_of(recording: Recording) -> Solved | None:
         _last(recording, "placement", Placement),
         _last(recording, "ties", TiePoints),
         _last(recording, "adjusted", Adjusted),
-        tuple(_warned(recording)),
+        warned(recording),
     )
     if problem := solved.problem():
         raise FileError(problem, file=recording.path, mend="run the recipe again")
@@ -47,17 +47,3 @@ def _last(recording: Recording, name: str, kind: type[Kind]) -> Kind | None:
                 raise FileError(f"{name}: {error.problem}", file=recording.path, mend=error.mend) from error
             return value
     return None
-
-
-def _warned(recording: Recording) -> Iterator[tuple[str, str, str]]:
-    """Code, frame and text of each warning of the stages that finished; of the others by the log."""
-    done = {stage.stage_id for stage in recording.stages if stage.finished}
-    for stage in recording.stages:
-        warnings: Any = stage.notes.get("warnings") if isinstance(stage.notes, dict) else None
-        for warning in warnings if isinstance(warnings, list) else ():
-            if isinstance(warning, dict):
-                yield tuple(str(warning.get(key, "")) for key in ("code", "frame", "text"))  # type: ignore[misc]
-    for line in recording.warnings:
-        if line.level == "warning" and line.stage not in done:
-            code, _, text = line.text.partition(": ")
-            yield code, line.frame, text

@@ -10,6 +10,7 @@ from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.model import LogLine, Recording, StageRecord
 from geomosaic.recording.solved import Solved, frame_figures, known, pair_figures, status_counts
+from geomosaic.recording.tabled import tabled_frames, tabled_pairs
 from geomosaic.recording.worst import faults, worst_frames, worst_pairs
 
 SHOWN = 5
@@ -20,20 +21,23 @@ _LAST_LINES = 3
 class Inspection:
     """The answers of one recording, each as values that JSON knows.
 
-    solved: None of strips, and where the recording holds no survey: then `worst` knows of the run alone, and
-    no frame can be asked for. unreadable: why its survey can't be read.
+    solved: None of strips, and where the recording holds no artefacts: then frames and pairs are as its
+    tables have them. unreadable: why its survey can't be read.
     """
 
     def __init__(self, recording: Recording, solved: Solved | None, unreadable: str = "") -> None:
         self.recording, self.solved, self.unreadable = recording, solved, unreadable
         reasons = {(t.row[i], t.other[i]): t.note[i] for t in _tried(recording) for i in range(len(t.note))}
-        self.pairs = [] if solved is None else pair_figures(solved)
+        self.pairs = tabled_pairs(recording) if solved is None else pair_figures(solved)
         for pair in self.pairs:
             if not pair["tied"]:
                 pair["why_not"] = (
                     reasons.get((pair["left"], pair["right"])) or "tried, and no tie points agree"
                 )
-        self.frames = [] if solved is None else frame_figures(solved, self.pairs)
+        if solved is None:
+            self.frames = tabled_frames(recording, self.pairs)
+        else:
+            self.frames = frame_figures(solved, self.pairs)
 
     def ended(self) -> dict[str, Any]:
         """How the run ended: `finished`, or the stage it was in, how far, and its last words."""
@@ -117,8 +121,8 @@ class Inspection:
         return found[0] | self._residuals(found[0])
 
     def _residuals(self, pair: dict[str, Any]) -> dict[str, Any]:
-        solved = self.readable()
-        if not pair["tied"] or solved.ties is None:
+        solved = self.solved
+        if not pair["tied"] or solved is None or solved.ties is None:
             return {}
         at = self.pairs.index(pair)
         left_m = solved.adjusted.residuals_m[at] if solved.adjusted else np.zeros((0, 2))
@@ -150,12 +154,8 @@ class Inspection:
 
     def _known(self, name: str) -> str:
         """A frame's name, also without its suffix. Raises `InputError` where frames aren't recorded."""
-        if self.solved is None:
-            raise InputError(
-                "no frames are recorded",
-                file=self.recording.path,
-                mend="give a recording of frames (normal or full)",
-            )
+        if not self.frames:
+            self.readable()
         names = [f["frame"] for f in self.frames]
         near = [n for n in names if name in (n, n.rpartition(".")[0])]
         if not near:

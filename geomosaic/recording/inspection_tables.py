@@ -110,10 +110,9 @@ def show_pair(pair: dict[str, Any], console: Console) -> None:
             )
         )
         line(console, f"residuals: {spread}")
-        line(
-            console,
-            f"{pair['in_solve']} of {pair['tie_points']} in the solve, {pair['doubted']} of them doubted",
-        )
+        if pair.get("doubted") is not None:
+            seen = f"{pair['in_solve']} of {pair['tie_points']}"
+            line(console, f"{seen} in the solve, {pair['doubted']} of them doubted")
 
 
 def show_stage(stage: dict[str, Any], console: Console) -> None:

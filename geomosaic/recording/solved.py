@@ -31,7 +31,7 @@ _FARTHEST_M: Annotated[
 _OFF: Annotated[
     float, Because("1", "by which rows of a rotation may be off unit length and square", CHOSEN)
 ] = 1e-6
-_POSE = (
+POSE = (
     *("lon_deg", "lat_deg", "height_ellipsoidal_m", "easting_m", "northing_m"),
     *("yaw_deg", "pitch_deg", "roll_deg", "sd_e_m", "sd_n_m", "sd_u_m"),
     *("sd_omega_deg", "sd_phi_deg", "sd_kappa_deg"),
@@ -257,7 +257,7 @@ def _pose(of: Orientations | None, i: int) -> dict[str, Any] | None:
     if of is None:
         return None
     values = (of.lon_lat_height, of.map_m, of.yaw_pitch_roll_deg, of.sd_m, of.sd_omega_phi_kappa_deg)
-    return {n: known(v) for n, v in zip(_POSE, np.concatenate([v[i] for v in values]), strict=True)}
+    return {n: known(v) for n, v in zip(POSE, np.concatenate([v[i] for v in values]), strict=True)}
 
 
 def _whole(poses: Poses, n: int) -> bool:

@@ -7,7 +7,7 @@ line.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ from geomosaic.placement.prior import courses_deg, heading_assumed
 from geomosaic.recording.bare_ground import BARE, bare_shares
 from geomosaic.recording.model import Recording
 from geomosaic.recording.solved import Solved
+from geomosaic.recording.tabled import warned
 from geomosaic.survey.names import some
 
 _AGAINST_RAD: Annotated[
@@ -84,9 +85,8 @@ def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, A
     Args: frames: `frame_figures` of `solved`.
     """
     found = [*_of_run(recording), *_of_verdict(recording)]
+    found += _of_frames(warned(recording), {f["frame"]: f for f in frames})
     if solved is not None:
-        by_name = {f["frame"]: f for f in frames}
-        found += _of_frames(solved, by_name)
         found += _against_their_lines(solved)
         found += _bare_ground(solved)
     found.sort(key=lambda f: (-f.weight, f.code, f.frames))
@@ -130,19 +130,19 @@ def _figure(value: Any, unit: str) -> str:
     return f"{100.0 * value:.0f} %" if unit == "share" else f"{value:.2f} {unit}"
 
 
-def _of_frames(solved: Solved, frames: dict[str, dict[str, Any]]) -> Iterator[Fault]:
+def _of_frames(warned: Iterable[tuple[str, str, str]], frames: dict[str, dict[str, Any]]) -> Iterator[Fault]:
     """Frames that the run accuses, once each for each thing."""
     said: dict[tuple[str, str], str] = {}
-    for code, frame, text in solved.warned:
+    for code, frame, text in warned:
         if frame and code in _MENDS:
             said.setdefault((code, frame), text)
     for (code, frame), text in said.items():
         weight, mend = _MENDS[code]
-        sure, more = _sure(solved, code, frames.get(frame, {}))
+        sure, more = _sure(code, frames.get(frame, {}))
         yield Fault(code, (frame,), text, sure, mend, weight + more)
 
 
-def _sure(solved: Solved, code: str, frame: dict[str, Any]) -> tuple[str, float]:
+def _sure(code: str, frame: dict[str, Any]) -> tuple[str, float]:
     """How sure an accusation is, in words, and below one, how much it weighs among its like."""
     held = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
     if frame.get("rms_px") is not None:
