@@ -86,7 +86,7 @@ def test_cells_that_no_frame_sees_keep_the_base(town: Scene) -> None:
     surface, heights, level = town.matched(town.cells(20.0, 500.0, 500.0))
     assert (surface.views == 0).all()
     assert np.allclose(surface.up_m, town.base.up_m)
-    told = dict(doubts(surface, heights.alike > UNSEEN, town.base, level))
+    told = dict(doubts(surface, heights, town.base, level))
     assert list(told) == ["surface-not-matched"]
 
 
@@ -97,16 +97,16 @@ def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
     errors_m, kind = pair.truth(surface)
     seen = (pair.frames_seeing(surface) == 2) & (kind == GROUND)
     assert float(np.median(np.abs(errors_m[seen]))) < GSD_M
-    told = dict(doubts(surface, heights.alike > UNSEEN, pair.base, level))
+    told = dict(doubts(surface, heights, pair.base, level))
     assert "surface-two-views" in told
 
 
 def test_hills_beyond_the_search_are_told_and_a_base_that_knows_them_finds_them(town: Scene, found) -> None:
     deep = GroundSurface("flat", 0.0, 0.0, 1.0, town.base.up_m - 17.0)
     surface, heights, level = town.matched(town.cells(24.0), deep)
-    told = dict(doubts(surface, heights.alike > UNSEEN, deep, level))
+    told = dict(doubts(surface, heights, deep, level))
     assert told.keys() & {"surface-out-of-reach", "surface-not-matched"}
-    told = dict(doubts(found[0], found[1].alike > UNSEEN, town.base, found[2]))
+    told = dict(doubts(found[0], found[1], town.base, found[2]))
     assert not told
 
 
@@ -117,7 +117,7 @@ def test_water_stays_as_it_was(tmp_path) -> None:
     land = np.abs(lake.truth(surface)[0]) > 1.0
     assert float(np.mean(surface.views[looked_at] > 0)) < 0.3
     assert float(np.mean(land)) < 0.1
-    told = dict(doubts(surface, looked_at, lake.base, level))
+    told = dict(doubts(surface, heights, lake.base, level))
     assert "surface-not-matched" in told
 
 

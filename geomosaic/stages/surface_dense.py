@@ -89,7 +89,7 @@ class SurfaceDense(Stage):
             found.append(_matched(context, f"level {number + 1}", level, base, sighted, frames, above))
         surface = fused(found[-1], cells, base)
         looked_at = found[-1].alike > UNSEEN
-        for code, text in doubts(surface, looked_at, base, level):
+        for code, text in doubts(surface, found[-1], base, level):
             context.warn(code, "", text)
         context.metric("surface.cell_m", cell_m)
         context.metric("surface.matched", float((surface.views > 0).sum() / max(looked_at.sum(), 1)))

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.levels import Level
 from geomosaic.surface.model import DenseSurface
+from geomosaic.surface.refinement import UNSEEN
+from geomosaic.surface.tile import Heights
 
 _LEAST_MATCHED: Annotated[
     float,
@@ -27,14 +28,15 @@ _MOST_AT_END: Annotated[
 
 
 def doubts(
-    surface: DenseSurface, looked_at: NDArray[np.bool_], base: GroundSurface, level: Level
+    surface: DenseSurface, found: Heights, base: GroundSurface, level: Level
 ) -> Iterator[tuple[str, str]]:
     """Code and text of each warning.
 
-    Args: looked_at (rows, cols): cells that two frames look at; level: one of those that it was matched by.
+    Args: found: the heights that it was made of; level: one of those that it was matched by.
     """
-    views = surface.views[looked_at]
+    views = surface.views[found.alike > UNSEEN]
     matched = float(np.mean(views > 0)) if views.size else 0.0
+    agreeing = found.views[found.views > 0]
     if matched < _LEAST_MATCHED:
         yield (
             "surface-not-matched",
@@ -42,7 +44,7 @@ def doubts(
             "ground, too little overlap, or ground far off what was known before); elsewhere the surface is "
             "held by what was known before",
         )
-    elif float(np.median(views[views > 0])) < 3.0:
+    elif agreeing.size and float(np.median(agreeing)) < 3.0:
         yield (
             "surface-two-views",
             "most of the surface is shown by two frames only, so that nothing contradicts a mistake; more "
