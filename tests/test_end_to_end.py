@@ -26,7 +26,7 @@ from geomosaic.simulate.survey import SimulatedSurvey
 
 PATCHES = [f"--set=quality.compare.{k}_px={v}" for k, v in (("patch", 48), ("step", 24), ("search", 32))]
 LAYERS = {"frames", "footprints", "nadir_points", "tie_points", "residuals", "seamlines",
-          "error_ellipses", "image_residuals", "control", "control_residuals"}  # fmt: skip
+          "error_ellipses", "image_residuals", "control", "control_residuals", "moves"}  # fmt: skip
 
 
 def told(survey: SimulatedSurvey) -> list[str]:
@@ -81,7 +81,7 @@ def run(block: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def test_the_run_folder_holds_just_what_is_promised(run: Path) -> None:
     names = {p.name for p in run.iterdir()}
     promised = {"mosaic.tif", "layers.gpkg", "positions.csv", "run.mcap", "run.json", "report.html", "work"}
-    assert names == promised | {"sources.tif", MARKER}
+    assert names == promised | {"sources.tif", "project.qgz", MARKER}
     assert not [p for p in run.rglob("*") if ".part" in p.name or p.name.endswith("-journal")]
 
 
@@ -113,7 +113,8 @@ def test_the_mosaic_is_true(run: Path, block: SimulatedSurvey) -> None:
 def test_every_layer_has_a_crs_an_index_and_features(run: Path) -> None:
     package = ogr.Open(str(run / "layers.gpkg"))
     layers = {package.GetLayer(i).GetName(): package.GetLayer(i) for i in range(package.GetLayerCount())}
-    assert layers.keys() == LAYERS
+    assert layers.keys() == LAYERS | {"layer_styles"}
+    assert layers.pop("layer_styles").GetFeatureCount() == len(LAYERS)
     for name, layer in layers.items():
         assert layer.GetSpatialRef().GetAuthorityCode(None) == "32632"
         query = f"SELECT HasSpatialIndex('{name}', '{layer.GetGeometryColumn()}')"
@@ -162,7 +163,7 @@ def test_run_json_keeps_its_promise(run: Path) -> None:
         "inputs",
     } <= (told_run.keys())
     assert all({"code", "frame", "text"} == w.keys() for w in told_run["warnings"])
-    assert len(told_run["timings_s"]) == 16 and told_run["timings_s"]["matching.sift"] > 0.0
+    assert len(told_run["timings_s"]) == 17 and told_run["timings_s"]["matching.sift"] > 0.0
     (camera,) = told_run["camera"]
     assert camera["focal_length_px"] == pytest.approx(500.0, abs=10.0) and camera["focal_length_px"] != 500.0
     assert len(told_run["inputs"]["survey.read.frames"]["files"]) == 8
@@ -183,7 +184,7 @@ def test_the_recording_is_read_by_others(run: Path) -> None:
     assert [s.stage_id for s in recording.stages][:3] == [
         "survey.read", "matching.flying_height", "projection.ground",
     ]  # fmt: skip
-    assert all(s.finished for s in recording.stages) and len(recording.stages) == 16
+    assert all(s.finished for s in recording.stages) and len(recording.stages) == 17
     chunk = pytest.importorskip("rerun.chunk", reason="Rerun isn't installed")
     paths = {c.entity_path for c in chunk.McapReader(run / "run.mcap").stream()}
     assert {"/images/mosaic", "/log"} <= paths
