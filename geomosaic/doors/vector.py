@@ -53,7 +53,7 @@ def read_polygons(path: Path) -> Polygons:
     path = path.absolute()
     check_sidecars(path)
     with _said(path):
-        dataset = _opened(path)
+        dataset = open_vector(path)
         layers = [dataset.GetLayerByIndex(i) for i in range(dataset.GetLayerCount())]
         found = {layer.GetName(): (layer, _polygons(layer, path)) for layer in layers}
         found = {name: of for name, of in found.items() if of[1]}
@@ -83,7 +83,8 @@ def _said(path: Path) -> Iterator[None]:
         gdal.PopErrorHandler()
 
 
-def _opened(path: Path) -> Any:
+def open_vector(path: Path) -> Any:
+    """Polygons, or a run's own layers, as osgeo's dataset. Raises `FileError` for none of `DRIVERS`."""
     driver = gdal.IdentifyDriverEx(str(path), gdal.OF_VECTOR, list(DRIVERS))
     if driver is None:
         raise FileError("is no file of polygons that is read", file=path, mend=_NOT_THIS)

@@ -8,6 +8,7 @@ from typing import Final
 from osgeo import gdal
 
 from geomosaic.doors.gdal_failures import close, gdal_failures
+from geomosaic.doors.vector import open_vector
 from geomosaic.geodesy.mapcrs import check_on_earth
 
 _LAYERS: Final = ("footprints", "ccd_strips")
@@ -21,7 +22,7 @@ def write_footprints(package: Path, out: Path) -> None:
     Raises: `InputError` in a local frame; `OSError` if it can't be written.
     """
     with gdal_failures(out):
-        source = gdal.OpenEx(str(package), gdal.OF_VECTOR)
+        source = open_vector(package)
         names = [source.GetLayer(i).GetName() for i in range(source.GetLayerCount())]
         (name,) = (name for name in _LAYERS if name in names)
         crs = source.GetLayerByName(name).GetSpatialRef().ExportToWkt(["FORMAT=WKT2_2019"])

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from osgeo import gdal
 
 from geomosaic.doors.gdal_failures import close, gdal_failures
+from geomosaic.doors.vector import open_vector
 
 _HERE: Final = Path(__file__).parent
 _LAYERS: Final[tuple[tuple[str, str, bool, str, dict[str, Any]], ...]] = (
@@ -68,7 +69,7 @@ def _layers(package: Path) -> list[dict[str, Any]]:
     """Those that hold anything, as GeoJSON; too large ones are left to a GIS."""
     shown = []
     with gdal_failures(package):
-        source = gdal.OpenEx(str(package), gdal.OF_VECTOR)
+        source = open_vector(package)
         for name, title, checked, label, style in _LAYERS:
             layer = source.GetLayerByName(name)
             if layer is None or not 0 < layer.GetFeatureCount() <= _MOST_FEATURES:

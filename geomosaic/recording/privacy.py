@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
@@ -43,6 +44,10 @@ class Privacy:
                 text = text.replace(folder, "")
             text = _FOLDERS.sub("", text)
         return _CRS.sub("its map system", text) if self.places else text
+
+    def yaml(self, text: str) -> str:
+        """A text in YAML, which may break a folder's name over lines, without folders."""
+        return yaml.safe_dump(self.value(yaml.safe_load(text)), sort_keys=False, allow_unicode=True)
 
     def value(self, value: Any) -> Any:
         """A value that JSON knows, with all its texts, names of entries too."""

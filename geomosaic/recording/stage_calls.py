@@ -115,9 +115,8 @@ class StageCalls:
     def outlines(self, what: str, names: Sequence[str], lines_m: Sequence[ArrayLike]) -> None:
         """Rings or lines (k, 2 or more) in the work frame, east and north first; points not finite are left
         out."""
-        shown = [
-            np.asarray(line, dtype=np.float64).reshape(len(np.asarray(line)), -1)[:, :2] for line in lines_m
-        ]
+        lines = (np.asarray(line, dtype=np.float64) for line in lines_m)
+        shown = [line[:, :2] if line.size else np.zeros((0, 2)) for line in lines]
         shown = [line[np.isfinite(line).all(axis=1)] for line in shown]
         east, north = np.concatenate([np.zeros((0, 2)), *shown]).T
         message = Outlines(

@@ -113,7 +113,7 @@ class Recorder(StageCalls, StripCalls):
         described = {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()}
         self._file.describe(PROFILE, described)
         if self._privacy is not None:
-            recipe_yaml = self._privacy.text(recipe_yaml)
+            recipe_yaml = self._privacy.yaml(recipe_yaml)
             environment, manifest = self._privacy.value(environment), self._privacy.value(manifest)
         self._file.attach(RECIPE, "application/yaml", recipe_yaml.encode())
         self._file.attach(ENVIRONMENT, "application/json", json_text(environment).encode())
