@@ -75,6 +75,9 @@ bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says h
 bench-recording: setup ## what the recording costs: at most 5 % of the time and 1 MB a frame (about 20 minutes)
 	$(PY) tools/bench_recording.py --out out/bench-recording
 
+bench-worst: setup ## what inspect says is wrong, on bad surveys against what was spoiled (about 10 minutes)
+	$(PY) tools/bench_worst.py --out out/bench-worst
+
 bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object space, speed, the paper's figures (about 2 hours)
 	$(PY) tools/bench_strips.py --seeds 20 --methods all --out out/bench-strips
 	$(PY) tools/bench_strips.py --mixed 60 --out out/bench-strips
@@ -104,4 +107,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-strips bench-real check-qgis fuzz chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis fuzz chaos docs format clean
