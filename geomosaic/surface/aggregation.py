@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.costs import PER_BIT
+from geomosaic.surface.costs import PER_BIT, UNSEEN_COST
 
 Costs = NDArray[np.int16]
 Steps = NDArray[np.int16]
@@ -119,9 +119,11 @@ def cheapest(total: Costs, steps: Steps) -> NDArray[np.float32]:
 
 
 def distinctness(costs: NDArray[np.uint8], total: Costs) -> NDArray[np.float32]:
-    """By how many bits the heights of a cell and those around cost less than the mean of all heights."""
+    """By how many bits the heights of a cell and those around cost less than the mean of all heights; those
+    that cost as much as what no two frames see are no evidence."""
     chosen = np.take_along_axis(costs, total.argmin(axis=0)[None], axis=0)[0]
     less = (costs.mean(axis=0, dtype=np.float32) - chosen) / np.float32(PER_BIT)
+    less[chosen >= UNSEEN_COST] = 0.0
     window = (_DISTINCT_CELLS, _DISTINCT_CELLS)
     return np.asarray(cv2.blur(less.astype(np.float32), window), dtype=np.float32)
 

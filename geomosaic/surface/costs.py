@@ -59,14 +59,13 @@ _CHANCE_FRAMES: Annotated[
 ] = 0.3
 PER_BIT: Final = 4
 """Costs count in quarters of a bit."""
-
-
+UNSEEN_COST: Final = PER_BIT * _UNSEEN_BITS
 _NONE: Final = np.uint8(255)
 
 
 def _cost_of(frames: int, bits: int) -> int:
     if not frames:
-        return PER_BIT * _UNSEEN_BITS
+        return UNSEEN_COST
     return round(PER_BIT * (bits + _CHANCE_FRAMES * _CHANCE_BITS) / (frames + _CHANCE_FRAMES))
 
 

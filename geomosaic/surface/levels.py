@@ -90,7 +90,7 @@ class Level:
         for task, heights in zip(tasks, found, strict=True):
             at = task.tile.at
             up[at], whole.distinct[at] = heights.up_m, heights.distinct
-            whole.alike[at], whole.views[at] = heights.alike, heights.views
+            whole.alike[at], whole.views[at], whole.seeing[at] = heights.alike, heights.views, heights.seeing
         return whole
 
 

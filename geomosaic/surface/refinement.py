@@ -102,15 +102,16 @@ def refined(
 
 def likeness(
     verticals: Verticals, pictures: Sequence[Bytes], height_m: Floats32, asked: Asked
-) -> tuple[Floats32, Bytes]:
+) -> tuple[Floats32, Bytes, Bytes]:
     """The mean correlation with the first frame that sees a cell of those that are most like it, -1 to 1; -1
-    where no two see it. And how many frames agree there, the first one with them."""
+    where no two see it. How many frames agree there, the first one with them; and how many see it."""
     alike = np.full_like(height_m, UNSEEN)
-    views = np.zeros(height_m.shape, dtype=np.uint8)
+    views, seeing = (np.zeros(height_m.shape, dtype=np.uint8) for _ in range(2))
     for at, wide, inner, frames in _with_rims(asked, height_m.shape):
         found = _correlations(verticals, pictures, height_m[wide], wide, frames, {})
         alike[at], views[at] = _mean_of(found, _most_alike(found))[inner], _views(found)[inner]
-    return alike, views
+        seeing[at] = 1 + (found > -np.inf).sum(axis=0, dtype=np.uint8)[inner]
+    return alike, views, seeing
 
 
 def _with_rims(asked: Asked, shape: tuple[int, ...]) -> Iterator[tuple[Block, Block, Block, Sequence[int]]]:

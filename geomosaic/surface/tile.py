@@ -108,18 +108,20 @@ class Search:
 @dataclass(frozen=True)
 class Heights:
     """Of cells (rows, cols): up_m in the work frame; alike, how alike the frames are there, from -1 to 1;
-    views, how many agree; distinct, by how many bits heights in and around a cell cost less than others."""
+    views, how many agree; seeing, how many see a cell; distinct, by how many bits heights in and around a
+    cell cost less than others."""
 
     up_m: Floats32
     alike: Floats32
     views: Bytes
+    seeing: Bytes
     distinct: Floats32
 
 
 def unseen(up_m: Floats32) -> Heights:
     """Heights that no frames were compared at."""
     nothing = np.zeros(up_m.shape, dtype=np.uint8)
-    return Heights(up_m, np.full_like(up_m, UNSEEN), nothing, np.zeros_like(up_m))
+    return Heights(up_m, np.full_like(up_m, UNSEEN), nothing, nothing.copy(), np.zeros_like(up_m))
 
 
 def matched(
@@ -142,9 +144,10 @@ def matched(
     greys = [p.grey for p in pictures]
     height_m, alike = refined(verticals, greys, height_m, search.step_m, asked, hidden)
     height_m = sharpened(verticals, base, search.cells, greys, _smoothed(height_m), alike, asked)
-    alike, views = likeness(verticals, greys, height_m, asked)
+    alike, views, seeing = likeness(verticals, greys, height_m, asked)
     distinct = distinctness(costs, total)
-    return Heights((verticals.base_m + height_m)[inner], alike[inner], views[inner], distinct[inner])
+    up_m = verticals.base_m + height_m
+    return Heights(up_m[inner], alike[inner], views[inner], seeing[inner], distinct[inner])
 
 
 def _steps(search: Search, base_m: Floats32) -> NDArray[np.int16]:
