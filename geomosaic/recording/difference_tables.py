@@ -89,12 +89,12 @@ def _pairs(pairs: list[dict[str, Any]], console: Console) -> None:
 
 def _consequences(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for name, (a, b) in difference["verdict"].items():
-        yield "(verdict)", name, shortened(a), shortened(b)
+        yield "(verdict)", name, _figure(a), _figure(b)
     for k, (name, (a, b)) in enumerate(difference["figures"].items()):
         if k == _MOST_ROWS:
             yield "(figures)", f"and {len(difference['figures']) - k} more; --json has them", "", ""
             break
-        yield "(figures)", name, shortened(a), shortened(b)
+        yield "(figures)", name, _figure(a), _figure(b)
     for warning in difference["warnings"]:
         text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
         yield warning["stage"], warning["level"], *((text, "") if warning["only_in"] == "a" else ("", text))
@@ -152,6 +152,11 @@ def _seconds(seconds: list[dict[str, Any]], console: Console) -> None:
         return
     words = [f"{s['stage']} {s['seconds'][0]:.1f} -> {s['seconds'][1]:.1f} s" for s in seconds[:4]]
     line(console, f"time: {', '.join(words)}")
+
+
+def _figure(value: Any) -> str:
+    """Of numbers four digits; --json has them whole."""
+    return f"{value:.4g}" if isinstance(value, float) else shortened(value)
 
 
 def _signed(value: float | None) -> str:

@@ -169,7 +169,7 @@ def _frame_cells(f: dict[str, Any]) -> list[Any]:
 def _show_pairs(title: str, pairs: list[dict[str, Any]], console: Console) -> None:
     if not pairs:
         return
-    table = new_table(title, "left", "right", "ties", "left, px", "largest, m", "doubted", "")
+    table = new_table(title, "left", "right", "ties", "apart on the ground, px", "largest, m", "doubted", "")
     for p in pairs:
         if p["tied"]:
             figures = (number(p["rms_px"]), number(p["max_m"]), share(p["share_down_weighted"]), "")
