@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from numpy.typing import NDArray
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.given import Given, files_of
@@ -22,10 +21,12 @@ from geomosaic.placement.model import Placement
 from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import messages
+from geomosaic.recording.thumbnail import decoded
 from geomosaic.survey.model import Frame, Survey
 
 FRAMES = "survey.read.frames"
-_MOST_THUMBNAIL_PX = 4 << 20
+_MOST_FRAME_PX = 400 << 20
+"""Of a frame whose thumbnail is enlarged, more than cameras have: a recording may claim any size."""
 _STAND_INS = "work/thumbnails"
 _SEAMS = "mosaic.seams"
 _WANTED = ("matching.sift", "adjustment.solve", "mosaic.compose")
@@ -152,7 +153,7 @@ def thumbnail_pixel_m(recording: Recording, given: Mapping[int, Given]) -> float
     values = [v for g in given.values() for v in g.outputs.values()]
     placed = [v for v in values if isinstance(v, Placement)]
     widths = {f.name: f.width_px for v in values if isinstance(v, Survey) for f in v.frames}
-    small = {n: _picture(jpeg) for n, jpeg in _thumbnails(recording).items() if n in widths}
+    small = {n: decoded(jpeg) for n, jpeg in _thumbnails(recording).items() if n in widths}
     times = [widths[n] / s.shape[1] for n, s in small.items() if s is not None]
     return float(f"{placed[-1].ground_pixel_m * np.median(times):.2g}") if placed and times else math.nan
 
@@ -180,6 +181,9 @@ def _standing_in(given: Given, thumbnails: Mapping[str, bytes], folder: Path) ->
         frames = []
         for i, f in enumerate(value.frames):
             name = f"{i:06d}.jpg"
+            if not 0 < f.width_px * f.height_px <= _MOST_FRAME_PX:
+                problem = f"can't be {f.width_px} x {f.height_px} px, as the recording says"
+                raise FileError(problem, file=f.path, mend="take another copy of the recording")
             brought[f"{_STAND_INS}/{name}"] = partial(_enlarged, thumbnails[f.name], f.width_px, f.height_px)
             image = dataclasses.replace(f, path=str(folder / name), bands=3, dtype="uint8", valid_mask=None)
             frames.append(dataclasses.replace(image, nodata=None, whole_rows=None))
@@ -189,20 +193,9 @@ def _standing_in(given: Given, thumbnails: Mapping[str, bytes], folder: Path) ->
     return dataclasses.replace(made, brought=brought)
 
 
-def _picture(jpeg: bytes) -> NDArray[np.uint8] | None:
-    """The pixels of a small JPEG; None for what is none."""
-    try:
-        small = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:
-        return None
-    if small is None or small.shape[0] * small.shape[1] > _MOST_THUMBNAIL_PX:
-        return None
-    return np.asarray(small, dtype=np.uint8)
-
-
 def _enlarged(jpeg: bytes, width_px: int, height_px: int) -> bytes:
     """A thumbnail as a JPEG of its frame's size; black where it is none."""
-    small = _picture(jpeg)
+    small = decoded(jpeg)
     if small is None:
         small = np.zeros((2, 2, 3), np.uint8)
     large = cv2.resize(small, (width_px, height_px), interpolation=cv2.INTER_LINEAR)

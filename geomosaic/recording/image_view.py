@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.errors import FileError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.list_view import PICK, frame_text, worst_frames
 from geomosaic.recording.plan_view import PLAN
 from geomosaic.recording.reader import printable
 from geomosaic.recording.story import Story
-from geomosaic.survey.jpeg import parse_structure
+from geomosaic.recording.thumbnail import decoded
 
 CHIP: Final = "/worst_pair"
 FRAME: Final = "/picked_frame"
 FRAME_TEXT: Final = "/picked_about"
 MOSAIC: Final = "/mosaic"
 STRIPS: Final = "/strip_images"
-_MOST_PX: Final = 4096
 _KEPT, _REJECTED, _UNUSED = (70, 230, 90), (255, 60, 60), (150, 150, 160)
 
 
@@ -106,7 +102,7 @@ def draw_images(story: Story, stream: Any) -> None:
 
 def _stacked(jpegs: list[bytes], gap_px: int = 6) -> tuple[NDArray[np.uint8], list[float]]:
     """Strips lying, their first lines at the left, one below the other, RGB; and the middle of each."""
-    images = [np.rot90(image) for image in map(_decoded, jpegs) if image is not None]
+    images = [np.rot90(image[..., ::-1]) for image in map(decoded, jpegs) if image is not None]
     wide = max((image.shape[1] for image in images), default=1)
     parts: list[NDArray[np.uint8]] = []
     places, at = [], 0
@@ -117,18 +113,6 @@ def _stacked(jpegs: list[bytes], gap_px: int = 6) -> tuple[NDArray[np.uint8], li
         places.append(at + len(image) / 2.0)
         at += len(part)
     return np.concatenate(parts or [np.zeros((1, 1, 3), np.uint8)]), places
-
-
-def _decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
-    """RGB; nothing of what is no JPEG, or says that it is larger than thumbnails are."""
-    try:
-        header = parse_structure(jpeg, Path("thumbnail"), whole=False)
-        if max(header.width_px, header.height_px) > _MOST_PX:
-            return None
-        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
-    except (FileError, cv2.error):
-        return None
-    return None if image is None else np.asarray(image, np.uint8)
 
 
 def _ui(points: float) -> Any:

@@ -20,13 +20,13 @@ from geomosaic.recording.messages import ChipTies
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import messages
 from geomosaic.recording.solved import Solved
+from geomosaic.recording.thumbnail import decoded
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 _SIDE_PX: Final = 900
 _PLAN_PX: Final = 1500
 _LINES: Final = 300
-_MOST_THUMBNAIL_PX: Final = 4 << 20
 _OUTLINES: Final = 400
 _LABELS: Final = 300
 _ARROW: Final = 0.08
@@ -144,7 +144,7 @@ def _chip(recording: Recording, left: str, right: str) -> Image | None:
             with suppress(*BROKEN):
                 message = CompressedImage.FromString(data)
                 if message.frame_id == f"{left} - {right}":
-                    image = _decoded(message.data)
+                    image = decoded(message.data)
     if image is None:
         return None
     for _, _, data in messages(recording.path, "geomosaic.ChipTies"):
@@ -201,21 +201,10 @@ def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]
 
 def _enlarged(jpeg: bytes, size: tuple[int, int], otherwise: Image) -> Image:
     """A small JPEG in another size; `otherwise` for what is none."""
-    small = _decoded(jpeg)
+    small = decoded(jpeg)
     if small is None:
         return otherwise
     return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-def _decoded(jpeg: bytes) -> Image | None:
-    """A small JPEG's pixels; None for what is none."""
-    try:
-        small = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:
-        return None
-    if small is None or small.shape[0] * small.shape[1] > _MOST_THUMBNAIL_PX:
-        return None
-    return np.asarray(small, dtype=np.uint8)
 
 
 def _dots(image: Image, at: Floats, weight: Floats) -> None:

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.errors import FileError
 from geomosaic.survey.damage import Wholeness, coarsened, looked_at
+from geomosaic.survey.jpeg import parse_structure
+
+_MOST_PX: Final = 4096
+"""Of a side of a recorded image: chips at full resolution are below it; a file of some bytes may claim 30,000
+and take gigabytes."""
 
 
 @dataclass(frozen=True)
@@ -62,3 +70,18 @@ def _stretched(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     low, high = np.percentile(values[finite], [1.0, 99.0]) if finite.any() else (0.0, 1.0)
     scaled = (np.where(finite, values, low) - low) / max(high - low, 1e-12)
     return np.asarray(np.round(255.0 * np.clip(scaled, 0.0, 1.0)), dtype=np.uint8)
+
+
+def decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
+    """Pixels (rows, cols, 3), blue first as OpenCV draws, of a recorded image; nothing of what is no JPEG, or
+    says that it is larger than any that is recorded."""
+    import cv2
+
+    try:
+        header = parse_structure(jpeg, Path("thumbnail"), whole=False)
+        if max(header.width_px, header.height_px) > _MOST_PX:
+            return None
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    except (FileError, cv2.error):
+        return None
+    return None if image is None else np.asarray(image, np.uint8)
