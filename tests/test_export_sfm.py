@@ -16,10 +16,9 @@ from solved_block import ALONE, solved_block
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage
 from geomosaic.stages.export_colmap import ExportColmap
-from geomosaic.stages.export_metashape import ExportMetashape
 from geomosaic.stages.export_odm import ExportOdm
 from geomosaic.stages.export_opensfm import ExportOpensfm
-from geomosaic.stages.export_pix4d import ExportPix4d
+from geomosaic.stages.export_references import ExportMetashape, ExportPix4d
 
 
 @pytest.fixture(scope="module")
