@@ -105,6 +105,36 @@ def test_rasters_are_stretched_and_the_sources_named(project):
     assert steps.min() > 60, "frames that follow each other differ"
 
 
+def test_the_surface_has_a_group_of_its_own(tmp_path):
+    """Its shading is made of its heights; none of it hides the mosaic at first."""
+    for name, bands in (("mosaic", 3), ("surface", 1), ("terrain", 1), ("surface_confidence", 2)):
+        path = raster(tmp_path / f"{name}.tif", bands, "float32", HEIGHTS="ellipsoidal, in metres")
+        with rasterio.open(path, "r+") as tiff:
+            statistics = {"MEAN": 100, "STDDEV": 5, "MINIMUM": 97, "MAXIMUM": 140}
+            for band in tiff.indexes:
+                tiff.update_tags(band, **{f"STATISTICS_{k}": v for k, v in statistics.items()})
+    crs, extent, groups = project_of(package(tmp_path / "layers.gpkg"), tmp_path / "mosaic.tif")
+    write_project(tmp_path / "project.qgz", "t", crs, extent, groups)
+    root = document(tmp_path / "project.qgz")
+    names = [group.get("name") for group in root.iter("layer-tree-group") if group.get("name")]
+    assert names == ["Frames", "Surface", "Mosaic"], "over the mosaic, so that the shading falls on it"
+    group = root.find(".//layer-tree-group[@name='Surface']")
+    assert [(node.get("source"), node.get("checked")) for node in group] == [
+        ("./surface.tif", "Qt::Unchecked"), ("./surface.tif", "Qt::Unchecked"),
+        ("./terrain.tif", "Qt::Unchecked"), ("./surface_confidence.tif", "Qt::Unchecked"),
+        ("./surface_confidence.tif", "Qt::Unchecked"),
+    ]  # fmt: skip
+    assert len({node.get("id") for node in group}) == 5
+    shading, surface = (
+        root.find(f"projectlayers/maplayer[id='geomosaic_{name}']") for name in ("surface_shading", "surface")
+    )
+    assert shading.findtext("blendMode") == "6"
+    assert shading.find("pipe/rasterrenderer").get("type") == "hillshade"
+    assert surface.findtext("abstract") == "Heights are ellipsoidal, in metres."
+    items = [float(item.get("value")) for item in surface.iter("item")]
+    assert items == [97.0, 100.25, 103.5, 106.75, 110.0], "two deviations, no further than heights reach"
+
+
 def test_a_scene_without_a_map_is_left_out(tmp_path):
     mosaic = raster(tmp_path / "mosaic.tif", 1, "uint16", crs=None)
     crs, extent, groups = project_of(package(tmp_path / "layers.gpkg"), mosaic)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
-from xml.etree.ElementTree import Element, SubElement
+from typing import Final
 
 from defusedxml.ElementTree import fromstring
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import Group, Shown
+from geomosaic.export.project_rasters import image_layer, source_layer, surface_layers
 from geomosaic.export.web import on_map
-from geomosaic.mosaic.palette import frame_colour
 
 _TITLES: Final[dict[str, tuple[str, bool]]] = {
     "frames": ("Frames", True),
@@ -39,9 +38,6 @@ _GROUPS: Final = {
 }
 _ON_MOSAIC: Final = ("seamlines",)
 _SOURCES: Final = "sources.tif"
-_RGB: Final = ("red", "green", "blue")
-_SPREAD: Final = 2.0
-"""Deviations about the mean that are stretched from black to white, as QGIS does by default."""
 
 
 def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, float, float], list[Group]]:
@@ -61,6 +57,7 @@ def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, fl
         Group(title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals")
         for title, names in _GROUPS.items()
     ]
+    groups.append(Group("Surface", tuple(surface_layers(package.parent))))
     groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters)))
     if bounds is not None:
         crs = _crs(mosaic)
@@ -90,75 +87,6 @@ def vector_layers(package: Path) -> tuple[str, dict[str, Shown]]:
                 document.get("labelsEnabled") == "1", text,
             )  # fmt: skip
     return crs, shown
-
-
-def image_layer(path: Path, title: str) -> Shown:
-    """A raster on the map in its colours, stretched where it has more than 8 bits."""
-    with open_raster(path, OWN) as tiff:
-        names = [(name or "").lower() for name in tiff.descriptions]
-        if tiff.count < 3:
-            bands = [1]
-        else:
-            bands = [names.index(c) + 1 for c in _RGB] if set(_RGB) <= set(names) else [1, 2, 3]
-        stretch = None if tiff.dtypes[0] == "uint8" else [_stretch(tiff.tags(band)) for band in bands]
-        crs, mask = tiff.crs.to_wkt(), tiff.count + 1
-    if len(bands) == 3:
-        renderer = Element("rasterrenderer", type="multibandcolor", opacity="1", alphaBand=f"{mask}")
-        for colour, band in zip(_RGB, bands, strict=True):
-            renderer.set(f"{colour}Band", f"{band}")
-        parts: Sequence[str] = [f"{c}ContrastEnhancement" for c in _RGB]
-    else:
-        renderer = Element(
-            "rasterrenderer", type="singlebandgray", opacity="1", alphaBand=f"{mask}", grayBand="1",
-            gradient="BlackToWhite",
-        )  # fmt: skip
-        parts = ["contrastEnhancement"]
-    for part, limits in zip(parts, stretch or [], strict=False):
-        if limits is not None:
-            element = SubElement(renderer, part)
-            for tag, value in zip(("minValue", "maxValue"), limits, strict=True):
-                SubElement(element, tag).text = f"{value:g}"
-            SubElement(element, "algorithm").text = "StretchToMinimumMaximum"
-    return _raster(path, title, crs, renderer)
-
-
-def _stretch(tags: dict[str, str]) -> tuple[float, float] | None:
-    """What becomes black and white, by the band's statistics."""
-    try:
-        mean, sd = float(tags["STATISTICS_MEAN"]), float(tags["STATISTICS_STDDEV"])
-        least, most = float(tags["STATISTICS_MINIMUM"]), float(tags["STATISTICS_MAXIMUM"])
-    except (KeyError, ValueError):
-        return None
-    return max(least, mean - _SPREAD * sd), min(most, mean + _SPREAD * sd)
-
-
-def source_layer(path: Path) -> Shown:
-    """Which frame gave each pixel: a colour and the frame's name for each number."""
-    with open_raster(path, OWN) as tiff:
-        tags, crs = tiff.tags(), tiff.crs.to_wkt()
-    frames = {
-        int(key.removeprefix("FRAME_")): name
-        for key, name in tags.items()
-        if key.removeprefix("FRAME_").isdigit()
-    }
-    renderer = Element("rasterrenderer", type="paletted", band="1", alphaBand="-1", opacity="0.5")
-    palette = SubElement(renderer, "colorPalette")
-    for number in sorted(frames):
-        red, green, blue = frame_colour(number)
-        SubElement(
-            palette, "paletteEntry", value=f"{number}", color=f"#{red:02x}{green:02x}{blue:02x}", alpha="255",
-            label=frames[number],
-        )  # fmt: skip
-    return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
-
-
-def _raster(
-    path: Path, title: str, crs: str, *renderers: Element, checked: bool = True, **more: Any
-) -> Shown:
-    pipe = Element("pipe")
-    pipe.extend(renderers)
-    SubElement(pipe, "rasterresampler", maxOversampling="2", zoomedOutResampler="bilinear")
-    return Shown(path.stem, title, f"./{path.name}", False, crs, (pipe,), checked, **more)
 
 
 def _bounds(path: Path) -> tuple[float, float, float, float] | None:

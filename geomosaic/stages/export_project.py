@@ -23,7 +23,7 @@ class ExportProject(Stage):
     id = "export.project"
     display_name = "Write a QGIS project"
     group = "Export"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"layers_file": RunFile, "mosaic_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"project_file": RunFile}
     results: ClassVar[tuple[str, ...]] = (PROJECT,)

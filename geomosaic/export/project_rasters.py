@@ -1,0 +1,158 @@
+"""Rasters of a run in its QGIS project: the mosaic, which frame gave what, the surface lit from the
+north-west."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+from xml.etree.ElementTree import Element, SubElement
+
+from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.export.project import Shown
+from geomosaic.mosaic.palette import frame_colour
+
+_RGB: Final = ("red", "green", "blue")
+_SPREAD: Final = 2.0
+"""Deviations about the mean that are stretched from black to white, as QGIS does by default."""
+_HEIGHTS: Final = ("#00224d", "#414d6b", "#7b7b78", "#bbae6e", "#fde737")
+"""Low to high: CIVIDIS, which the report draws heights in too."""
+_DOUBT: Final = ("#1a9641", "#a6d96a", "#ffffbf", "#fdae61", "#d7191c")
+"""Sure to doubtful."""
+_MULTIPLY: Final = "6"
+"""QGIS' number of the way of blending that shades what lies below."""
+
+
+def image_layer(path: Path, title: str) -> Shown:
+    """A raster on the map in its colours, stretched where it has more than 8 bits."""
+    with open_raster(path, OWN) as tiff:
+        names = [(name or "").lower() for name in tiff.descriptions]
+        if tiff.count < 3:
+            bands = [1]
+        else:
+            bands = [names.index(c) + 1 for c in _RGB] if set(_RGB) <= set(names) else [1, 2, 3]
+        stretch = None if tiff.dtypes[0] == "uint8" else [_stretch(tiff.tags(band)) for band in bands]
+        crs, mask = tiff.crs.to_wkt(), tiff.count + 1
+    if len(bands) == 3:
+        renderer = Element("rasterrenderer", type="multibandcolor", opacity="1", alphaBand=f"{mask}")
+        for colour, band in zip(_RGB, bands, strict=True):
+            renderer.set(f"{colour}Band", f"{band}")
+        parts: Sequence[str] = [f"{c}ContrastEnhancement" for c in _RGB]
+    else:
+        renderer = Element(
+            "rasterrenderer", type="singlebandgray", opacity="1", alphaBand=f"{mask}", grayBand="1",
+            gradient="BlackToWhite",
+        )  # fmt: skip
+        parts = ["contrastEnhancement"]
+    for part, limits in zip(parts, stretch or [], strict=False):
+        if limits is not None:
+            element = SubElement(renderer, part)
+            for tag, value in zip(("minValue", "maxValue"), limits, strict=True):
+                SubElement(element, tag).text = f"{value:g}"
+            SubElement(element, "algorithm").text = "StretchToMinimumMaximum"
+    return _raster(path, title, crs, renderer)
+
+
+def _stretch(tags: dict[str, str]) -> tuple[float, float] | None:
+    """What becomes black and white, by the band's statistics."""
+    try:
+        mean, sd = float(tags["STATISTICS_MEAN"]), float(tags["STATISTICS_STDDEV"])
+        least, most = float(tags["STATISTICS_MINIMUM"]), float(tags["STATISTICS_MAXIMUM"])
+    except (KeyError, ValueError):
+        return None
+    return max(least, mean - _SPREAD * sd), min(most, mean + _SPREAD * sd)
+
+
+def source_layer(path: Path) -> Shown:
+    """Which frame gave each pixel: a colour and the frame's name for each number."""
+    with open_raster(path, OWN) as tiff:
+        tags, crs = tiff.tags(), tiff.crs.to_wkt()
+    frames = {
+        int(key.removeprefix("FRAME_")): name
+        for key, name in tags.items()
+        if key.removeprefix("FRAME_").isdigit()
+    }
+    renderer = Element("rasterrenderer", type="paletted", band="1", alphaBand="-1", opacity="0.5")
+    palette = SubElement(renderer, "colorPalette")
+    for number in sorted(frames):
+        red, green, blue = frame_colour(number)
+        SubElement(
+            palette, "paletteEntry", value=f"{number}", color=f"#{red:02x}{green:02x}{blue:02x}", alpha="255",
+            label=frames[number],
+        )  # fmt: skip
+    return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
+
+
+def surface_layers(folder: Path) -> list[Shown]:
+    """Those of a run's surface, if it has one, the shading on top, which is made by QGIS of the heights
+    themselves; none is seen at first, as they would hide the mosaic."""
+    surface, terrain, confidence = (
+        folder / f"{name}.tif" for name in ("surface", "terrain", "surface_confidence")
+    )
+    shown = []
+    if surface.is_file():
+        shown += [_shading(surface), _coloured(surface, "Surface", 1, _HEIGHTS)]
+    if terrain.is_file():
+        shown.append(_coloured(terrain, "Ground below what stands", 1, _HEIGHTS))
+    if confidence.is_file():
+        shown.append(_coloured(confidence, "Deviation of the surface", 1, _DOUBT))
+        shown.append(_coloured(confidence, "Frames that agree", 2, _DOUBT[::-1], id="surface_views"))
+    return shown
+
+
+def _shading(surface: Path) -> Shown:
+    """Light and shadow over whatever is seen below it."""
+    renderer = Element(
+        "rasterrenderer", type="hillshade", band="1", azimuth="315", angle="45", zfactor="1",
+        multidirection="0", alphaBand="-1", opacity="1",
+    )  # fmt: skip
+    with open_raster(surface, OWN) as tiff:
+        crs = tiff.crs.to_wkt()
+    blend = Element("blendMode")
+    blend.text = _MULTIPLY
+    return _raster(surface, "Shading", crs, renderer, checked=False, id="surface_shading", beside=(blend,))
+
+
+def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str = "") -> Shown:
+    """A band's values in colours, from two deviations below the mean to two above."""
+    with open_raster(path, OWN) as tiff:
+        low, high = _stretch(tiff.tags(band)) or (0.0, 1.0)
+        crs, unit = tiff.crs.to_wkt(), tiff.units[band - 1] or ""
+        heights = tiff.tags().get("HEIGHTS", "")
+    renderer = Element(
+        "rasterrenderer", type="singlebandpseudocolor", band=f"{band}", alphaBand="-1", opacity="1",
+        classificationMin=f"{low:.10g}", classificationMax=f"{high:.10g}",
+    )  # fmt: skip
+    shader = SubElement(
+        SubElement(renderer, "rastershader"), "colorrampshader", colorRampType="INTERPOLATED",
+        classificationMode="2", clip="0", minimumValue=f"{low:.10g}", maximumValue=f"{high:.10g}",
+    )  # fmt: skip
+    for k, colour in enumerate(colours):
+        value = low + (high - low) * k / (len(colours) - 1)
+        SubElement(
+            shader,
+            "item",
+            value=f"{value:.10g}",
+            label=f"{value:.4g} {unit}".strip(),
+            color=colour,
+            alpha="255",
+        )
+    abstract = f"Heights are {heights}." if heights and colours is _HEIGHTS else ""
+    return _raster(path, title, crs, renderer, checked=False, id=id, abstract=abstract)
+
+
+def _raster(
+    path: Path,
+    title: str,
+    crs: str,
+    renderer: Element,
+    *,
+    checked: bool = True,
+    id: str = "",
+    beside: tuple[Element, ...] = (),
+    **more: Any,
+) -> Shown:
+    pipe = Element("pipe")
+    pipe.append(renderer)
+    SubElement(pipe, "rasterresampler", maxOversampling="2", zoomedOutResampler="bilinear")
+    return Shown(id or path.stem, title, f"./{path.name}", False, crs, (pipe, *beside), checked, **more)
