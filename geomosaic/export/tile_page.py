@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -32,6 +33,7 @@ _LAYERS: Final[tuple[tuple[str, str, bool, str, dict[str, Any]], ...]] = (
 )  # fmt: skip
 """Of a run's layers.gpkg: title, whether it is seen at first, the field that labels, and Leaflet's style."""
 _MOST_FEATURES: Final = 5000
+_FETCHED: Final = re.compile(r"[\w-]+:\s*url\([^)]*\)\s*;?")
 _DECIMALS: Final = 7
 """Of degrees: a centimetre."""
 
@@ -46,20 +48,22 @@ def write_tile_page(out: Path, title: str, told: str, index: Mapping[str, Any], 
     page = environment.from_string((_HERE / "tiles.html").read_text(encoding="utf-8"))
     text = page.render(
         title=title,
-        about=_data({"title": title, "text": told}),
-        leaflet_css=_own("leaflet.css"),
-        leaflet_js=_own("leaflet.js"),
-        index=_data(index),
-        layers=_data([] if package is None else _layers(package)),
+        about=inline_json({"title": title, "text": told}),
+        leaflet_css=leaflet("leaflet.css"),
+        leaflet_js=leaflet("leaflet.js"),
+        index=inline_json(index),
+        layers=inline_json([] if package is None else _layers(package)),
     )
     out.write_text(text + "\n", encoding="utf-8")
 
 
-def _own(name: str) -> Markup:
-    return Markup((_HERE / "leaflet" / name).read_text(encoding="utf-8"))  # noqa: S704
+def leaflet(name: str) -> Markup:
+    """Leaflet's script or style sheet for a page that holds it; without images, which would be fetched."""
+    text = (_HERE / "leaflet" / name).read_text(encoding="utf-8")
+    return Markup(_FETCHED.sub("", text) if name.endswith(".css") else text)  # noqa: S704
 
 
-def _data(value: Any) -> Markup:
+def inline_json(value: Any) -> Markup:
     """JSON that no text in it can end the element of."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c"))  # noqa: S704
