@@ -8,7 +8,7 @@ height have it at the same place.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.surface.costs import PER_BIT, UNSEEN_COST
 
-Costs = NDArray[np.int16]
+Bytes = NDArray[np.uint8]
+Costs = NDArray[np.uint16]
 Steps = NDArray[np.int16]
-_SLOPE: Annotated[
+_SLOPE_BITS: Annotated[
     float,
     Because(
         "bits",
@@ -27,7 +28,7 @@ _SLOPE: Annotated[
         CHOSEN,
     ),
 ] = 1.5
-_JUMP: Annotated[
+_JUMP_BITS: Annotated[
     float,
     Because(
         "bits",
@@ -42,7 +43,11 @@ _DISTINCT_CELLS: Annotated[
         "cells", "side of the window in which heights are told from chance: single cells can't be", CHOSEN
     ),
 ] = 13
-_NEVER = np.int16(30000)
+_SLOPE_COST: Final = np.uint8(PER_BIT * _SLOPE_BITS)
+_JUMP_COST: Final = np.uint8(PER_BIT * _JUMP_BITS)
+_TURN: Final = np.uint8(32)
+"""What heights of one turn of the ring are told from those of the next by: above what a jump costs, and eight
+turns fill a byte."""
 
 
 def ring(lowest: Steps, heights: int) -> Steps:
@@ -51,59 +56,77 @@ def ring(lowest: Steps, heights: int) -> Steps:
     return np.asarray(lowest + (place - lowest) % np.int16(heights), dtype=np.int16)
 
 
-def aggregated(costs: NDArray[np.uint8], steps: Steps) -> Costs:
-    """Costs (heights, rows, cols) summed along eight paths that end in each cell."""
-    total = np.zeros(costs.shape, dtype=np.int16)
-    for turned in (False, True):
-        way = np.s_[:, ::-1] if turned else np.s_[:, :]
-        _along_rows(costs[way], steps[way], total[way], (-1, 0, 1))
-    by_cols, steps = (
-        np.ascontiguousarray(costs.transpose(0, 2, 1)),
-        np.ascontiguousarray(steps.transpose(0, 2, 1)),
+def aggregated(costs: Bytes, steps: Steps) -> Costs:
+    """Costs (heights, rows, cols), 56 at most, summed along eight paths that end in each cell.
+
+    steps: the same heights in every cell, upwards, or a `ring`.
+    """
+    heights = len(costs)
+    shared = (steps == steps[0, 0, 0] + np.arange(heights, dtype=np.int16)[:, None, None]).all()
+    turns = None if shared else (steps // np.int16(heights)).astype(np.uint8) * _TURN
+    by_rows, by_cols = (
+        _both_ways(costs.transpose(order), None if turns is None else turns.transpose(order), aslant)
+        for order, aslant in (((1, 0, 2), (-1, 0, 1)), ((2, 0, 1), (0,)))
     )
-    across = np.zeros(by_cols.shape, dtype=np.int16)
-    for turned in (False, True):
-        way = np.s_[:, ::-1] if turned else np.s_[:, :]
-        _along_rows(by_cols[way], steps[way], across[way], (0,))
-    total += across.transpose(0, 2, 1)
-    return total
+    total = np.add(by_rows[:, :, 0], by_rows[::-1, :, 1], dtype=np.uint16)
+    total += (by_cols[:, :, 0] + by_cols[::-1, :, 1]).transpose(2, 1, 0)
+    return total.transpose(1, 0, 2)
 
 
-def _along_rows(costs: NDArray[np.uint8], steps: Steps, total: Costs, aslant: tuple[int, ...]) -> None:
-    """Adds the sums of paths from the first row to the last, each so many cols on with every row."""
-    before: dict[int, tuple[Costs, Steps]] = {}
-    for row in range(costs.shape[1]):
-        here = steps[:, row]
-        for by in aslant:
-            path = costs[:, row].astype(np.int16)
-            if row:
-                path += _carried(*before[by], here)
-            total[:, row] += path
-            before[by] = _moved(path, by), _moved(here, by)
+def _both_ways(costs: Bytes, turns: Bytes | None, aslant: tuple[int, ...]) -> Bytes:
+    """Sums of paths from the first row to the last and back, each so many cols on with every row.
+
+    What paths cost counts from their cheapest height, so that a byte holds it, and three paths' sum.
+
+    Args: costs, turns (rows, heights, cols). Returns: (rows, heights, 2, cols); the second of both ways has
+    the last row first.
+    """
+    rows, heights, cols = costs.shape
+    ways, of_ways = (None if a is None else np.stack([a, a[::-1]], axis=2) for a in (costs, turns))
+    out = np.empty((rows, heights, 2, cols), dtype=np.uint8)
+    shape = heights, 2, len(aslant), cols
+    path, best, other, here = (np.empty(shape, dtype=np.uint8) for _ in range(4))
+    before, there = (np.full((heights + 2, *shape[1:]), 255 - _JUMP_COST, np.uint8) for _ in range(2))
+    near = (slice(0, -2), slice(2, None))
+    assert ways is not None
+    for row in range(rows):
+        if not row:
+            best.fill(0)
+        elif of_ways is None:
+            np.minimum(before[near[0]], before[near[1]], out=best)
+            best += _SLOPE_COST
+            np.minimum(best, before[1:-1], out=best)
+        else:
+            here[:] = of_ways[row][:, :, None]
+            np.bitwise_xor(there[1:-1], here, out=best)
+            best |= before[1:-1]
+            before += _SLOPE_COST
+            for at in near:
+                np.bitwise_xor(there[at], here, out=other)
+                other |= before[at]
+                np.minimum(best, other, out=best)
+        np.minimum(best, _JUMP_COST, out=best)
+        np.add(best, ways[row][:, :, None], out=path)
+        np.sum(path, axis=2, dtype=np.uint8, out=out[row])
+        path -= path.min(axis=0)
+        _move(path, before[1:-1], aslant)
+        if of_ways is not None:
+            before[0], before[-1] = before[-2], before[1]
+            _move(of_ways[row][:, :, None], there[1:-1], aslant)
+            there[0], there[-1] = there[-2] + _TURN, there[1] - _TURN
+    return out
 
 
-def _carried(path: Costs, there: Steps, here: Steps) -> Costs:
-    """What the path's cells before, at heights there, add to those at heights here, (heights, cols)."""
-    slope, jump = np.int16(PER_BIT * _SLOPE), np.int16(PER_BIT * _JUMP)
-    least = path.min(axis=0)
-    best = np.minimum(np.where(there == here, path, _NEVER), least + jump)
-    for by in (1, -1):
-        near, at = _rolled(path, by), _rolled(there, by)
-        np.minimum(best, np.where(at == here - np.int16(by), near + slope, _NEVER), out=best)
-    best -= least
-    return np.asarray(best)
-
-
-def _rolled(ring_: NDArray[np.int16], by: int) -> NDArray[np.int16]:
-    """One place on in the ring of heights, or back."""
-    return np.concatenate([ring_[-1:], ring_[:-1]] if by > 0 else [ring_[1:], ring_[:1]])
-
-
-def _moved(path: NDArray[np.int16], by: int) -> NDArray[np.int16]:
-    """One col on, or back; at the tile's edge the path begins with its own cell."""
-    if by == 0:
-        return path
-    return np.concatenate([path[:, :1], path[:, :-1]] if by > 0 else [path[:, 1:], path[:, -1:]], axis=1)
+def _move(values: Bytes, to: Bytes, aslant: tuple[int, ...]) -> None:
+    """Values (heights, 2, paths or 1, cols) to where the paths go on; at the tile's edge a path begins with
+    its own cell."""
+    for k, by in enumerate(aslant):
+        of_path, moved = values[:, :, min(k, values.shape[2] - 1)], to[:, :, k]
+        moved[:] = of_path
+        if by > 0:
+            moved[..., 1:] = of_path[..., :-1]
+        elif by < 0:
+            moved[..., :-1] = of_path[..., 1:]
 
 
 def cheapest(total: Costs, steps: Steps) -> NDArray[np.float32]:
@@ -118,7 +141,7 @@ def cheapest(total: Costs, steps: Steps) -> NDArray[np.float32]:
     return np.asarray(step + off.clip(-0.5, 0.5), dtype=np.float32)
 
 
-def distinctness(costs: NDArray[np.uint8], total: Costs) -> NDArray[np.float32]:
+def distinctness(costs: Bytes, total: Costs) -> NDArray[np.float32]:
     """By how many bits the heights of a cell and those around cost less than the mean of all heights; those
     that cost as much as what no two frames see are no evidence."""
     chosen = np.take_along_axis(costs, total.argmin(axis=0)[None], axis=0)[0]
@@ -128,5 +151,5 @@ def distinctness(costs: NDArray[np.uint8], total: Costs) -> NDArray[np.float32]:
     return np.asarray(cv2.blur(less.astype(np.float32), window), dtype=np.float32)
 
 
-def _taken(values: NDArray[np.int16], place: NDArray[np.intp]) -> NDArray[np.int16]:
+def _taken(values: NDArray[np.integer], place: NDArray[np.intp]) -> NDArray[np.integer]:
     return np.asarray(np.take_along_axis(values, place[None], axis=0)[0])
