@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,9 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
         image = np.full((60, 90, 3), (200 - 40 * i, 30, 60), dtype=np.uint8)
         recorder.image("/images/before", frame, thumbnail(image))
         recorder.location(frame, -91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5, 1.5, 2.0, 3.0, "observed")
-    recorder.artefact("survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, ARTEFACT)
+    recorder.artefact(
+        "survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, io.BytesIO(ARTEFACT)
+    )
     recorder.log("info", "3 frames", stage="survey.read")
     notes = {"warnings": [], "metrics": {"frames": 3}}
     recorder.stage_finished("survey.read", {"survey": "ab" * 20}, 1.25, False, notes)

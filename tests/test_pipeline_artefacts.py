@@ -6,8 +6,10 @@ import io
 import json
 import math
 import pickle
+import tracemalloc
 import zipfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name
+from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name, write
 from geomosaic.pipeline.context import RunFile
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
@@ -192,3 +194,14 @@ def test_a_field_of_another_type_is_no_artefact() -> None:
     for name in (-1, None, ["mosaic.tif"], 3.5, True):
         with pytest.raises(FileError, match=r"holds what a .*RunFile doesn't"):
             decode(encode(RunFile(name, "00")), RunFile)  # type: ignore[arg-type]
+
+
+def test_what_is_written_is_not_held_twice(tmp_path: Path) -> None:
+    value = Outer("large", tuple(Inner(np.ones(1 << 20)) for _ in range(4)), {})
+    with (tmp_path / "a").open("wb") as file:
+        tracemalloc.start()
+        write(value, file)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert most < 1 << 20
+    assert (tmp_path / "a").read_bytes() == encode(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import io
 import json
 import os
 import platform
@@ -137,7 +138,7 @@ def test_places_are_moved_together(tmp_path: Path) -> None:
         for place in places:
             recorder.location("f", *place, 1.0, 1.0, 1.0, "tied")
         recorder.geojson("/footprints/placed", [shape])
-        recorder.artefact("a", "survey", "t", "ab" * 20, b"places")
+        recorder.artefact("a", "survey", "t", "ab" * 20, io.BytesIO(b"places"))
         recorder.stage_finished("a", {}, 0.0, False)
     from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix

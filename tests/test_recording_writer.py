@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import os
@@ -231,7 +232,7 @@ def told(recorder: Recorder) -> None:
     recorder.table("pairs", FRAMES[:1], {"rms_m": [0.5], "ties": [3]}, others=FRAMES[1:2], notes=["off"])
     recorder.metric("toy.figure", 2.5)
     recorder.log("info", "a line")
-    recorder.artefact("toy", "out", "toy:Out", "ab" * 20, b"bytes")
+    recorder.artefact("toy", "out", "toy:Out", "ab" * 20, io.BytesIO(b"bytes"))
     recorder.stage_finished("toy", {"out": "ab" * 20}, 0.1, False)
 
 

@@ -64,7 +64,7 @@ def content_of(value: Any) -> tuple[str, set[str]]:
     """
     content = _Content(may_refer=True)
     tree = _tree(value, content, type(value).__name__)
-    members = [fingerprint_of_bytes(member) for member in content.members]
+    members = [fingerprint_of_bytes(*_pieces(member)) for member in content.members]
     return fingerprint_of_json([tree, members]), content.texts
 
 
@@ -76,25 +76,40 @@ def encode(artefact: Any) -> bytes:
 
 
 def write(artefact: Any, out: IO[bytes]) -> None:
-    """Writes what `encode` gives to a file."""
+    """Writes what `encode` gives to a file, array by array: nothing is held twice."""
     content = _Content()
     tree = _tree(artefact, content, type(artefact).__name__)
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:
         text = json.dumps(tree, separators=(",", ":"), allow_nan=False)
         file.writestr(zipfile.ZipInfo(_TREE, _TIMELESS), text)
         for i, member in enumerate(content.members):
-            file.writestr(zipfile.ZipInfo(str(i), _TIMELESS), member)
+            pieces, info = _pieces(member), zipfile.ZipInfo(str(i), _TIMELESS)
+            info.file_size = sum(map(len, pieces))
+            with file.open(info, "w") as into:
+                for piece in pieces:
+                    into.write(piece)
+
+
+def _pieces(member: bytes | np.ndarray[Any, Any]) -> tuple[bytes | memoryview, ...]:
+    """A member's bytes: those of an array as `.npy`, its header and what it holds, which isn't copied."""
+    if isinstance(member, bytes):
+        return (member,)
+    npy, plain = io.BytesIO(), np.ascontiguousarray(member)
+    np.lib.format.write_array_header_1_0(
+        npy, np.lib.format.header_data_from_array_1_0(plain.reshape(member.shape))
+    )
+    return npy.getvalue(), plain.reshape(-1).view(np.uint8).data
 
 
 @dataclasses.dataclass
 class _Content:
-    """What a value holds besides its tree: the bytes of its arrays, one after the other; its texts."""
+    """What a value holds besides its tree: its arrays and bytes, one after the other; its texts."""
 
-    members: list[bytes] = dataclasses.field(default_factory=list)
+    members: list[bytes | np.ndarray[Any, Any]] = dataclasses.field(default_factory=list)
     texts: set[str] = dataclasses.field(default_factory=set)
     may_refer: bool = False
 
-    def take(self, member: bytes) -> int:
+    def take(self, member: bytes | np.ndarray[Any, Any]) -> int:
         self.members.append(member)
         return len(self.members) - 1
 
@@ -118,9 +133,7 @@ def _tree(value: Any, content: _Content, where: str) -> Any:
         case np.ndarray():
             if value.dtype.kind not in _KINDS:
                 raise TypeError(f"{where}: an array of {value.dtype} can't be kept as an artefact")
-            npy = io.BytesIO()
-            np.lib.format.write_array(npy, np.ascontiguousarray(value).reshape(value.shape), version=(1, 0))
-            return {"array": content.take(npy.getvalue())}
+            return {"array": content.take(value)}
         case Reference() if content.may_refer:
             return {"reference": value.mark}
         case tuple() | list():

@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,9 +14,9 @@ from typing import Any, BinaryIO
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import (
     decode,
-    encode,
     fingerprint_of_file,
     texts_in,
+    write,
 )
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.given import Given
@@ -25,7 +25,7 @@ from geomosaic.pipeline.params import output_values
 from geomosaic.pipeline.recipe import Step
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
-from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes, fingerprint_of_json
+from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_json
 
 _KEY = re.compile(r"(given-)?[0-9a-f]{40}")
 _ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))
@@ -53,10 +53,9 @@ class Held:
     lineage: Lineage
     _value: Any = field(default=_MISSING, repr=False)
 
-    def data(self) -> bytes:
-        """The artefact's bytes."""
-        with files.open_own(self.path) as file:
-            return file.read()
+    def open(self) -> AbstractContextManager[BinaryIO]:
+        """The artefact's bytes, to be read."""
+        return files.open_own(self.path)
 
     def value(self) -> Any:
         """The artefact itself."""
@@ -179,10 +178,11 @@ class StageCache:
         written = {self._name(path): self._hashes.of_written(path) for path in context.kept}
         outputs, contents = {}, {}
         for name, kind in stage.outputs.items():
-            data = encode(values[name])
-            contents[name] = fingerprint_of_bytes(data)
             path = folder / f"{name}{_ARTEFACT}"
-            files.write_bytes(path, data)
+            with files.writing(path) as temporary, temporary.open("wb") as file:
+                write(values[name], file)
+            with files.open_own(path) as file:
+                contents[name] = fingerprint_of_file(file)
             mark = artefact_fingerprint(contents[name], written, lineage)
             outputs[name] = Held(kind, mark, path, lineage, values[name])
         with files.open_own(calls) as file:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from geomosaic.errors import CancelledError, FileError, GeomosaicError, OutputError
 from geomosaic.pipeline import files
@@ -360,13 +361,14 @@ class _Run:
 
     def _record_artefact(self, stage: type[Stage], name: str, held: Held, finished: Finished) -> None:
         """Its bytes, or in private those without folders, which have a fingerprint of their own."""
-        data = held.data()
-        if self._privacy is not None:
-            data = with_texts(data, self._privacy.text)
-            content = fingerprint_of_bytes(data)
-            mark = artefact_fingerprint(content, finished.written, finished.lineage)
-            self._marks[held.fingerprint] = mark
-        self._recorder.artefact(stage.id, name, type_name(held.type), self._mark(held), data)
+        with held.open() as file:
+            data: BinaryIO = file
+            if self._privacy is not None:
+                private = with_texts(file.read(), self._privacy.text)
+                content, data = fingerprint_of_bytes(private), io.BytesIO(private)
+                mark = artefact_fingerprint(content, finished.written, finished.lineage)
+                self._marks[held.fingerprint] = mark
+            self._recorder.artefact(stage.id, name, type_name(held.type), self._mark(held), data)
 
     def _mark(self, held: Held) -> str:
         """What the recording calls an artefact."""

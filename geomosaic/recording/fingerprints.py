@@ -12,9 +12,12 @@ from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import artefact_data
 
 
-def fingerprint_of_bytes(data: bytes) -> str:
-    """BLAKE2b with 160 bits, in hexadecimal: the one hash of a run."""
-    return blake2b(data, digest_size=20).hexdigest()
+def fingerprint_of_bytes(*pieces: bytes | memoryview) -> str:
+    """BLAKE2b with 160 bits, in hexadecimal: the one hash of a run. Of pieces, of all one after the other."""
+    made = blake2b(digest_size=20)
+    for piece in pieces:
+        made.update(piece)
+    return made.hexdigest()
 
 
 def fingerprint_of_json(value: Any) -> str:

@@ -6,11 +6,12 @@ that is whole up to its last second, and `reader.read_recording` reads it.
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -193,13 +194,14 @@ class Recorder(StageCalls, StripCalls):
         self._write("/stages", event)
         self.flush()
 
-    def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: bytes) -> None:
-        """An output of a stage as bytes, from which a replay can go on. Written in parts of 1 MiB."""
+    def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: BinaryIO) -> None:
+        """An output of a stage as bytes, from which a replay can go on, in parts of 1 MiB."""
         if not self.wants(Artefact) or (self._privacy is not None and self._privacy.places):
             return
-        parts = max(1, -(-len(data) // ARTEFACT_PART_BYTES))
+        size = data.seek(0, io.SEEK_END)
+        data.seek(0)
+        parts = max(1, -(-size // ARTEFACT_PART_BYTES))
         for part in range(parts):
-            start = part * ARTEFACT_PART_BYTES
             message = Artefact(
                 stage_id=stage_id,
                 stage_index=self._index,
@@ -208,8 +210,8 @@ class Recorder(StageCalls, StripCalls):
                 fingerprint=fingerprint,
                 part=part,
                 parts=parts,
-                total_bytes=len(data),
-                data=data[start : start + ARTEFACT_PART_BYTES],
+                total_bytes=size,
+                data=data.read(ARTEFACT_PART_BYTES),
             )
             self._write("/artefacts", message)
 
