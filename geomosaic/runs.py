@@ -215,6 +215,7 @@ def strips(
     output: Name | None = None,
     *,
     method: str | None = None,
+    map: bool = False,
     set: Sets = (),
     workers: int | None = None,
     seed: int | None = None,
@@ -228,7 +229,7 @@ def strips(
     place = Path(output) if output is not None else beside(Path(geometry), "scene")
     with redirect_stdout(io.StringIO()):
         command(
-            Path(geometry), place, method, _sets(set), workers,
+            Path(geometry), place, method, map, _sets(set), workers,
             seed=seed, overwrite=overwrite, quiet=not progress,
         )  # fmt: skip
     return Run(place)

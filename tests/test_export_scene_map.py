@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+import zipfile
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from pyproj import Transformer
 from rasterio.errors import NotGeoreferencedWarning
 from small_surveys import geomosaic
+from stac_schema import check_schema
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.simulate.strip_plan import StripPlan
@@ -25,8 +27,7 @@ PLAN = StripPlan(seed=5, ccds=2, width_px=256, lines=1500, row_separation_lines=
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("map")
     scene = simulate_strips(folder / "scene", PLAN)
-    assert geomosaic("strips", scene.geometry, "-o", folder / "run") == 0
-    assert geomosaic("export", "map", folder / "run") == 0
+    assert geomosaic("strips", scene.geometry, "-o", folder / "run", "--map") == 0
     return folder / "run", scene.geometry.parent / "dem.tif"
 
 
@@ -65,9 +66,32 @@ def test_pixels_lie_where_rpc_and_dem_put_them(run):
         assert abs(0.1 * (off[one] - off[other]) / (off[one] + off[other] - 2.0 * off[0])) < 0.02
 
 
+def test_the_catalogue_knows_the_scene_and_its_map(run):
+    folder, _ = run
+    assert geomosaic("export", "stac", folder) == 0
+    item = json.loads((folder / "mosaic.stac.json").read_text())
+    check_schema(item)
+    scene, laid = (item["assets"][name] for name in ("mosaic", "mosaic_map"))
+    assert item["properties"]["proj:code"] is None and "proj:transform" not in scene
+    with rasterio.open(folder / "mosaic_map.tif") as tiff:
+        assert laid["proj:code"] == tiff.crs.to_string()
+        assert (laid["proj:shape"], laid["proj:transform"]) == ([*tiff.shape], [*tiff.transform[:6]])
+        assert laid["bands"][0]["data_type"] == tiff.dtypes[0]
+    assert laid["gsd"] == PLAN.ground_pixel_m
+
+
+def test_the_scene_on_the_map_is_asked_for_in_one_step_or_later(run, tmp_path):
+    """The same bytes, whether the run or the export writes it."""
+    folder, _ = run
+    (folder / "mosaic_map.tif").rename(tmp_path / "by_run.tif")
+    assert geomosaic("export", "map", folder) == 0
+    assert (folder / "mosaic_map.tif").read_bytes() == (tmp_path / "by_run.tif").read_bytes()
+
+
 def test_project_and_tiles_take_the_scene_on_the_map(run):
     folder, _ = run
-    assert geomosaic("export", "project", folder) == 0
+    with zipfile.ZipFile(folder / "project.qgz") as archive:
+        assert b"./mosaic_map.tif" in archive.read("project.qgs")
     assert geomosaic("export", "tiles", folder) == 0
     index = json.loads((folder / "tiles" / "tiles.json").read_text())
     with rasterio.open(folder / "mosaic_map.tif") as tiff:

@@ -10,6 +10,8 @@ import pytest
 import rasterio
 from mosaic_scenes import CAMERA, make_survey
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+from pystac.errors import STACValidationError
+from stac_schema import check_schema
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
@@ -78,6 +80,10 @@ def test_the_stac_item_lists_what_is_there(run):
     folder, _, _ = run
     item = json.loads((folder / "mosaic.stac.json").read_text())
     assert set(item["assets"]) == {"mosaic", "layers", "positions", "sources"}
+    check_schema(item)
+    with pytest.raises(STACValidationError, match="data_type"):
+        item["assets"]["mosaic"]["bands"][0]["data_type"] = "byte"
+        check_schema(item)
     assert item["properties"]["datetime"] == "2023-11-14T22:13:20Z"
 
 

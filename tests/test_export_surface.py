@@ -14,9 +14,11 @@ from geoids import egm96_of, undulation_m
 from osgeo import gdal, ogr, osr
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from pyproj import CRS, Transformer
+from stac_schema import check_schema
 
 from geomosaic.cli.mosaic import STAGES, recipe_of
 from geomosaic.errors import InputError
+from geomosaic.export.stac import coverage_of_mosaic, stac_item
 from geomosaic.export.surface import SurfaceOnMap
 from geomosaic.export.surface_heights import HeightSystem, height_system, write_sidecar
 from geomosaic.geodesy.local import LocalFrame
@@ -291,6 +293,22 @@ def test_what_stands_on_the_ground_is_no_ground_in_the_cloud(scene, tmp_path):
     east, kind = np.array(points.x), np.array(points.classification)
     assert set(kind[east < east.mean() - 100.0]) == {1}
     assert set(kind[east > east.mean() + 100.0]) == {2}
+
+
+def test_the_catalogue_says_what_stands_in_the_surface(written, scene):
+    item = stac_item("town", coverage_of_mosaic(scene["mosaic"]), [], 1.6e9, written)
+    check_schema(item)
+    for name in ("surface", "terrain", "surface_confidence"):
+        asset = item["assets"][name]
+        with rasterio.open(written / f"{name}.tif") as tiff:
+            assert asset["proj:shape"] == list(tiff.shape)
+            assert asset["proj:transform"] == list(tiff.transform[:6])
+            assert [band["name"] for band in asset["bands"]] == list(tiff.descriptions)
+            assert asset["bands"][0]["statistics"]["maximum"] == pytest.approx(tiff.read(1).max(), rel=1e-6)
+        assert asset["bands"][0]["nodata"] == -9999.0 and asset["bands"][0]["unit"] == "m"
+        assert "ellipsoidal" in asset["description"]
+    assert item["assets"]["surface"]["roles"] == ["data"]
+    assert item["assets"]["point_cloud"]["type"] == "application/vnd.laszip"
 
 
 def test_contours_lie_at_their_heights(written):

@@ -16,6 +16,7 @@ import shapely
 from osgeo import gdal
 from pyproj import Transformer
 from rasterio.warp import transform_bounds
+from stac_schema import check_schema
 from test_export_cog import raw_raster
 
 from geomosaic.errors import CancelledError
@@ -88,7 +89,10 @@ def test_the_stac_item_says_what_where_and_when(tmp_path):
                      [576_630.0, 5_188_180.0]])  # fmt: skip
     mosaic = Mosaic(grid, "raw.tif", 3, "uint8", None, (Seamline(0, ((ring,),)),), (0,), 1)
     coverage = coverage_of_mosaic(mosaic)
-    item = stac_item("brighton", coverage, [1.5e9, 1.5e9 + 90.5], 1.6e9, ["mosaic.tif", "positions.csv"])
+    raw_raster(tmp_path / "mosaic.tif", side=700)
+    (tmp_path / "positions.csv").touch()
+    item = stac_item("brighton", coverage, [1.5e9, 1.5e9 + 90.5], 1.6e9, tmp_path)
+    check_schema(item)
     write_stac(tmp_path / "i.json", item)
     read = json.loads((tmp_path / "i.json").read_text())
     assert (read["type"], read["stac_version"], read["id"]) == ("Feature", "1.1.0", "brighton")
@@ -107,14 +111,16 @@ def test_the_stac_item_says_what_where_and_when(tmp_path):
 
 def test_a_stac_item_without_times_or_map_invents_none(tmp_path):
     ring = np.array([[7.0, 50.0], [7.2, 50.0], [7.2, 50.3], [7.0, 50.0]])
-    item = stac_item("scene", coverage_of_scene(ring, 2.0, 900, 700), [], 1.6e9, [])
+    item = stac_item("scene", coverage_of_scene(ring, 2.0, 900, 700), [], 1.6e9, tmp_path)
+    check_schema(item)
     p = item["properties"]
     assert (p["datetime"], p["proj:code"], p["proj:shape"]) == ("2020-09-13T12:26:40Z", None, [900, 700])
     assert not {"start_datetime", "end_datetime"} & set(p)
     assert "unknown" in p["description"]
     assert "1970" not in json.dumps(item)
     assert item["bbox"] == [7.0, 50.0, 7.2, 50.3]
-    nowhere = stac_item("scene", coverage_of_scene(np.zeros((0, 2)), 2.0, 900, 700), [], 1.6e9, [])
+    nowhere = stac_item("scene", coverage_of_scene(np.zeros((0, 2)), 2.0, 900, 700), [], 1.6e9, tmp_path)
+    check_schema(nowhere)
     assert nowhere["geometry"] is None
 
 

@@ -58,9 +58,7 @@ def strips_run(out: Path) -> Path:
     strips, run = out / "strips", out / "strips-run"
     if not (run / "run.json").exists():
         geomosaic("simulate", "strips", strips, "--ccds", "4", "--lines", "4096", "--overwrite")
-        geomosaic("strips", strips / "geometry.yaml", "-o", run)
-        geomosaic("export", "map", run)
-        geomosaic("export", "project", run)
+        geomosaic("strips", strips / "geometry.yaml", "-o", run, "--map")
     return run
 
 

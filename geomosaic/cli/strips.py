@@ -34,12 +34,13 @@ STAGES = (
     "mosaic.strips",
     "quality.strips",
     "export.cog",
+    "export.map",
     "export.offsets",
     "export.strip_layers",
     "export.project",
     "export.strip_report",
 )
-"""What `geomosaic strips` does."""
+"""What `geomosaic strips` does, `export.map` where it is asked for."""
 
 Method = Annotated[
     str | None,
@@ -58,6 +59,10 @@ def strips(
     ],
     output: RunFolderBeside = None,
     method: Method = None,
+    map: Annotated[
+        bool,
+        typer.Option("--map", help="lay the scene on the map as well, on the geometry's DEM: mosaic_map.tif"),
+    ] = False,
     set: Sets = None,
     workers: Workers = None,
     fixed_time: FixedTime = False,
@@ -75,7 +80,8 @@ def strips(
         "survey.strips": {"geometry": geometry},
         "ccd.offsets": {"method": method},
     }
-    recipe = recipe_of("strips", f"strips of {geometry.name}", STAGES, given, seed, set)
+    stages = [id for id in STAGES if map or id != "export.map"]
+    recipe = recipe_of("strips", f"strips of {geometry.name}", stages, given, seed, set)
     output = output or beside(geometry, "scene")
     recorded = record_options(record, private, private_places, live)
     how: dict[str, Any] = {"dry_run": dry_run, "quiet": quiet, "record": recorded}

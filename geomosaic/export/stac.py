@@ -14,11 +14,11 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.doors.raster import OWN, Raster, open_raster
 from geomosaic.geodesy.mapcrs import MapProjection, check_on_earth
 from geomosaic.mosaic.model import Mosaic
 
 _COG: Final = "image/tiff; application=geotiff; profile=cloud-optimized"
-_TIFF: Final = "image/tiff; application=geotiff"
 ASSETS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "mosaic.tif": ("Mosaic", _COG, ("data", "visual")),
     "mosaic_map.tif": ("Scene on the map", _COG, ("data", "visual")),
@@ -26,11 +26,13 @@ ASSETS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "surface.tif": ("Surface", _COG, ("data",)),
     "terrain.tif": ("Terrain", _COG, ("data",)),
     "surface_confidence.tif": ("Deviation and views of the surface", _COG, ("metadata",)),
+    "surface_hillshade.tif": ("Shading of the surface", _COG, ("visual",)),
+    "terrain_contours.gpkg": ("Contours of the terrain", "application/geopackage+sqlite3", ("data",)),
     "point_cloud.laz": ("Point cloud", "application/vnd.laszip", ("data",)),
     "layers.gpkg": ("Frames, tie points, seamlines", "application/geopackage+sqlite3", ("metadata",)),
     "positions.csv": ("Exterior orientation", "text/csv", ("metadata",)),
     "offsets.csv": ("Offsets between CCDs", "text/csv", ("metadata",)),
-    "sources.tif": ("Which frame made each pixel", _TIFF, ("metadata",)),
+    "sources.tif": ("Which frame made each pixel", _COG, ("metadata",)),
     "report.html": ("Report", "text/html", ("metadata",)),
 }
 """What a run folder may hold: title, media type, roles."""
@@ -76,13 +78,13 @@ def coverage_of_scene(ring_deg: NDArray[np.float64], gsd_m: float, height_px: in
 
 
 def stac_item(
-    name: str, coverage: Coverage, times_s: Sequence[float], made_s: float, files: Sequence[str]
+    name: str, coverage: Coverage, times_s: Sequence[float], made_s: float, folder: Path
 ) -> dict[str, Any]:
     """The item as plain values.
 
     Args: times_s: of the images, seconds since 1970 UTC; without any, `datetime` is made_s, when the mosaic
-    was written, and the description says so. files: names of those of `ASSETS` that exist; they are referred
-    to relative to the item.
+    was written, and the description says so. folder: holds the item and, by now, some of `ASSETS`, which are
+    referred to relative to the item.
     """
     import pystac
     from pystac.extensions.projection import ProjectionExtension
@@ -101,21 +103,66 @@ def stac_item(
             **({} if times_s else {"description": _NO_TIME}),
         },
     )
-    known = None if coverage.crs is None else CRS.from_user_input(coverage.crs)
-    authority = None if known is None else known.to_authority()
     ProjectionExtension.ext(item, add_if_missing=True).apply(
-        code=":".join(authority) if authority else None,
-        wkt2=None if known is None or authority else known.to_wkt(),
         bbox=list(coverage.bbox) or None,
         shape=list(coverage.shape),
         transform=list(coverage.transform) or None,
+        **_reference(coverage.crs),
     )
     item.properties.setdefault("proj:code", None)
-    for file in files:
-        title, media, roles = ASSETS[file]
-        asset = pystac.Asset(f"./{file}", title=title, media_type=media, roles=list(roles))
-        item.add_asset(Path(file).stem, asset)
+    for file in ASSETS:
+        if (path := folder / file).is_file():
+            title, media, roles = ASSETS[file]
+            asset = pystac.Asset(f"./{file}", title=title, media_type=media, roles=list(roles))
+            item.add_asset(path.stem, asset)
+            if path.suffix == ".tif":
+                _describe(asset, path)
     return dict(item.to_dict(include_self_link=False, transform_hrefs=False))
+
+
+def _reference(crs: str | None) -> dict[str, Any]:
+    """A CRS by its code where it has one, else by its WKT."""
+    known = None if crs is None else CRS.from_user_input(crs)
+    authority = None if known is None else known.to_authority()
+    return {
+        "code": ":".join(authority) if authority else None,
+        "wkt2": None if known is None or authority else known.to_wkt(),
+    }
+
+
+def _describe(asset: Any, path: Path) -> None:
+    """Where a raster's pixels lie, and what stands in each of its bands."""
+    from pystac.extensions.projection import ProjectionExtension
+
+    with open_raster(path, OWN) as tiff:
+        placed = tiff.crs is not None
+        ProjectionExtension.ext(asset).apply(
+            shape=[tiff.height, tiff.width],
+            transform=list(tiff.transform[:6]) if placed else None,
+            bbox=list(tiff.bounds) if placed else None,
+            **_reference(tiff.crs.to_wkt() if placed else None),
+        )
+        if placed:
+            asset.extra_fields["gsd"] = tiff.res[0]
+        if heights := tiff.tags().get("HEIGHTS"):
+            asset.description = f"Heights are {heights}."
+        asset.extra_fields["bands"] = [_band(tiff, number) for number in tiff.indexes]
+
+
+def _band(tiff: Raster, number: int) -> dict[str, Any]:
+    k = number - 1
+    told = {
+        "name": tiff.descriptions[k] or tiff.colorinterp[k].name,
+        "data_type": tiff.dtypes[k],
+        "nodata": tiff.nodatavals[k],
+        "unit": tiff.units[k],
+    }
+    statistics = {
+        name: float(text)
+        for name in ("minimum", "maximum", "mean", "stddev")
+        if (text := tiff.tags(number).get(f"STATISTICS_{name.upper()}")) is not None
+    }
+    return {k: v for k, v in {**told, "statistics": statistics}.items() if v not in (None, "", {})}
 
 
 def write_stac(path: Path, item: dict[str, Any]) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from geomosaic.ccd.outlines import Outlines
 from geomosaic.export.stac import (
-    ASSETS,
     Coverage,
     coverage_of_mosaic,
     coverage_of_scene,
@@ -31,7 +30,7 @@ class ExportStac(Stage):
     id = "export.stac"
     display_name = "Write a STAC item"
     group = "Export"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     optional_inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
@@ -48,8 +47,7 @@ class ExportStac(Stage):
         """Names the files that are there by now."""
         times = [survey_time for survey_time in _times(inputs) if survey_time is not None]
         made_s = context.path_of(inputs["mosaic_file"]).stat().st_mtime
-        files = [name for name in ASSETS if (context.run_folder / name).is_file()]
-        item = stac_item(context.run_folder.name, _coverage(inputs), times, made_s, files)
+        item = stac_item(context.run_folder.name, _coverage(inputs), times, made_s, context.run_folder)
         with context.writing(ITEM) as path:
             write_stac(path, item)
         return {"stac_file": context.run_file(ITEM)}
