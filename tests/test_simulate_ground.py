@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.simulate.landscape import Building, Landscape
+from geomosaic.simulate.buildings import Building
+from geomosaic.simulate.landscape import Landscape
 from geomosaic.simulate.noise import hashed, lattice_noise, spline_noise
 from geomosaic.simulate.relief import Relief, hills
 from geomosaic.simulate.terrain import BLOCK_PX, Ground

@@ -11,8 +11,9 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.simulate.buildings import Building, bridge
 from geomosaic.simulate.flight import fly
-from geomosaic.simulate.landscape import Building, Landscape
+from geomosaic.simulate.landscape import Landscape
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.relief import Relief
 from geomosaic.simulate.render import World, develop, render, sight_of
@@ -171,6 +172,52 @@ def test_a_building_leans_away_from_the_nadir_by_its_height() -> None:
     )
     flat = ground_only[..., 2] > 128
     assert np.nonzero(flat)[1].mean() + 0.5 == pytest.approx(400.0 + 180.0, abs=0.3)
+
+
+def plan_frame(buildings: tuple[Building, ...], middle: np.ndarray) -> tuple[np.ndarray, World, Pose]:
+    """A frame from 100 m above the work frame's origin of land whose red says how far east of a place it lies
+    and whose green how far north, 4 levels a metre about 128."""
+    world = World(WORK, MAP, Relief(1, 520.0), buildings)
+    pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
+    sight = sight_of(CAMERA, pose, world)
+    west_m, north_m = np.floor(sight.bounds_m[0]) - 2.0, np.ceil(sight.bounds_m[3]) + 2.0
+    east = west_m + (np.arange(960) + 0.5) * PIXEL_M - middle[0]
+    north = north_m - (np.arange(720) + 0.5) * PIXEL_M - middle[1]
+    bands = np.broadcast_arrays(128.0 + 4.0 * east, 128.0 + 4.0 * north[:, None], 9.0)
+    texture = np.clip(np.round(np.stack(bands, axis=-1)), 0, 255).astype(np.uint8)
+    return render(CAMERA, pose, world, sight, texture, west_m, north_m, PIXEL_M), world, pose
+
+
+def off_m(frame: np.ndarray, world: World, pose: Pose, middle: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Of points (n, 3) on the map, how far off the frame's colours say they lie (m)."""
+    col, row = (np.floor(pose.image_from_ground(CAMERA, world.enu_from_map(*at.T))).astype(int)).T
+    return (frame[row, col, :2] - 128.0) / 4.0 - (at[:, :2] - middle[:2])
+
+
+def test_each_place_on_a_hipped_roof_shows_where_it_stands() -> None:
+    middle = World(WORK, MAP, Relief(1, 520.0)).map_from_enu(np.array([18.0, -9.0, 0.0]))
+    house = Building(middle[0], middle[1], 7.0, 4.0, 0.3, 6.0, (200, 200, 200), True, ridge_m=2.8)
+    frame, world, pose = plan_frame((house,), middle)
+    uv = np.stack(np.meshgrid(np.linspace(-6.7, 6.7, 40), np.linspace(-3.7, 3.7, 30)), axis=-1).reshape(-1, 2)
+    height = 520.0 + house.roof_m(uv)
+    assert height.max() == pytest.approx(528.8, abs=0.1)
+    off = off_m(frame, world, pose, middle, np.column_stack([uv @ house.axes + middle[:2], height]))
+    assert np.abs(off).max() < 0.25, "a pixel covers 0.1 m, a colour's step 0.25 m"
+
+
+def test_a_bridge_stands_in_the_air_with_shade_beneath_it() -> None:
+    middle = World(WORK, MAP, Relief(1, 520.0)).map_from_enu(np.array([18.0, 0.0, 0.0]))
+    parts = bridge(middle[:2] + np.array([[0.0, -20.0], [0.0, 0.0], [0.0, 20.0]]))
+    frame, world, pose = plan_frame(parts, middle)
+    uv = np.stack(np.meshgrid(np.linspace(-4.4, 4.4, 20), np.linspace(-14.0, 14.0, 40)), axis=-1).reshape(
+        -1, 2
+    )
+    deck = np.column_stack([uv + middle[:2], np.full(len(uv), 527.0)])
+    assert np.abs(off_m(frame, world, pose, middle, deck)).max() < 0.25
+    land = np.array([[middle[0] - 5.4, middle[1], 520.0], [middle[0] - 4.2, middle[1], 520.0]])
+    col, row = np.floor(pose.image_from_ground(CAMERA, world.enu_from_map(*land.T))).astype(int).T
+    assert frame[row[0], col[0], 0] == pytest.approx(128.0 - 4.0 * 5.4, abs=1.0), "land before it"
+    assert frame[row[1], col[1]] == pytest.approx([58, 57, 52], abs=1.0), "land beneath it"
 
 
 def test_exposure_does_what_its_numbers_say() -> None:

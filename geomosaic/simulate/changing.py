@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.landscape import Bounds, Colour, Landscape
+from geomosaic.simulate.buildings import Colour
+from geomosaic.simulate.landscape import Bounds, Landscape
 from geomosaic.simulate.noise import hashed
 from geomosaic.simulate.terrain import box_m, cover_mask, fill_polygon
 

@@ -137,12 +137,14 @@ def _in_the_open(plan: SurveyPlan, camera: Camera, en: Floats) -> NDArray[np.boo
     slant = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px + 0.1
     margin = 60.0
     bounds = (*(en.min(axis=0) - margin).tolist(), *(en.max(axis=0) + margin).tolist())
-    land = Landscape(plan.seed, plan.buildings, plan.water_share, plan.smooth_forest_share)
+    land = Landscape(
+        plan.seed, plan.buildings, plan.water_share, plan.smooth_forest_share, plan.hipped_roofs, plan.bridges
+    )
     things = np.zeros((0, 3))
     if plan.buildings_stand:
         roofs = land.buildings_in(bounds)
         blocked = [
-            (b.easting_m, b.northing_m, np.hypot(b.half_length_m, b.half_width_m) + slant * b.height_m)
+            (b.easting_m, b.northing_m, np.hypot(b.half_length_m, b.half_width_m) + slant * b.top_m)
             for b in roofs
         ]
         things = np.array(blocked).reshape(-1, 3)

@@ -8,17 +8,17 @@ with one land use. All of it follows from the seed and the cell's indices alone.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.simulate.buildings import Building, Colour, bridge
 from geomosaic.simulate.noise import hashed
 
 Floats = NDArray[np.float64]
-Colour = tuple[float, float, float]
 Span = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 CELL_M = 80.0
@@ -26,6 +26,8 @@ CROWN = 1.15
 """How much farther than a tree's radius its crown is painted at most."""
 COVERS: dict[str, Colour] = {"water": (58, 72, 78), "smooth_forest": (58, 74, 44)}
 _EDGE_POINTS = 9
+_HIP = 0.7
+"""How steep hipped roofs are, m per m: 35 degrees."""
 
 _CROPS: tuple[Colour, ...] = (
     (112, 128, 66), (150, 142, 84), (176, 160, 106), (96, 112, 60), (140, 112, 84), (122, 98, 76),
@@ -52,35 +54,6 @@ class Patch:
     middle: float
     rows: float = 0.0
     rows_rad_per_m: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Building:
-    """A prism with a rectangular footprint; height above the ground at its centre."""
-
-    easting_m: float
-    northing_m: float
-    half_length_m: float
-    half_width_m: float
-    along_rad: float
-    """Direction of the long side, counter-clockwise from grid east."""
-    height_m: float
-    roof: Colour
-    gable: bool
-
-    @property
-    def axes(self) -> Floats:
-        """Unit vectors (2, 2) along the long side and the short side, in easting and northing."""
-        c, s = np.cos(self.along_rad), np.sin(self.along_rad)
-        return np.array([[c, s], [-s, c]])
-
-    def outline_m(
-        self, along: tuple[float, float] = (-1, 1), across: tuple[float, float] = (-1, 1)
-    ) -> Floats:
-        """The corners (4, 2) of the part between fractions of the half sides."""
-        (a, b), (c, d) = along, across
-        uv = np.array([[a, c], [b, c], [b, d], [a, d]]) * [self.half_length_m, self.half_width_m]
-        return np.asarray(uv @ self.axes + [self.easting_m, self.northing_m])
 
 
 @dataclass(frozen=True)
@@ -112,12 +85,16 @@ class Landscape:
     """The countryside of a seed. `buildings` is a factor on how many villages there are, 0 for none.
 
     water_share, smooth_forest_share: of all cells, how many lie under water or a canopy without texture.
+    hipped: roofs with a ridge rise to it from all four walls, else all are level. bridges: every second road
+    that runs north does so over a bridge, see `bridge_on`.
     """
 
     seed: int
     buildings: float = 1.0
     water_share: float = 0.0
     smooth_forest_share: float = 0.0
+    hipped: bool = False
+    bridges: bool = False
 
     def parcels(self, bounds_m: Bounds) -> Iterator[Parcel]:
         """Parcels that may reach into west, south, east, north."""
@@ -138,6 +115,12 @@ class Landscape:
             for b in parcel.buildings
             if west <= b.easting_m <= east and south <= b.northing_m <= north
         ]
+
+    def bridge_on(self, i: int, j: int) -> tuple[Building, ...]:
+        """The deck and the abutments of the bridge in the middle of a cell's western edge, if it has one."""
+        if not self.bridges or i % 2 or j % 2:
+            return ()
+        return bridge(self.edge_m(i, j, True))
 
     def cover(self, i: int, j: int) -> str:
         """What covers a cell: a key of `COVERS`, or nothing."""
@@ -262,13 +245,23 @@ def _village(land: Landscape, i: int, j: int) -> tuple[tuple[Patch, ...], tuple[
         patches.append(Patch(path, _pick(((150, 146, 140), (168, 156, 136)), r[5], r[1]), 0.06, 0.05))
         buildings.append(
             Building(float(at[0, 0]), float(at[0, 1]), half_length, half_width, along + 0.2 * (r[6] - 0.5),
-                     3.5 + 6.5 * r[7], _pick(_ROOFS, r[8], r[1]), bool(r[9] < 0.7))
+                     3.5 + 6.5 * r[7], _pick(_ROOFS, r[8], r[1]), bool(r[9] < 0.7),
+                     _HIP * half_width if land.hipped and r[9] < 0.7 else 0.0)
         )  # fmt: skip
     return tuple(patches), tuple(buildings)
 
 
 @lru_cache(maxsize=512)
 def _parcel(land: Landscape, i: int, j: int) -> Parcel:
+    """A cell with the bridge on its western edge; no tree stands in that one's way, nor in the eastern's."""
+    parcel, west = _fields(land, i, j), land.bridge_on(i, j)
+    if not (west or land.bridge_on(i + 1, j)):
+        return parcel
+    clear = _clear_of(parcel.trees, west + land.bridge_on(i + 1, j))
+    return replace(parcel, trees=clear, buildings=parcel.buildings + west)
+
+
+def _fields(land: Landscape, i: int, j: int) -> Parcel:
     use, shade = land.number(i, j, 5), land.number(i, j, 6)
     whole = land.outline_m(i, j, (0.0, 1.0), (0.0, 1.0))
     if cover := land.cover(i, j):

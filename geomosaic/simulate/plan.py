@@ -90,6 +90,8 @@ class SurveyPlan:
     buildings: float = 1.0
     buildings_stand: bool = False
     trees_stand: bool = False
+    hipped_roofs: bool = False
+    bridges: bool = False
     water_share: float = 0.0
     smooth_forest_share: float = 0.0
     moving_cars: float = 0.0

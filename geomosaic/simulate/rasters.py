@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.simulate.landscape import COVERS, Bounds, Building, Landscape
+from geomosaic.simulate.buildings import Building
+from geomosaic.simulate.landscape import COVERS, Bounds, Landscape
 from geomosaic.simulate.relief import RasterRelief, Relief
 from geomosaic.simulate.spread import in_threads
 from geomosaic.simulate.standing import heights_on_grid

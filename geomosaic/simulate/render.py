@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,10 +14,12 @@ from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface, flat_ground
-from geomosaic.simulate.landscape import Bounds, Building
+from geomosaic.simulate.buildings import Building
+from geomosaic.simulate.landscape import Bounds
 from geomosaic.simulate.readout import Readout
 from geomosaic.simulate.relief import RasterRelief, Relief
 from geomosaic.simulate.trees import Tree, raise_trees
+from geomosaic.simulate.walls import Standing, hide, raise_buildings
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -33,7 +34,6 @@ _ROWS_PER_SHAKE = 12
 _SLANT_HAZY, _SLANT_END = 1.5, 3.0
 """Tangents of a ray's angle with the vertical: from where on haze hides the ground, and where it ends."""
 _HAZE, _SKY, _SKY_RAD = (198.0, 206.0, 212.0), (96.0, 142.0, 200.0), 0.5
-_WALL = np.array([176.0, 168.0, 154.0])
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def render(
     Args: texture: a window of the ground's image whose outer corner is west_m, north_m and which
     covers `sight.bounds_m` with a margin of 4 pixels; moved_px: how far a rolling shutter moves things.
     """
-    near = _standing(camera, pose, world, moved_px)
+    near = standing_buildings(camera, pose, world, moved_px)
     trees = standing_trees(camera, pose, world, moved_px)
     out = np.empty((camera.height_px, camera.width_px, 3), dtype=np.float32)
     cols = _samples(0, camera.width_px)
@@ -178,12 +178,12 @@ def render(
         east, north = (_dense(s, top, bottom, camera.width_px) for s in (sight.easting, sight.northing))
         ground = (east.copy(), north.copy()) if trees else (east, north)
         top_m = np.full(east.shape if near and trees else (1, 1), -np.inf)
-        walls = _raise_buildings(near, sight, rows, cols, east, north, top_m)
+        walls = raise_buildings(near, sight, rows, cols, east, north, top_m)
         if trees:
             others = (sight.height, sight.east_per_m, sight.north_per_m)
             rays = (*ground, *(_dense(s, top, bottom, camera.width_px) for s in others))
             for window, hit in raise_trees(trees, rays, rows, cols, east, north, top_m):
-                _hide(walls, window, hit)
+                hide(walls, window, hit)
         x = ((east - west_m) / pixel_m - 0.5).astype(np.float32)
         y = ((north_m - north) / pixel_m - 0.5).astype(np.float32)
         seen = cv2.remap(texture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -224,23 +224,13 @@ def _dense(spline: RectBivariateSpline, top_px: int, bottom_px: int, width_px: i
     return np.asarray(fine[times : times + height, times : times + width])
 
 
-@dataclass(frozen=True)
-class _Standing:
-    """A building as a frame sees it: its roof's ellipsoidal height and the image box (col, row) it fills."""
-
-    building: Building
-    roof_m: float
-    low_px: Floats
-    high_px: Floats
-
-
-def _standing(camera: Camera, pose: Pose, world: World, moved_px: float) -> list[_Standing]:
+def standing_buildings(camera: Camera, pose: Pose, world: World, moved_px: float) -> list[Standing]:
     """The buildings in a frame's view, the farthest from its nadir point first."""
     found = []
     for b in world.buildings:
         base = float(world.relief.height_at(b.easting_m, b.northing_m))
         outline = np.tile(b.outline_m(), (2, 1))
-        heights = np.repeat([base - 1.0 - 0.3 * b.half_length_m, base + b.height_m], 4)
+        heights = np.repeat([base - 1.0 - 0.3 * b.half_length_m, base + b.top_m], 4)
         enu = world.enu_from_map(outline[:, 0], outline[:, 1], heights)
         px = pose.image_from_ground(camera, enu)
         if np.isnan(px).any():
@@ -248,7 +238,7 @@ def _standing(camera: Camera, pose: Pose, world: World, moved_px: float) -> list
         low, high = px.min(axis=0) - 2.0 - moved_px, px.max(axis=0) + 2.0 + moved_px
         if (high > 0.0).all() and low[0] < camera.width_px and low[1] < camera.height_px:
             distance = float(np.hypot(*(enu[:, :2].mean(axis=0) - pose.position_m[:2])))
-            found.append((distance, _Standing(b, base + b.height_m, low, high)))
+            found.append((distance, Standing(b, base, low, high)))
     return [s for _, s in sorted(found, key=lambda pair: -pair[0])]
 
 
@@ -269,81 +259,6 @@ def standing_trees(camera: Camera, pose: Pose, world: World, moved_px: float) ->
         Tree(float(x[i]), float(y[i]), float(radius[i]), float(height[i]), float(base[i]), low[i], high[i])
         for i in np.flatnonzero(seen)
     ]
-
-
-_Wall = tuple[tuple[slice, slice], NDArray[np.bool_], Pixels]
-
-
-def _raise_buildings(
-    standing: Sequence[_Standing],
-    sight: Sight,
-    rows: Floats,
-    cols: Floats,
-    east: Floats,
-    north: Floats,
-    top_m: Floats,
-) -> list[_Wall]:
-    """Stand the buildings up in a strip of samples: each ray is cut with each prism in its box.
-
-    Where a ray meets a roof first, east and north are moved there in place; where it meets a wall, a
-    patch of wall colour is returned (window, hit, colour). Later buildings hide earlier ones. top_m gets
-    the heights where rays end on them, if it has the samples' shape.
-    """
-    walls: list[_Wall] = []
-    for s in standing:
-        r_0, r_1 = np.searchsorted(rows, [s.low_px[1], s.high_px[1]])
-        c_0, c_1 = np.searchsorted(cols, [s.low_px[0], s.high_px[0]])
-        if r_0 == r_1 or c_0 == c_1:
-            continue
-        window = np.s_[r_0:r_1, c_0:c_1]
-        r, c = rows[r_0:r_1], cols[c_0:c_1]
-        ground = np.stack([sight.easting(r, c), sight.northing(r, c)], axis=-1)
-        rise = np.stack([sight.east_per_m(r, c), sight.north_per_m(r, c)], axis=-1)
-        drop = s.roof_m - sight.height(r, c)
-        roof = ground + rise * drop[..., None]
-        b = s.building
-        centre, half = np.array([b.easting_m, b.northing_m]), np.array([b.half_length_m, b.half_width_m])
-        from_roof, to_ground = ((p - centre) @ b.axes.T for p in (roof, ground))
-        step = to_ground - from_roof
-        step = np.where(np.abs(step) < 1e-9, 1e-9, step)
-        t = np.stack([(-half - from_roof) / step, (half - from_roof) / step])
-        enters, leaves = t.min(axis=0), t.max(axis=0)
-        enter, leave = enters.max(axis=-1), leaves.min(axis=-1)
-        hit = (enter <= leave) & (leave >= 0.0) & (enter <= 1.0) & (drop > 0.0)
-        on_roof, on_wall = hit & (enter <= 0.0), hit & (enter > 0.0)
-        for name, plane in ((0, east), (1, north)):
-            plane[window] = np.where(on_roof, roof[..., name], plane[window])
-        if top_m.shape == east.shape:
-            top_m[window] = np.where(hit, s.roof_m - np.maximum(enter, 0.0) * drop, top_m[window])
-        _hide(walls, window, on_roof)
-        if on_wall.any():
-            walls.append((window, on_wall, _wall_colour(b, from_roof, step, enters, enter, drop)))
-    return walls
-
-
-def _hide(walls: list[_Wall], window: tuple[slice, slice], hidden: NDArray[np.bool_]) -> None:
-    """Take what a nearer roof hides away from earlier walls (in place)."""
-    rows, cols = window
-    for (rs, cs), hit, _ in walls:
-        top, bottom = max(rs.start, rows.start), min(rs.stop, rows.stop)
-        left, right = max(cs.start, cols.start), min(cs.stop, cols.stop)
-        if top < bottom and left < right:
-            mine = np.s_[top - rs.start : bottom - rs.start, left - cs.start : right - cs.start]
-            nearer = np.s_[top - rows.start : bottom - rows.start, left - cols.start : right - cols.start]
-            hit[mine] &= ~hidden[nearer]
-
-
-def _wall_colour(
-    b: Building, from_roof: Floats, step: Floats, enters: Floats, enter: Floats, drop: Floats
-) -> Pixels:
-    """Walls: one brightness a side, a row of windows a storey."""
-    long_side = enters[..., 1] >= enters[..., 0]
-    at = from_roof + step * enter[..., None]
-    along = np.where(long_side, at[..., 0], at[..., 1])
-    below_roof = enter * drop
-    window = (np.abs((along % 2.4) - 1.2) < 0.55) & (np.abs((below_roof % 2.8) - 1.5) < 0.6)
-    light = np.where(long_side, 0.95, 0.78) * np.where(window, 0.35, 1.0)
-    return np.asarray(np.clip(_WALL * light[..., None] * (b.roof[0] / 400.0 + 0.7), 0, 255), dtype=np.uint8)
 
 
 def develop(

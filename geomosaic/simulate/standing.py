@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.landscape import Building
+from geomosaic.simulate.buildings import Building
 from geomosaic.simulate.relief import RasterRelief, Relief
 
 Floats = NDArray[np.float64]
@@ -42,8 +42,9 @@ def heights_on_grid(
     for b in buildings:
         at = around(b.easting_m, b.northing_m, float(np.hypot(b.half_length_m, b.half_width_m)))
         off = np.stack(np.meshgrid(east[at[1]] - b.easting_m, north[at[0]] - b.northing_m), axis=-1)
-        within = (np.abs(off @ b.axes.T) <= [b.half_length_m, b.half_width_m]).all(axis=-1)
-        height[at][within] = relief.height_at(b.easting_m, b.northing_m) + b.height_m
+        uv = off @ b.axes.T
+        within = (np.abs(uv) <= [b.half_length_m, b.half_width_m]).all(axis=-1)
+        height[at][within] = relief.height_at(b.easting_m, b.northing_m) + b.roof_m(uv[within])
         kind[at][within] = ROOF
     for x, y, radius, tall in () if trees is None else trees:
         at = around(x, y, radius)

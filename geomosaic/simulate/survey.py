@@ -234,7 +234,9 @@ def smear_px(plan: SurveyPlan, camera: Camera, flight: Flight, i: int) -> Floats
 
 def landscape_of(plan: SurveyPlan) -> Landscape:
     """The countryside that a plan asks for."""
-    return Landscape(plan.seed, plan.buildings, plan.water_share, plan.smooth_forest_share)
+    return Landscape(
+        plan.seed, plan.buildings, plan.water_share, plan.smooth_forest_share, plan.hipped_roofs, plan.bridges
+    )
 
 
 def exposure_gain(plan: SurveyPlan, i: int) -> float:

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.landscape import COVERS, CROWN, Building, Colour, Landscape
+from geomosaic.simulate.buildings import Building, Colour
+from geomosaic.simulate.landscape import COVERS, CROWN, Landscape
 from geomosaic.simulate.noise import fractal_noise
 
 Floats = NDArray[np.float64]
@@ -241,7 +242,11 @@ class _Painter:
     def _roofs(self, image: Floats32) -> Floats32:
         """Gable roofs with a light and a dark side and rows of tiles; flat roofs with an edge and boxes."""
         for b in self.buildings:
-            if b.gable:
+            if b.road:
+                image = self._deck(image, b)
+            elif b.ridge_m:
+                image = self._hips(image, b)
+            elif b.gable:
                 for side, across in ((1.0, (0.0, 1.0)), (-1.0, (-1.0, 0.0))):
                     facing = float(b.axes[1] @ _SUN) * side
                     lit = 1.0 - 0.2 * facing
@@ -257,6 +262,32 @@ class _Painter:
                 image = self._over(image, b.outline_m((-0.93, 0.93), (-0.9, 0.9)), _times(b.roof, 0.92), 0.07)
                 image = self._over(image, b.outline_m((-0.6, -0.3), (-0.4, 0.1)), (196, 198, 200), 0.05)
                 image = self._over(image, b.outline_m((0.2, 0.35), (0.2, 0.5)), (92, 94, 98), 0.05)
+        return image
+
+    def _hips(self, image: Floats32, b: Building) -> Floats32:
+        """Four faces of a hipped roof, each as light as it faces the sun, rows of tiles on the long ones."""
+        end = 1.0 - b.half_width_m / b.half_length_m
+        for side in (1.0, -1.0):
+            long_side = [(-1.0, side), (1.0, side), (end, 0.0), (-end, 0.0)]
+            short_side = [(side, -1.0), (side, 1.0), (side * end, 0.0)]
+            for corners, axis in ((long_side, 1), (short_side, 0)):
+                lit = 1.0 - 0.2 * float(b.axes[axis] @ _SUN) * side
+                image = self._over(image, b.polygon_m(corners), _times(b.roof, lit), 0.1)
+            lit = 0.84 * (1.0 - 0.2 * float(b.axes[1] @ _SUN) * side)
+            for k in range(1, 8):
+                reach, at = end + (1.0 - end) * k / 8.0, side * k / 8.0
+                row = b.outline_m((-reach, reach), (at - 0.02, at + 0.02))
+                image = self._over(image, row, _times(b.roof, lit), 0.05)
+        return self._over(image, b.outline_m((-end, end), (-0.03, 0.03)), _times(b.roof, 1.25), 0.05)
+
+    def _deck(self, image: Floats32, b: Building) -> Floats32:
+        """A road between parapets."""
+        image = self._over(image, b.outline_m(), b.roof, 0.05)
+        image = self._over(image, b.outline_m(across=(-0.9, 0.9)), (118, 117, 118), 0.08)
+        ends = np.arange(-b.half_length_m + 2.0, b.half_length_m - 2.0, 7.0)
+        for at in ends / b.half_length_m:
+            dash = b.outline_m((at, at + 3.0 / b.half_length_m), (-0.016, 0.016))
+            image = self._over(image, dash, (205, 204, 198), 0.03)
         return image
 
     def _over(self, image: Floats32, outline_m: Floats, paint: Colour, rough: float) -> Floats32:

@@ -111,6 +111,10 @@ class SimulateFrames(Stage):
         buildings: float = param(_PLAN.buildings, help="how many villages, 1 is usual", ge=0, le=3)
         buildings_stand: bool = param(_PLAN.buildings_stand, help="buildings rise above the ground")
         trees_stand: bool = param(_PLAN.trees_stand, help="trees rise above the ground")
+        hipped_roofs: bool = param(
+            _PLAN.hipped_roofs, help="standing roofs rise to a ridge from all four walls"
+        )
+        bridges: bool = param(_PLAN.bridges, help="some roads run over bridges")
         water_share: float = param(
             _PLAN.water_share, help="share of the land under water, other in every frame", ge=0, le=1
         )
