@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from random import Random
 
@@ -16,7 +17,7 @@ from fuzz_formats import tiff_tags  # noqa: E402
 from fuzz_mutations import Nasty, a_table, some_bytes, some_text  # noqa: E402
 from fuzz_trees import a_json, a_yaml, an_xml  # noqa: E402
 from fuzz_verdict import Result, difference  # noqa: E402
-from trial_box import changes, snapshot  # noqa: E402
+from trial_box import changes, snapshot, waited_s  # noqa: E402
 
 CASES = 18
 
@@ -93,3 +94,18 @@ def test_differences_are_graded() -> None:
         == "warned"
     )
     assert difference(base, Result({**base.numbers, f"{frame}lon_deg": 11.301}), "same").grade == "gross"
+
+
+def test_time_in_which_others_had_the_processor_does_not_count() -> None:
+    """Two that compute for 0.4 s each on one core take 0.8 s; one of them waited for half of it."""
+    core = min(os.sched_getaffinity(0))
+    busy = f"import os, time; os.sched_setaffinity(0, [{core}])\nwhile time.process_time() < 0.4: pass"
+    started = time.monotonic()
+    both = [subprocess.Popen([sys.executable, "-S", "-c", busy]) for _ in range(2)]
+    own_s = []
+    for one in both:
+        os.waitid(os.P_PID, one.pid, os.WEXITED | os.WNOWAIT)
+        own_s.append(time.monotonic() - started - waited_s(one.pid))
+        assert one.wait() == 0
+    assert time.monotonic() - started > 0.75
+    assert min(own_s) < 0.65, "others' time counts"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import gc
-import importlib
+import importlib.util
 import os
 import sys
 import tempfile
@@ -79,6 +79,14 @@ def warm() -> None:
             "exifread",
             "defusedxml.ElementTree",
         ),
+        *(
+            "geomosaic.cli.app",
+            "pydantic.type_adapter",
+            "shellingham",
+            "rich._emoji_codes",
+            "encodings.cp437",
+        ),
+        *(("rerun", "rerun.blueprint") if importlib.util.find_spec("rerun") else ()),
         *("jinja2", "osgeo.ogr", "osgeo.osr", "cv2", "shapely", "rich.progress", "platform", "uuid"),
     ]
     for name in names:
@@ -154,6 +162,8 @@ def tell(cases: list[Case], seed: int, out: Path, seconds: float, closed: bool) 
         "seed": seed, "cases": len(cases), "seconds": round(seconds),
         "network": "own" if closed else "shared",
         "worst_seconds": max((c.seconds for c in cases), default=0),
+        "worst_cpu_s": max((c.cpu_s for c in cases), default=0),
+        "slowest": [f"{c.kind} {c.number}: {c.cpu_s}" for c in sorted(cases, key=lambda c: -c.cpu_s)[:3]],
         "worst_peak_mb": max((c.peak_mb for c in cases), default=0),
     }  # fmt: skip
     write_tables(

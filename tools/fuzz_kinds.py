@@ -23,7 +23,9 @@ from fuzz_formats import (
 from fuzz_mutations import Mutate, Nasty, a_table, some_bytes, some_text, spoil_the_file
 from fuzz_recordings import a_recording
 from fuzz_trees import a_json, a_yaml, an_xml
+from trial_box import MEMORY_BYTES
 
+HANG_S = 60.0
 FILE_SHARE = 0.05
 """Share of the cases in which something else stands in the file's place: a link, a pipe, a folder."""
 WHOLE_SHARE = 0.05
@@ -45,6 +47,8 @@ class Kind:
     judge: what is compared with the unspoiled result: `survey` (positions, cameras, ground), `pixels`
     (the mosaic too), `same` (everything must be as it was), or nothing.
     template: what the box is filled with before. weight: the share of all cases.
+    each: the commands don't build on one another: all run, whatever the others end with.
+    most_s, most_bytes: what one command may take.
     """
 
     name: str
@@ -54,6 +58,9 @@ class Kind:
     how: Callable[[str], Mutate]
     commands: Callable[[Path, str, Random], Commands]
     judge: str = "survey"
+    each: bool = False
+    most_s: float = HANG_S
+    most_bytes: int = MEMORY_BYTES
 
 
 def _run(box: Path, recipe: str, *sets: str) -> list[str]:
@@ -125,28 +132,31 @@ def _strips(box: Path, file: str, rng: Random) -> Commands:
 def _recording(box: Path, file: str, rng: Random) -> Commands:
     recording, out = str(box / file), str(box / "out")
     frame, other = rng.sample(sorted(p.name for p in (box / "in" / "frames").iterdir() if p.is_file()), 2)
-    replay = ["replay", recording, "-o", out, "--workers", "1", "--fixed-time"]
+    asked: Commands = (
+        [],
+        ["--json"],
+        ["--worst", "9", "--stage", "placement.pos", "--json"],
+        ["--worst", "9", "--png", f"{out}/plan.png"],
+        ["--frame", frame, "--png", f"{out}/frame.png"],
+        ["--pair", frame, other, "--png", f"{out}/pair.png"],
+        ["--repair", f"{out}/whole.mcap"],
+    )
+    both = [recording, str(box / "in" / "other.mcap")]
+    compared: Commands = (both, [*both[::-1], "--json"], [*both, "--png", f"{out}/moved.png"])
+    replayed: Commands = (
+        ["--from", "placement.pos", "--until", "matching.sift"],
+        ["--from", "export.cog", "--frames", str(box / "in" / "frames")],
+        ["--from", "placement.pos"],
+        ["--from", "export.cog"],
+        ["--from", "export.report"],
+        ["--set", "export.cog.quality=80"],
+    )
+    again = ["replay", recording, "-o", f"{out}/again", "--workers", "1", "--fixed-time"]
     return [
-        rng.choice(
-            (
-                ["inspect", recording],
-                ["inspect", recording, "--json"],
-                ["inspect", recording, "--worst", "9", "--stage", "placement.pos", "--json"],
-                ["inspect", recording, "--worst", "9", "--png", str(box / "out" / "plan.png")],
-                ["inspect", recording, "--frame", frame, "--png", str(box / "out" / "frame.png")],
-                ["inspect", recording, "--pair", frame, other],
-                ["inspect", recording, "--repair", str(box / "out" / "whole.mcap")],
-                ["diff", recording, str(box / "in" / "other.mcap")],
-                ["diff", str(box / "in" / "other.mcap"), recording, "--json"],
-                ["view", recording, "--save", str(box / "out" / "run.rrd")],
-                [*replay, "--from", "placement.pos", "--until", "matching.sift"],
-                [*replay, "--from", "export.cog", "--frames", str(box / "in" / "frames")],
-                [*replay, "--from", "placement.pos"],
-                [*replay, "--from", "export.cog"],
-                [*replay, "--from", "export.report"],
-                [*replay, "--set", "export.cog.quality=80"],
-            )
-        )
+        ["inspect", recording, *rng.choice(asked)],
+        ["diff", *rng.choice(compared)],
+        ["view", recording, "--save", f"{out}/run.rrd"],
+        [*again, *rng.choice(replayed)],
     ]
 
 
@@ -228,7 +238,18 @@ KINDS = {
         Kind("geometry", 8, "strips", ("in/geometry.yaml",), _by_name, _strips, "strips"),
         Kind("model", 8, "strips", ("in/model*", "in/*RPC.TXT", "in/dem.tif"), _by_name, _strips, "strips"),
         Kind("strip", 3, "strips", ("in/ccd*.tif",), _by_name, _strips, "strips"),
-        Kind("recording", 10, "recorded", ("in/rec/run.mcap",), _by_name, _recording, ""),
+        Kind(
+            "recording",
+            10,
+            "recorded",
+            ("in/rec/run.mcap",),
+            _by_name,
+            _recording,
+            "",
+            each=True,
+            most_s=20.0,
+            most_bytes=1 << 30,
+        ),
         Kind("cache", 10, "run", ("out/work/**/*",), _by_name, _again, "same"),
         Kind("forged", 6, "run", ("out/work/*/*/*.artefact", "out/work/*/*.tif"), _by_name, _again, ""),
         Kind("run", 8, "run", ("out/*",), _by_name, _finished, ""),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import signal
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +22,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
 from geomosaic.survey.strips import StripGeometry
 
-HANG_S = 60.0
 _NO_MEMORY = re.compile(r"MemoryError|bad_alloc|nable to allocate|ut of memory")
 _USUAL = re.compile(r"geomosaic: |warning: |\[\d+/\d+\] ")
 _LEFT = re.compile(r"^\..*\.(part|old)")
@@ -43,18 +43,18 @@ class Result:
     pixels: Any = None
 
 
-def problems(ended: Ended, changed: list[str], out: Path) -> list[str]:
+def problems(ended: Ended, changed: list[str], out: Path, most_bytes: int = MEMORY_BYTES) -> list[str]:
     """Names of what must never be."""
     words, found = ended.err + ended.out, []
     if "Traceback (most recent call last)" in words:
         found.append("traceback")
     if "a fault of geomosaic" in words:
         found.append("fault")
-    if ended.hung:
+    if ended.hung or ended.code == -signal.SIGXCPU:
         found.append("hang")
     elif ended.code < 0:
         found.append("crash")
-    if ended.peak_mb * 1e6 > MEMORY_BYTES or _NO_MEMORY.search(ended.err):
+    if ended.peak_mb * 1e6 > most_bytes or _NO_MEMORY.search(ended.err):
         found.append("memory")
     if changed or any("open for writing" in doing or "os." in doing for doing in ended.doings):
         found.append("changed outside")

@@ -47,6 +47,8 @@ Snapshot = dict[str, tuple[object, ...]]
 class Ended:
     """How a command ended: exit code (a signal negative), its words, and what it did beside.
 
+    seconds: without those in which others had the processor, so that a busy machine makes nothing slow.
+    cpu_s: processor time.
     doings: programs started, files opened for writing outside the output, as Python told.
     """
 
@@ -55,6 +57,7 @@ class Ended:
     out: str
     err: str
     seconds: float
+    cpu_s: float
     peak_mb: float
     hung: bool
     connections: int
@@ -128,34 +131,38 @@ class Box:
             _become(self, argv, logs, seconds, details)
         handle = os.pidfd_open(pid)
         hung = False
-        while True:
-            left = seconds - (time.monotonic() - started)
+        while not hung:
+            left = seconds - (time.monotonic() - started - waited_s(pid))
             ready, _, _ = select.select([handle, self.listener], [], [], max(left, 0.0))
             if self.listener in ready:
                 self.listener.accept()[0].close()
                 accepted += 1
             if handle in ready:
                 break
-            if left <= 0:
-                hung = True
-                os.killpg(pid, signal.SIGKILL)
-                break
+            hung = left <= 0
+        own_s = time.monotonic() - started - waited_s(pid)
+        with suppress(ProcessLookupError):
+            os.killpg(pid, signal.SIGKILL)  # it, if it hangs, and whatever it may have started
         _, status, usage = os.wait4(pid, 0)
         os.close(handle)
-        with suppress(ProcessLookupError):
-            os.killpg(pid, signal.SIGKILL)  # whatever it may have started
         texts = [log.read_bytes()[:200_000].decode(errors="replace") for log in logs]
         return Ended(
             tuple(argv),
             os.waitstatus_to_exitcode(status),
             texts[0],
             texts[1],
-            time.monotonic() - started,
+            own_s,
+            usage.ru_utime + usage.ru_stime,
             usage.ru_maxrss / 1024,
             hung,
             max(_attempts() - before, accepted),
             tuple(dict.fromkeys(texts[2].splitlines())),
         )
+
+
+def waited_s(pid: int) -> float:
+    """How long a process was ready to go on and others had the processor (Linux's schedstat)."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
 
 
 def _become(box: Box, argv: Sequence[str], logs: Sequence[Path], seconds: float, details: bool) -> None:

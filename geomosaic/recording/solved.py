@@ -188,10 +188,7 @@ def pair_figures(solved: Solved) -> list[dict[str, Any]]:
 def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Of each frame: status, given and found pose with deviations, what ties it, what is left, what was
     said."""
-    by_frame: dict[str, list[dict[str, Any]]] = {name: [] for name in solved.names}
-    for pair in pairs:
-        by_frame[pair["left"]].append(pair)
-        by_frame[pair["right"]].append(pair)
+    by_frame = pairs_by_frame(pairs)
     residual_px, doubted = _image_figures(solved)
     said: dict[str, list[str]] = {}
     for code, frame, text in solved.warned:
@@ -199,7 +196,7 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
     placement = solved.placement or solved.prior
     out: list[dict[str, Any]] = []
     for i, name in enumerate(solved.names):
-        mine = by_frame[name]
+        mine = by_frame.get(name, [])
         tied = [p for p in mine if p["tied"]]
         squares = [(p["rms_m"], p["tie_points"]) for p in tied if p.get("rms_m") is not None]
         points = sum(k for _, k in squares)
@@ -226,6 +223,15 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
         out.append(
             {"frame": left.name, "status": "left_out", "said": said.get(left.name, []) or [left.reason]}
         )
+    return out
+
+
+def pairs_by_frame(pairs: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """The pairs of each frame that has any."""
+    out: dict[str, list[dict[str, Any]]] = {}
+    for pair in pairs:
+        for name in dict.fromkeys((pair["left"], pair["right"])):
+            out.setdefault(name, []).append(pair)
     return out
 
 

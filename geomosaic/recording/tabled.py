@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from geomosaic.recording.model import Figures, Recording
-from geomosaic.recording.solved import POSE, known
+from geomosaic.recording.solved import POSE, known, pairs_by_frame
 
 
 def warned(recording: Recording) -> tuple[tuple[str, str, str], ...]:
@@ -61,11 +61,12 @@ def tabled_frames(recording: Recording, pairs: list[dict[str, Any]]) -> list[dic
     said: dict[str, list[str]] = {}
     for code, frame, text in warned(recording):
         said.setdefault(frame, []).append(f"{code}: {text}")
+    by_frame = pairs_by_frame(pairs)
     out = []
     for i, name in enumerate(names):
         found = {} if adjusted is None else _row(adjusted, i)
         before = given.get(name, {})
-        ends = [p for p in pairs if name in (p["left"], p["right"])]
+        ends = by_frame.get(name, [])
         yaws = found.get("yaw_deg"), before.get("yaw_deg")
         off = None if None in yaws else (yaws[0] - yaws[1] + 180.0) % 360.0 - 180.0  # type: ignore[operator]
         out.append(
