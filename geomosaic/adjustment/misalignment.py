@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.matching.tracks import Keypoints
+from geomosaic.matching.model import TiePairs
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
@@ -78,8 +78,9 @@ def ties_on_ground(
 ) -> Iterator[tuple[Floats, Floats]]:
     """Where each pair's left and its right frame put its tie points, east and north, (k, 2) each; NaN where a
     ray misses. A keypoint of several pairs goes down to the ground once."""
-    seen = Keypoints.of(block.ties.pairs)
-    plan_m = ground_from_images(seen.frame, seen.image_px, poses, cameras, ground)[:, :2].copy()
+    seen = TiePairs.of(block.ties.pairs)
+    frame = seen.frame.astype(np.intp)
+    plan_m = ground_from_images(frame, seen.image_px, poses, cameras, ground)[:, :2].copy()
     for left, right in seen.ends:
         yield plan_m[left], plan_m[right]
 

@@ -68,7 +68,7 @@ def join_tracks(ties: TiePoints) -> Tracks:
     order = np.lexsort((joined.frame, joined.track))
     good = order[joined.once[order]]
     point = np.cumsum(np.diff(joined.track[good], prepend=joined.track[good[:1]]) != 0)
-    return Tracks(joined.frame[good], point, joined.image_px[good])
+    return Tracks(joined.frame[good].astype(np.intp), point, joined.image_px[good])
 
 
 def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:

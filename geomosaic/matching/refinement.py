@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.matching.model import TiePair
+from geomosaic.matching.model import TiePair, TiePairs
 from geomosaic.matching.planes import SeenPlanes, stretched
 from geomosaic.matching.tracks import Joined, join, references
 
@@ -71,13 +71,11 @@ class Refinement:
                 sought[b].append(SoughtIn(a, row[standing[keypoints]], keypoints, stretched(plane, middles)))
         return cls(joined, tuple(shown), tuple(map(tuple, sought)))
 
-    def applied(
-        self, pairs: Sequence[TiePair], found: Mapping[int, tuple[Floats, NDArray[np.bool_]]], least: int
-    ) -> list[TiePair]:
+    def applied(self, found: Mapping[int, tuple[Floats, NDArray[np.bool_]]], least: int) -> TiePairs:
         """The tie points where pixels agree; a pair that would keep fewer than `least` keeps all it had,
         where they were.
 
-        Args: pairs as they were given; found: by frame, places and whether they are sure, as in `sought`.
+        Args: found: by frame, places and whether they are sure, as in `sought`.
         """
         px = self.joined.image_px.copy()
         sure = np.zeros(len(px), np.bool_)
@@ -86,11 +84,6 @@ class Refinement:
             keypoints = np.concatenate([s.keypoints for s in self.sought[frame]])
             px[keypoints[good]] = places[good]
             sure[keypoints[good]] = True
-        out = []
-        for pair, (left, right) in zip(pairs, self.joined.ends, strict=True):
-            kept = sure[left] & sure[right]
-            if kept.sum() < least:
-                kept[:] = True
-            i, j = pair.left_feature[kept], pair.right_feature[kept]
-            out.append(TiePair(pair.left, pair.right, px[left[kept]], px[right[kept]], i, j))
-        return out
+        kept = sure[self.joined.keypoints].all(axis=0)
+        few = np.diff(np.concatenate([[0], np.cumsum(kept)])[self.joined.first]) < least
+        return self.joined.part(kept | np.repeat(few, self.joined.counts), px)

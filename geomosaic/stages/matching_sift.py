@@ -18,7 +18,7 @@ from geomosaic.matching.believed import Believed
 from geomosaic.matching.candidates import Comparison, alike, coarse, likely_pairs, to_compare
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching
-from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import found_turned, reheaded, righted, seen_pairs
@@ -42,7 +42,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 12
+    version = 13
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
@@ -105,9 +105,9 @@ class MatchingSift(Stage):
         self._report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
         context.metric("matching.pairs_tried", len(pairs) + len(untied))
         context.metric("matching.pairs_tied", len(pairs))
-        context.metric("matching.tie_points", sum(len(p) for p in pairs))
+        context.metric("matching.tie_points", int(pairs.counts.sum()))
         return {
-            "ties": TiePoints(tuple(pairs), tuple(untied)),
+            "ties": TiePoints(pairs, tuple(untied)),
             "placement": replace(
                 placement,
                 poses=reheaded(righted(placement.poses, turns), headings),
@@ -123,7 +123,7 @@ class MatchingSift(Stage):
         believed: Callable[[int, int], Guess],
         params: Params,
         context: Context,
-    ) -> tuple[list[TiePair], Pairing]:
+    ) -> tuple[TiePairs, Pairing]:
         """The pairs that hold together, and how all were tried."""
         sight = Sight(params.longest_px, params.band)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching, PairMatch
-from geomosaic.matching.model import TiePair
+from geomosaic.matching.model import TiePairs
 from geomosaic.matching.planes import Guess, SeenPlanes
 from geomosaic.matching.refinement import Refinement
 from geomosaic.pipeline.kept import Kept
@@ -47,12 +47,11 @@ class Pairing:
     pixel_px: Sequence[float]
     believed: Callable[[int, int], Guess]
     sequence: Sequence[int]
-    tried: dict[Pair, TiePair | None] = field(default_factory=dict)
     looks: dict[Pair, PairMatch] = field(default_factory=dict)
     _planes: SeenPlanes = field(default_factory=SeenPlanes)
     _places: dict[int, Floats] = field(default_factory=dict)
 
-    def match(self, pairs: Iterable[Pair]) -> list[TiePair]:
+    def match(self, pairs: Iterable[Pair]) -> TiePairs:
         """The pairs that hold together: about where they are believed to match; then, where their neighbours
         show that they should; last, all keypoints of frames that hang together with no one else's."""
         pairs = list(pairs)
@@ -63,12 +62,36 @@ class Pairing:
             said = [(p, self.believed(*p)) for p in apart]
             self._round("pairs of lonely frames", replace(self.how, search="all"), said)
             self._by_neighbours()
-        return [found for found in self.tried.values() if found is not None]
+        return self._found()
+
+    @property
+    def tied(self) -> list[Pair]:
+        """Pairs that hold together."""
+        return [pair for pair, match in self.looks.items() if len(match.left)]
 
     @property
     def untied(self) -> list[Pair]:
         """Pairs that were tried in vain."""
-        return [pair for pair, found in self.tried.items() if found is None]
+        return [pair for pair, match in self.looks.items() if not len(match.left)]
+
+    def _found(self) -> TiePairs:
+        """All pairs that hold together now."""
+        tied, none = self.tied, np.zeros(0, np.int32)
+        places = [self._places_of(i) for i in range(len(self.features))]
+        first = np.concatenate([[0], np.cumsum([len(px) for px in places])]).astype(np.int32)
+        found = [self.looks[pair] for pair in tied]
+        keypoints = np.array(
+            [
+                np.concatenate([none, *(m.left + first[a] for m, (a, _) in zip(found, tied, strict=True))]),
+                np.concatenate([none, *(m.right + first[b] for m, (_, b) in zip(found, tied, strict=True))]),
+            ]
+        )
+        frame = np.repeat(np.arange(len(places), dtype=np.int32), np.diff(first))
+        image_px = np.concatenate([np.zeros((0, 2)), *places])
+        frames = np.array(tied, dtype=np.int32).reshape(-1, 2)
+        counts = np.array([len(m.left) for m in found], dtype=np.int32)
+        of_all = TiePairs(frame, image_px, frames, counts, keypoints)
+        return of_all.part(np.ones(keypoints.shape[1], dtype=bool), image_px)
 
     def _by_neighbours(self) -> None:
         """Untied pairs of which common neighbours say where they match, as long as that brings more."""
@@ -83,14 +106,14 @@ class Pairing:
 
     def _apart(self) -> list[Pair]:
         """Untied pairs of frames that don't hang together, and of lonely frames those flown beside them."""
-        tied = [pair for pair, found in self.tried.items() if found is not None]
+        tied = self.tied
         part: dict[int, int] = {}
         for k, members in enumerate(connected_parts(len(self.features), tied)):
             part |= dict.fromkeys(members, k)
         lonely = set(range(len(self.features))) - {i for pair in tied for i in pair}
         return [
             *[(a, b) for a, b in self.untied if part[a] != part[b]],
-            *flown_beside(lonely, self.sequence, list(self.tried)),
+            *flown_beside(lonely, self.sequence, list(self.looks)),
         ]
 
     def _round(self, name: str, how: Matching, pairs: Sequence[tuple[Pair, Guess]]) -> int:
@@ -102,11 +125,9 @@ class Pairing:
         found = self.context.map(name, partial(pair_match, how), items)
         tied = 0
         for ((a, b), _), match in zip(pairs, found, strict=True):
-            self.tried[a, b], self.looks[a, b] = None, match
+            self.looks[a, b] = match
             if len(match.left):
-                left_px, right_px = self._places_of(a)[match.left], self._places_of(b)[match.right]
-                self.tried[a, b] = TiePair(a, b, left_px, right_px, match.left, match.right)
-                self._planes.add(a, b, left_px, right_px)
+                self._planes.add(a, b, self._places_of(a)[match.left], self._places_of(b)[match.right])
                 tied += 1
         return tied
 
@@ -117,10 +138,10 @@ class Pairing:
 
 
 def record_tried(
-    context: Context, names: Sequence[str], pairing: Pairing, pairs: Sequence[TiePair], least: int
+    context: Context, names: Sequence[str], pairing: Pairing, pairs: TiePairs, least: int
 ) -> None:
     """Every pair that was tried: what was found of it, and why it isn't tied."""
-    points = {(t.left, t.right): len(t) for t in pairs}
+    points = dict(zip(map(tuple, pairs.frames.tolist()), pairs.counts.tolist(), strict=True))
     looks = pairing.looks
     context.recorder.table(
         "pairs.tried",
@@ -141,13 +162,13 @@ def refined(
     context: Context,
     pictures: Sequence[Picture],
     sizes_px: Sequence[Pair],
-    pairs: Sequence[TiePair],
+    pairs: TiePairs,
     least: int,
-) -> list[TiePair]:
+) -> TiePairs:
     """Tie points moved to where windows about them agree in the pixels; two passes over the frames: what each
     shows to others, and where it shows what others do."""
     if not pairs:
-        return []
+        return pairs
     todo = Refinement.of(pairs, sizes_px)
     px = todo.joined.image_px
     shown = [Shown(picture, px[keypoints]) for picture, keypoints in zip(pictures, todo.shown, strict=True)]
@@ -161,4 +182,4 @@ def refined(
             searches[i] = Search(pictures[i], tuple(parts))
     places = context.map("tie points in the pixels", frame_places, searches.values())
     found = {i: (p.image_px, p.sure) for i, p in zip(searches, places, strict=True)}
-    return todo.applied(pairs, found, least)
+    return todo.applied(found, least)
