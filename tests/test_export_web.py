@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import sqlite3
+import struct
 import zipfile
 from xml.etree import ElementTree
 
@@ -23,8 +25,9 @@ from geomosaic.errors import CancelledError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
 from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
-from geomosaic.export.web import write_kmz, write_mbtiles, write_tiles, write_vrt
+from geomosaic.export.web import write_kmz, write_tiles, write_vrt
 from geomosaic.mosaic.model import Mosaic, OutputGrid, Seamline
 
 
@@ -129,7 +132,7 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
     coarse = tmp_path / "coarse.tif"
     gdal.Translate(str(coarse), str(cog), outputBounds=[576_600, 5_188_300, 576_740, 5_188_300 - 140])
     write_tiles(coarse, tmp_path / "tiles", processes=1)
-    write_mbtiles(coarse, tmp_path / "mosaic.mbtiles", processes=1)
+    write_packed(coarse, tmp_path / "mosaic.mbtiles", "mbtiles", processes=1)
     with sqlite3.connect(tmp_path / "mosaic.mbtiles") as file:
         told = dict(file.execute("SELECT name, value FROM metadata"))
         packed = {
@@ -151,6 +154,78 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
         west, south, east, north = transform_bounds(tiff.crs, "EPSG:32615", *tiff.bounds)
         assert (west, south, east, north) == pytest.approx((576_600, 5_188_160, 576_740, 5_188_300), abs=40)
         assert tiff.read(4).any()
+
+
+@pytest.mark.parametrize("tile_format", ["png", "webp"])
+def test_pmtiles_hold_the_tiles_of_the_folder(cog, tmp_path, tile_format):
+    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, processes=1)
+    for name in ("a", "b"):
+        write_packed(cog, tmp_path / name, "pmtiles", tile_format=tile_format, processes=1)
+    data = (tmp_path / "a").read_bytes()
+    assert data == (tmp_path / "b").read_bytes()
+    told, packed = read_pmtiles(data)
+    index = json.loads((tmp_path / "tiles" / "tiles.json").read_text())
+    assert told == {
+        "type": {"png": 2, "webp": 4}[tile_format], "zooms": (index["minzoom"], index["maxzoom"]),
+        "bounds": pytest.approx(index["bounds"], abs=1e-7), "clustered": 1,
+        "metadata": {"name": tmp_path.name, "type": "overlay"},
+    }  # fmt: skip
+    tiles = {
+        (int(tile.parent.parent.name), int(tile.parent.name), int(tile.stem)): tile.read_bytes()
+        for tile in (tmp_path / "tiles").glob(f"*/*/*.{tile_format}")
+    }
+    assert packed == tiles
+    assert len(tiles) > 10
+
+
+def read_pmtiles(data):
+    """As its specification says, version 3: a header of 127 bytes, directories of varints, Hilbert's curve."""
+    assert data[:8] == b"PMTiles\x03"
+    root, root_length, meta, meta_length, _, leaves_length, tiles, _, _, entries, _ = struct.unpack(
+        "<11Q", data[8:96]
+    )
+    clustered, packing, tile_packing, kind, least, most, *box = struct.unpack("<6B4i", data[96:118])
+    assert (packing, tile_packing, leaves_length) == (2, 1, 0), "directories by gzip, tiles as they are"
+    numbers = iter(varints(gzip.decompress(data[root : root + root_length])))
+    count = next(numbers)
+    assert count == entries
+    ids = np.cumsum([next(numbers) for _ in range(count)])
+    runs, lengths, offsets = ([next(numbers) for _ in range(count)] for _ in range(3))
+    found, after = {}, 0
+    for id, run, length, offset in zip(ids, runs, lengths, offsets, strict=True):
+        start = after if offset == 0 else offset - 1
+        after = start + length
+        for k in range(run):
+            found[tile_of(int(id) + k)] = data[tiles + start : tiles + after]
+    metadata = json.loads(gzip.decompress(data[meta : meta + meta_length]))
+    told = {"type": kind, "zooms": (least, most), "bounds": [v / 1e7 for v in box], "clustered": clustered}
+    return {**told, "metadata": metadata}, found
+
+
+def varints(data):
+    value = shift = 0
+    for byte in data:
+        value |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            yield value
+            value = shift = 0
+
+
+def tile_of(id):
+    """Zoom, column, row of a number along Hilbert's curves, one zoom after the other."""
+    zoom, before = 0, 0
+    while id >= before + 4**zoom:
+        before += 4**zoom
+        zoom += 1
+    at, x, y, side = id - before, 0, 0, 1
+    while side < 2**zoom:
+        right = 1 & (at // 2)
+        down = 1 & (at ^ right)
+        if not down:
+            x, y = (side - 1 - y, side - 1 - x) if right else (y, x)
+        x, y, at, side = x + side * right, y + side * down, at // 4, side * 2
+    return zoom, x, y
 
 
 def test_kmz_lies_where_the_mosaic_lies(cog, tmp_path):

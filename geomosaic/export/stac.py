@@ -33,6 +33,7 @@ ASSETS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "positions.csv": ("Exterior orientation", "text/csv", ("metadata",)),
     "offsets.csv": ("Offsets between CCDs", "text/csv", ("metadata",)),
     "sources.tif": ("Which frame made each pixel", _COG, ("metadata",)),
+    "mosaic.pmtiles": ("Web map tiles", "application/vnd.pmtiles", ("visual",)),
     "report.html": ("Report", "text/html", ("metadata",)),
 }
 """What a run folder may hold: title, media type, roles."""

@@ -1,4 +1,4 @@
-"""The finished mosaic for other programs: a VRT beside it, web map tiles, MBTiles, KMZ."""
+"""The finished mosaic for other programs: a VRT beside it, web map tiles, KMZ."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import errno
 import json
 import math
 import os
-import sqlite3
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -31,13 +29,6 @@ TILE_FORMATS: Final = {"png": "PNG", "webp": "WEBP"}
 _TILE_PX = 256
 _EQUATOR_M = 40_075_016.685578488
 _EARTH_RADIUS_M = _EQUATOR_M / (2.0 * math.pi)
-_MBTILES: Final = """
-BEGIN;
-PRAGMA application_id = 0x4d504258;
-CREATE TABLE metadata (name TEXT, value TEXT);
-CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB);
-CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row);
-"""
 _SHOWN_PERCENTILES = (1.0, 99.0)
 
 
@@ -102,54 +93,6 @@ def write_tiles(
     with open_raster(mosaic_file, OWN) as tiff:
         told = f"{tiff.width:,} x {tiff.height:,} px of {tiff.res[0]:g} m"
     write_tile_page(folder / "index.html", mosaic_file.parent.name, told, index, layers_file)
-
-
-def write_mbtiles(
-    mosaic_file: Path,
-    out: Path,
-    *,
-    tile_format: str = "png",
-    processes: int = 2,
-    check_cancelled: Callable[[], None] | None = None,
-) -> None:
-    """MBTiles 1.3: the tiles of `write_tiles` in one file, as phones and map servers take them.
-
-    GDAL's own driver ends at zoom 22, where a pixel is 2 to 4 cm.
-    Raises: `InputError` without a map; `OSError` if it can't be written.
-    """
-    with TemporaryDirectory(dir=out.parent) as scratch:
-        folder = Path(scratch) / "tiles"
-        write_tiles(
-            mosaic_file, folder, tile_format=tile_format, processes=processes, check_cancelled=check_cancelled
-        )
-        index = json.loads((folder / "tiles.json").read_text())
-        told = {
-            "name": mosaic_file.parent.name,
-            "format": tile_format,
-            "type": "overlay",
-            "minzoom": str(index["minzoom"]),
-            "maxzoom": str(index["maxzoom"]),
-            "bounds": ",".join(f"{v:.8f}" for v in index["bounds"]),
-        }
-        try:
-            with closing(sqlite3.connect(out, isolation_level=None)) as database:
-                database.executescript(_MBTILES)
-                database.executemany("INSERT INTO metadata VALUES (?, ?)", told.items())
-                database.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", _tile_rows(folder, tile_format))
-                database.execute("COMMIT")
-        except sqlite3.Error as error:
-            full = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL
-            raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
-
-
-def _tile_rows(folder: Path, tile_format: str) -> Iterator[tuple[int, int, int, bytes]]:
-    """Zoom, column, row from the south, bytes, in order of these."""
-    tiles = {
-        (int(tile.parent.parent.name), int(tile.parent.name), int(tile.stem)): tile
-        for tile in folder.glob(f"*/*/*.{tile_format}")
-    }
-    for (zoom, col, row), tile in sorted(tiles.items()):
-        yield zoom, col, 2**zoom - 1 - row, tile.read_bytes()
 
 
 def write_kmz(mosaic_file: Path, out: Path, *, progress: Progress | None = None) -> None:
