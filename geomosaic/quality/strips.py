@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
 
 from geomosaic.ccd.columns import flattened
 from geomosaic.ccd.model import (
@@ -16,7 +15,6 @@ from geomosaic.ccd.model import (
     MEASURED,
     Flags,
     Floats,
-    Images,
     PairOffsets,
     Progress,
     StripOffsets,
@@ -25,7 +23,6 @@ from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.displacement import Displacements, measure_displacements
-from geomosaic.matching.least_squares_matching import bspline_weights
 from geomosaic.quality.strip_figures import (
     LIMIT_PX,
     StripFigures,
@@ -34,6 +31,7 @@ from geomosaic.quality.strip_figures import (
     segment_rms,
     strip_figures,
 )
+from geomosaic.quality.strip_resampling import laid_on
 
 BLOCK_LINES: Annotated[
     int,
@@ -324,45 +322,6 @@ def _piece(
     counts = inside & (pair.label[at] == label)
     own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks)
     return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]
-
-
-def laid_on(image: Images, valid: Flags, cols: Floats, lines: Floats, wider: int) -> tuple[Images, Flags]:
-    """An image (n, w) resampled row by row: row i, col c is the image's row i + lines[i], col c + cols[i].
-
-    By cubic B-splines; `wider` columns more on the right. Not valid within a pixel of what isn't.
-    """
-    n, w = image.shape
-    row, row_weights = _taps(np.arange(n) + lines)
-    col, col_weights = _taps(cols)
-    coefficients = spline_filter1d(
-        spline_filter1d(image, axis=0, output=np.float32), axis=1, output=np.float32
-    )
-    down = np.zeros((n, w), dtype=np.float32)
-    sound = np.ones((n, w), dtype=bool)
-    for k in range(4):
-        at = row + k - 1
-        down += row_weights[:, k, None] * coefficients[np.clip(at, 0, n - 1)]
-        sound &= valid[np.clip(at, 0, n - 1)] & ((at >= 0) & (at < n))[:, None]
-    out = np.zeros((n, w + wider), dtype=np.float32)
-    out_valid = np.zeros((n, w + wider), dtype=bool)
-    for shift in np.unique(col):
-        here = np.flatnonzero(col == shift)
-        begin, end = max(0, 1 - shift), min(w + wider, w - 2 - shift)
-        if end <= begin:
-            continue
-        kept = np.ones((here.size, end - begin), dtype=bool)
-        for k in range(4):
-            part = slice(begin + shift + k - 1, end + shift + k - 1)
-            out[here, begin:end] += col_weights[here, k, None] * down[here, part]
-            kept &= sound[here, part]
-        out_valid[here, begin:end] = kept
-    return out, out_valid
-
-
-def _taps(at: Floats) -> tuple[NDArray[np.int64], Images]:
-    """Whole parts (n,), and the weights (n, 4) of the nodes one before to two beyond them."""
-    whole = np.floor(at).astype(np.int64)
-    return whole, bspline_weights(at - whole)
 
 
 def _corners(begin_px: Floats, end_px: int, blocks: int) -> NDArray[np.int64]:
