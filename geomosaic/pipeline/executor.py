@@ -234,6 +234,7 @@ class Workers:
         self._deserted_s: float | None = None
         self._processes = _Processes()
         self._pool: Executor | None = None
+        self._submitting = threading.Lock()  # it changes the environment for a moment
 
     @property
     def elsewhere(self) -> bool:
@@ -301,7 +302,7 @@ class Workers:
         if self._pool is None and self._dask is None and self.workers > 1:
             resource_tracker.ensure_running()  # its start lets interrupts through again
         try:
-            with _without_interrupts(), _one_thread_each():
+            with self._submitting, _without_interrupts(), _one_thread_each():
                 return self._executor().submit(_guarded, __version__, function, item)
         except BrokenProcessPool as error:
             raise _died() from error

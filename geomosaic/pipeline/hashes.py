@@ -153,7 +153,8 @@ class FileHashes:
     def save(self) -> None:
         """Keeps what is known for the next run."""
         if self._memory is not None and self._new:
-            files.write_bytes(self._memory, json.dumps(self._known, separators=(",", ":")).encode())
+            known = dict(self._known)  # a stage in another thread may hash on
+            files.write_bytes(self._memory, json.dumps(known, separators=(",", ":")).encode())
             self._new = False
 
 

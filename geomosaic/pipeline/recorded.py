@@ -21,11 +21,20 @@ class StageRecorder:
     """The recording as a stage sees it: every call goes to `target` at once and is added to `spool`.
 
     It has those methods of `Recorder` that `STAGE_CALLS` names; without a target nothing is recorded. The
-    spool is a file of length-prefixed calls, so memory doesn't grow with it.
+    spool is a file of length-prefixed calls, so memory doesn't grow with it. spooled_only: calls don't go to
+    the target, which only says what it wants.
     """
 
-    def __init__(self, target: Recorder | None = None, spool: Path | None = None, stage: str = "") -> None:
+    def __init__(
+        self,
+        target: Recorder | None = None,
+        spool: Path | None = None,
+        stage: str = "",
+        *,
+        spooled_only: bool = False,
+    ) -> None:
         self._target = target
+        self._spooled_only = spooled_only
         self._stage = stage
         self._lock = threading.Lock()
         self._spool = None
@@ -53,7 +62,7 @@ class StageRecorder:
             if self._spool is not None:
                 data = encode((method, arguments))
                 self._spool.write(len(data).to_bytes(_LENGTH_BYTES, "little") + data)
-            if self._target is not None:
+            if self._target is not None and not self._spooled_only:
                 getattr(self._target, method)(**arguments)
 
     def close(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -32,6 +33,7 @@ class RunFolder:
         self.path = path.absolute()
         self.overwrite = overwrite
         self._made = self._listed()
+        self._listing = threading.RLock()
 
     @classmethod
     def opened(cls, path: Path, results: Iterable[str] = (), *, overwrite: bool = False) -> RunFolder:
@@ -67,17 +69,19 @@ class RunFolder:
 
         Raises `OutputError` if a file of that name is there that geomosaic did not make.
         """
-        self._check_free(name)
-        if name not in self._made:
-            self._made.add(name)
-            self._save()
+        with self._listing:
+            self._check_free(name)
+            if name not in self._made:
+                self._made.add(name)
+                self._save()
         return self.within(name)
 
     def note(self, names: Iterable[str]) -> None:
         """Lists files that a stage wrote by itself."""
-        if not self._made.issuperset(more := set(names)):
-            self._made |= more
-            self._save()
+        with self._listing:
+            if not self._made.issuperset(more := set(names)):
+                self._made |= more
+                self._save()
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:

@@ -23,11 +23,11 @@ from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.plugin import blamed, code_of
 from geomosaic.pipeline.provenance import commit, sizes, surroundings
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe, Step
-from geomosaic.pipeline.recorded import StageRecorder, record_again
+from geomosaic.pipeline.recorded import record_again
 from geomosaic.pipeline.reporter import Reporter, Silent, Source, warning_lines
 from geomosaic.pipeline.run_folder import WORK, RunFolder
-from geomosaic.pipeline.single import check_outputs
 from geomosaic.pipeline.stage import Stage
+from geomosaic.pipeline.work import Voice, Work, may_be_forged_data, ready
 from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
 from geomosaic.recording.levels import RecordOptions
 from geomosaic.recording.live import watched
@@ -124,13 +124,6 @@ def _privacy(record: RecordOptions, recipe: Recipe, folder: RunFolder) -> Privac
     return Privacy(named, places=record.private_places)
 
 
-def _may_be_forged_data(error: BaseException) -> bool:
-    """Whether a stage may have failed on cached data whose hashes are right and whose content isn't: a run
-    folder may come from anybody."""
-    by_data = (LookupError, ArithmeticError, TypeError, ValueError, AttributeError, AssertionError)
-    return isinstance(error, by_data) and not isinstance(error, GeomosaicError)
-
-
 class _Run:
     """One run in progress."""
 
@@ -160,6 +153,7 @@ class _Run:
         self._held: dict[str, Held] = {}
         self._lineages: list[Lineage] = []
         self._used: list[Path] = []
+        self._begun: dict[int, Finished | Work] = {}
         self._summary: dict[str, Any] = {}
 
     def run(self, given: Mapping[int, Given]) -> dict[str, Any]:
@@ -171,13 +165,13 @@ class _Run:
                 stage = step.stage.id
                 self._reporter.stage_started(i, total, step.stage.display_name)
                 started = time.monotonic()
-                inputs = self._inputs(step.stage)
-                marks = {name: self._mark(held) for name, held in inputs.items()}
+                marks = {name: self._mark(held) for name, held in self._inputs(step.stage).items()}
                 version = given[i].record.version if i in given else step.stage.version
                 params = step.params.model_dump(mode="json")
                 self._recorder.stage_started(stage, version, params, marks, reads_run=not step.stage.cached)
-                finished, source = self._step(i, step, inputs, given.get(i))
-                self._end_stage(step.stage, finished, time.monotonic() - started, source)
+                self._begin_beside(i, given)
+                finished, source, early_s = self._step(i, given.get(i))
+                self._end_stage(step.stage, finished, early_s or time.monotonic() - started, source)
                 self._let_go(self._recipe.steps[i + 1 : i + 2])
             with self._folder.writing(RUN_JSON) as path:
                 files.write_json(path, self._summary)
@@ -185,9 +179,11 @@ class _Run:
             self._hashes.forget_unasked()
             return self._summary
         except KeyboardInterrupt:
+            self._end_begun()
             self._record_failure(stage, "stopped by the user")
             raise CancelledError from None
         except Exception as error:
+            self._end_begun()
             self._record_failure(stage, f"{type(error).__name__}: {error}")
             raise
 
@@ -259,60 +255,79 @@ class _Run:
             name: self._held[name] for name in (*stage.inputs, *stage.optional_inputs) if name in self._held
         }
 
-    def _step(
-        self, i: int, step: Step, inputs: Mapping[str, Held], given: Given | None
-    ) -> tuple[Finished, Source]:
-        lineage = self._lineages[i].union(*(held.lineage for held in inputs.values()))
+    def _begin_beside(self, i: int, given: Mapping[int, Given]) -> None:
+        """Begins the stages that other processes can work on while step i is worked on."""
+        for k in ready(self._recipe.steps, i) if self._workers.elsewhere else ():
+            if k not in self._begun and k not in given:
+                self._begun[k] = task = self._task(k, early=True)
+                if isinstance(task, Work):
+                    task.begin()
+
+    def _end_begun(self) -> None:
+        """Whatever was begun before its turn, which won't come."""
+        for task in self._begun.values():
+            if isinstance(task, Work):
+                task.end()
+
+    def _step(self, i: int, given: Given | None) -> tuple[Finished, Source, float]:
+        """A step's outcome, where it is from, and the seconds it was worked on if that was begun early."""
+        stage = self._recipe.steps[i].stage
         if given is not None:
             for message in given.messages():
                 self._recorder.copy(*message)
-            return self._cache.keep_given(step.stage, given, lineage), "recording"
-        code = code_of(step.stage, step.stage.plugged(step.params))
+            return self._cache.keep_given(stage, given, self._lineage(i)), "recording", 0.0
+        early = i in self._begun
+        task = self._begun.pop(i) if early else self._task(i, early=False)
+        if isinstance(task, Finished):
+            assert task.calls is not None
+            record_again(task.calls, self._recorder)
+            return task, "cache", 0.0
+        try:
+            values = task.outcome()
+            self._hashes.check_unchanged()
+        except BaseException as error:
+            self._warn(task.context.notes.warnings)
+            task.end()
+            if self._summary["cached_stages"] and may_be_forged_data(error):
+                work = self._folder.within(WORK)
+                problem = f"{stage.id} fails on what is kept there ({type(error).__name__}: {error})"
+                raise FileError(problem, file=work, mend="remove it and run again") from error
+            raise
+        kept = self._cache.keep(stage, task.key, values, task.context, task.lineage, task.voice.spool)
+        return kept, "work", task.seconds if early else 0.0
+
+    def _lineage(self, i: int) -> Lineage:
+        inputs = self._inputs(self._recipe.steps[i].stage)
+        return self._lineages[i].union(*(held.lineage for held in inputs.values()))
+
+    def _task(self, i: int, *, early: bool) -> Finished | Work:
+        """What a step's stage has to do: nothing, if its outcome is in the cache."""
+        step, lineage = self._recipe.steps[i], self._lineage(i)
+        stage, inputs = step.stage, self._inputs(step.stage)
+        code = code_of(stage, stage.plugged(step.params))
         key = stage_key(step, inputs, self._recipe.seed, lineage, code)
-        finished = self._cache.find(step.stage, key, lineage) if step.stage.cached else None
+        finished = self._cache.find(stage, key, lineage) if stage.cached else None
         if finished is not None and finished.calls is not None:
-            record_again(finished.calls, self._recorder)
-            return finished, "cache"
-        spool = self._cache.spool(step.stage)
-        recorder = StageRecorder(self._recorder, spool, step.stage.id)
+            return finished
+        spool = self._cache.spool(stage)
+        voice = Voice(self._recorder, self._reporter, spool, stage.id, self._cancelled, early=early)
         context = Context(
             self._folder,
-            stage_id=step.stage.id,
-            version=step.stage.version,
+            stage_id=stage.id,
+            version=stage.version,
             code=code,
-            recorder=recorder,
+            recorder=voice.calls,
             workers=self._workers,
             hashes=self._hashes,
             seed=self._recipe.seed,
             key=key,
             fixed_time=self._fixed_time,
-            on_progress=self._progress,
-            on_note=self._reporter.note,
-            cancelled=self._cancelled,
+            on_progress=voice.progress,
+            on_note=voice.note,
+            cancelled=voice.cancelled,
             summary=self._timeless_summary() if self._fixed_time else self._summary,
         )
-        try:
-            context.check_cancelled()
-            values = {name: held.value() for name, held in inputs.items()}
-            with blamed(step.stage):
-                values = step.stage().run(values, step.params, context)
-            check_outputs(step.stage, values)
-            self._hashes.check_unchanged()
-        except BaseException as error:
-            self._warn(context.notes.warnings)
-            recorder.close()
-            spool.unlink(missing_ok=True)
-            if self._summary["cached_stages"] and _may_be_forged_data(error):
-                work = self._folder.within(WORK)
-                problem = f"{step.stage.id} fails on what is kept there ({type(error).__name__}: {error})"
-                raise FileError(problem, file=work, mend="remove it and run again") from error
-            raise
-        recorder.close()
-        return self._cache.keep(step.stage, key, values, context, lineage, spool), "work"
-
-    def _progress(self, done: int, total: int, text: str) -> None:
-        self._recorder.progress(done, total, text)
-        self._reporter.progress(done, total, text)
+        return Work(step, inputs, context, voice, key, lineage)
 
     def _timeless_summary(self) -> dict[str, Any]:
         """The summary without what differs between equal runs."""
@@ -375,7 +390,7 @@ class _Run:
         return self._marks.get(held.fingerprint, held.fingerprint)
 
     def _peak_memory_mb(self) -> float:
-        return (peak_memory_bytes() + sum(self._workers.peak_memory_bytes.values())) / 1e6
+        return (peak_memory_bytes() + sum([*self._workers.peak_memory_bytes.values()])) / 1e6
 
     def _record_failure(self, stage: str, text: str) -> None:
         try:

@@ -27,6 +27,7 @@ class ExportLayers(Stage):
     display_name = "Write layers and positions"
     group = "Export"
     version = 6
+    beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,

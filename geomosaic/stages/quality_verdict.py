@@ -32,6 +32,7 @@ class QualityVerdict(Stage):
     group = "Quality"
     version = 7
     wants_frames: ClassVar[bool] = True
+    beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
         "ownership": Ownership,

@@ -1,0 +1,180 @@
+"""A stage at work: when its turn comes, or begun before it, beside the stages that the recipe has first.
+
+A stage that shares nothing with others but its inputs (`Stage.beside`) needs no turn to work, only to be
+heard: what it records, reports and notes waits for it. So a recording is the same, whoever was ready first.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from geomosaic.errors import GeomosaicError
+from geomosaic.pipeline.cache import Held
+from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.plugin import blamed
+from geomosaic.pipeline.recipe import Step
+from geomosaic.pipeline.recorded import StageRecorder, record_again
+from geomosaic.pipeline.reporter import Reporter
+from geomosaic.pipeline.single import check_outputs
+from geomosaic.recording.writer import Recorder
+
+
+class Voice:
+    """What a stage says while it works: at once, or when its turn comes.
+
+    spool: where its calls of the recorder are kept. early: whether it begins before its turn.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        reporter: Reporter,
+        spool: Path,
+        stage_id: str,
+        cancelled: Callable[[], bool] | None,
+        *,
+        early: bool,
+    ) -> None:
+        self._recorder, self._reporter, self._cancelled = recorder, reporter, cancelled
+        self._early, self._heard, self._ended = early, not early, False
+        self._notes: list[str] = []
+        self._lock = threading.Lock()
+        self.spool = spool
+        self.calls = StageRecorder(recorder, spool, stage_id, spooled_only=early)
+
+    def progress(self, done: int, total: int, text: str) -> None:
+        """How far it is, if it is its turn."""
+        if self._heard:
+            self._recorder.progress(done, total, text)
+            self._reporter.progress(done, total, text)
+
+    def note(self, text: str) -> None:
+        """A line for the user."""
+        with self._lock:
+            if self._heard:
+                self._reporter.note(text)
+            else:
+                self._notes.append(text)
+
+    def cancelled(self) -> bool:
+        """Whether the user wants the run to stop, or the run this stage."""
+        return self._ended or (self._cancelled is not None and self._cancelled())
+
+    def turn(self) -> None:
+        """What was noted is said, and what comes is said at once."""
+        with self._lock:
+            for text in self._notes:
+                self._reporter.note(text)
+            self._heard = True
+
+    def end(self) -> None:
+        """The stage is to stop."""
+        self._ended = True
+
+    def close(self) -> None:
+        """Nothing comes any more: what a stage recorded before its turn goes into the recording now."""
+        self.calls.close()
+        if self._early and self._heard:
+            record_again(self.spool, self._recorder)
+
+
+class Work:
+    """What a stage makes of its inputs, in this thread or in one of its own.
+
+    key, lineage: of its outcome.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        inputs: Mapping[str, Held],
+        context: Context,
+        voice: Voice,
+        key: str,
+        lineage: frozenset[str],
+    ) -> None:
+        self.context, self.voice, self.key, self.lineage = context, voice, key, lineage
+        self.seconds = 0.0
+        self._step, self._inputs = step, inputs
+        self._values: dict[str, Any] = {}
+        self._made: dict[str, Any] = {}
+        self._error: BaseException | None = None
+        self._thread: threading.Thread | None = None
+
+    def begin(self) -> None:
+        """Before its turn, in a thread of its own; what is wrong is said when its turn comes."""
+        try:
+            self._take()
+        except Exception as error:
+            self._error = error
+            return
+        self._thread = threading.Thread(target=self._go, name=self._step.stage.id, daemon=True)
+        self._thread.start()
+
+    def outcome(self) -> dict[str, Any]:
+        """The outputs, when they are there. Raises: what the stage raises."""
+        self.voice.turn()
+        if self._thread is not None:
+            self._thread.join()
+        elif self._error is None:
+            self._take()
+            self._go()
+        if self._error is not None:
+            raise self._error
+        self.voice.close()
+        return self._made
+
+    def end(self) -> None:
+        """Stops it as soon as it asks, and waits for that; nothing of it stays but finished items."""
+        self.voice.end()
+        if self._thread is not None:
+            self._thread.join()
+        try:
+            self.voice.close()
+        finally:
+            self.voice.spool.unlink(missing_ok=True)
+
+    def _take(self) -> None:
+        self._values = {name: held.value() for name, held in self._inputs.items()}
+
+    def _go(self) -> None:
+        started = time.monotonic()
+        try:
+            self.context.check_cancelled()
+            with blamed(self._step.stage):
+                self._made = self._step.stage().run(self._values, self._step.params, self.context)
+            check_outputs(self._step.stage, self._made)
+        except BaseException as error:
+            self._error = error
+        self._values = {}
+        self.seconds = time.monotonic() - started
+
+
+def ready(steps: Sequence[Step], i: int) -> list[int]:
+    """The steps after step i that may be begun with it: nothing from i on gives what they take, and none has
+    their name or writes their files.
+
+    Those before i are done.
+    """
+    found, given, named, written = [], set[str](), set[str](), set[str]()
+    for k, step in enumerate(steps[i:], i):
+        stage = step.stage
+        taken = {*stage.inputs, *stage.optional_inputs}
+        apart = stage.id not in named and written.isdisjoint(stage.results)
+        if k > i and stage.beside and stage.cached and apart and given.isdisjoint(taken):
+            found.append(k)
+        given |= stage.outputs.keys()
+        named.add(stage.id)
+        written |= set(stage.results)
+    return found
+
+
+def may_be_forged_data(error: BaseException) -> bool:
+    """Whether a stage may have failed on cached data whose hashes are right and whose content isn't: a run
+    folder may come from anybody."""
+    by_data = (LookupError, ArithmeticError, TypeError, ValueError, AttributeError, AssertionError)
+    return isinstance(error, by_data) and not isinstance(error, GeomosaicError)
