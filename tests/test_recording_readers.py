@@ -16,9 +16,11 @@ from recording_scene import FRAMES, RECIPE, written
 from geomosaic.errors import FileError
 from geomosaic.recording import Recorder, read_recording
 from geomosaic.recording.chips import Chip
+from geomosaic.recording.limits import RESIDUAL, badness
 from geomosaic.recording.list_view import frame_text, worst_frames
-from geomosaic.recording.plan_view import by_size, frame_labels
+from geomosaic.recording.plan_view import by_badness, frame_colours, frame_labels, names_apart
 from geomosaic.recording.story import Story
+from geomosaic.recording.thumbnail import decoded, thumbnail
 from geomosaic.recording.view import told
 
 _SCRIPT = Path(__file__).parent / "node" / "read_mcap.mjs"
@@ -150,6 +152,7 @@ def story_of(recorder: Recorder, path: Path) -> Story:
         recorder.begin_run("", {}, {})
         recorder.stage_started("adjustment.solve", 1, {}, {})
         columns = {"east_m": [0, 9, 20.0], "north_m": [0, 0, 1.0], "yaw_deg": [10.0, 350.0, 10.0]}
+        columns |= {"sd_e_m": [2.0] * 3, "sd_n_m": [1.0] * 3}
         recorder.table("frames.placed", ["a.jpg", "b|.jpg", "c.jpg"], columns)
         found = columns | {"east_m": [1, 70, 21.0], "yaw_deg": [10.0, 200.0, 11.0]}
         moved = {"moved_e_m": [1, 61.0, 1.0], "moved_n_m": [0, 0, 0.0]}
@@ -165,6 +168,71 @@ def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
     placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
     assert frame_labels(placed, adjusted) == ["a", "b| 61 m, heading 150 deg off", "c placed"]
     assert worst_frames(story) == [2, 1, 0]
-    text = frame_text(story, 1)
+    text = frame_text(story, 1, ["its position was off"])
     assert "| east_m | 9.00 | 70.00 |" in text and "b\\|.jpg" in text and "- its position was off" in text
-    assert by_size(np.array([0.0, 4.0, np.nan]), 1.0).tolist()[:2] == [[60, 200, 80], [255, 60, 60]]
+    assert by_badness(np.array([0.0, 1.0, np.nan])).tolist()[:2] == [[60, 200, 80], [255, 60, 60]]
+    assert frame_colours(placed, adjusted).tolist()[1:] == [[255, 60, 60]] * 2
+
+
+def test_a_survey_that_is_bad_everywhere_is_red_everywhere(tmp_path: Path) -> None:
+    """All frames 60 m off, all pairs by 4 ground pixels: beside the median nothing stands out."""
+    names = [f"{k}.jpg" for k in range(9)]
+    with Recorder(tmp_path / "run.mcap") as recorder:
+        recorder.stage_started("adjustment.solve", 1, {}, {})
+        placed = {"east_m": np.arange(9.0), "north_m": 0.0, "yaw_deg": 0.0, "sd_e_m": 5.0, "sd_n_m": 5.0}
+        recorder.table("frames.placed", names, placed)
+        recorder.table(
+            "frames.adjusted", names, placed | {"moved_e_m": 60.0, "moved_n_m": 0.0}, notes=["tied"] * 9
+        )
+    story = told(tmp_path / "run.mcap")
+    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    assert {tuple(c) for c in frame_colours(placed, adjusted).tolist()} == {(255, 60, 60)}
+    assert all("60 m" in label for label in frame_labels(placed, adjusted))
+    bad = badness(np.array([0.0, 0.5, 1.0, 2.0, 3.0, 4.0, np.nan]), RESIDUAL.good, RESIDUAL.bad)
+    np.testing.assert_array_equal(bad, [0.0, 0.25, 0.5, 0.75, 1.0, 1.0, np.nan])
+
+
+def test_names_on_the_plan_do_not_lie_on_one_another() -> None:
+    """A thousand frames: odd ones are named first, the rest where there is room."""
+    at = np.stack(np.meshgrid(np.arange(40.0), np.arange(25.0)), axis=-1).reshape(-1, 2) * 10.0
+    labels = [f"F{k:04d}" for k in range(1000)]
+    far = np.zeros(1000)
+    for k in (7, 8, 500):
+        labels[k], far[k] = f"F{k:04d} 60 m", 12.0 + k
+    shown = names_apart(at, np.array([400.0, 250.0]), labels, far)
+    assert shown[0] == 500 and 8 in shown and 7 not in shown, "7 lies beside 8, which moved farther"
+    assert 50 < len(shown) < 400
+    boxes = np.array([[*(at[k] * 2.4), 7.5 * len(labels[k]), 24.0] for k in shown])
+    for i, (x, y, wide, high) in enumerate(boxes):
+        across, down = np.abs(boxes[i + 1 :, :2] - [x, y]).T
+        assert not ((across < (boxes[i + 1 :, 2] + wide) / 2.0) & (down < high)).any()
+
+
+def test_of_many_frames_the_worst_have_large_thumbnails_and_the_others_small_ones(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="Rerun isn't installed")
+    from rerun.chunk import RrdReader
+
+    from geomosaic.recording.view import write_rrd
+
+    names = [f"{k}.jpg" for k in range(300)]
+    rng = np.random.default_rng(2)
+    image = rng.integers(0, 255, (192, 256, 3), dtype=np.uint8)
+    with Recorder(tmp_path / "run.mcap") as recorder:
+        recorder.stage_started("survey.read", 1, {}, {})
+        for name in names[:-1]:
+            recorder.image("/frames", name, thumbnail(image))
+        moved = {"moved_e_m": np.arange(300.0)[::-1], "moved_n_m": 0.0}
+        recorder.table(
+            "frames.adjusted", names, {"east_m": 0.0, "north_m": 0.0} | moved, notes=["tied"] * 300
+        )
+    write_rrd(read_recording(tmp_path / "run.mcap"), tmp_path / "run.rrd")
+    sides: list[int] = []
+    for chunk in RrdReader(tmp_path / "run.rrd").stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == "/picked_frame" and "EncodedImage:blob" in batch.schema.names:
+            for row in batch.column("EncodedImage:blob").to_pylist():
+                if row:
+                    shown = decoded(bytes(row[0]))
+                    assert shown is not None
+                    sides.append(max(shown.shape))
+    assert sorted(sides) == [160] * 99 + [256] * 200

@@ -13,6 +13,7 @@ from typing import Any, Final
 from mcap.records import Message
 
 from geomosaic.errors import FileError
+from geomosaic.recording.image_view import draw_thumbnails
 from geomosaic.recording.layout import layout
 from geomosaic.recording.mcapfile import BROKEN, items, opened
 from geomosaic.recording.story import SHOWN, Story
@@ -40,8 +41,10 @@ def follow(recording: Path, stream: Any, alive: Callable[[], bool]) -> Story:
         if not alive():
             return False
         if time.monotonic() - drawn_s > _AGAIN_S:
-            parts, known = (draw if story.tables.keys() != known else draw_progress), set(story.tables)
-            parts(story, stream)
+            new, known = story.tables.keys() - known, set(story.tables)
+            (draw if new else draw_progress)(story, stream)
+            if "frames.adjusted" in new:
+                draw_thumbnails(recording, story, stream)
             draw_log(story, stream, logged)
             logged, drawn_s = len(story.log), time.monotonic()
         time.sleep(_WAIT_S)
@@ -56,6 +59,7 @@ def follow(recording: Path, stream: Any, alive: Callable[[], bool]) -> Story:
                 except (*BROKEN, KeyError, TypeError, AttributeError):
                     continue
     draw(story, stream)
+    draw_thumbnails(recording, story, stream)
     draw_log(story, stream, logged)
     return story
 

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.list_view import PICK, frame_text, worst_frames
+from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.plan_view import PLAN
-from geomosaic.recording.reader import printable
-from geomosaic.recording.story import Story
-from geomosaic.recording.thumbnail import decoded
+from geomosaic.recording.reader import messages, printable
+from geomosaic.recording.story import THUMBNAILS, Story
+from geomosaic.recording.thumbnail import decoded, thumbnail
 
 CHIP: Final = "/worst_pair"
 FRAME: Final = "/picked_frame"
 FRAME_TEXT: Final = "/picked_about"
 MOSAIC: Final = "/mosaic"
 STRIPS: Final = "/strip_images"
+_LARGE: Final = 200
+"""Frames, worst first, whose images are shown as recorded: more than a person looks through."""
+_MOST: Final = 4000
+"""Frames whose images are shown at all: 200 of some 40 kB and 3,800 of some 5 kB are 27 MB in the viewer."""
+_LARGE_PX, _SMALL_PX = 512, 160
 _KEPT, _REJECTED, _UNUSED = (70, 230, 90), (255, 60, 60), (150, 150, 160)
 
 
@@ -57,21 +66,54 @@ def draw_chips(story: Story, stream: Any) -> None:
     stream.reset_time()
 
 
+def draw_thumbnails(path: Path, story: Story, stream: Any) -> None:
+    """Frames' images at their places of the timeline `pick`, one after the other out of the recording: those
+    of the worst as they are, others small, those of a very large survey's best ones not at all."""
+    import rerun
+
+    names = story.table("frames.adjusted").row
+    place = {names[row]: k for k, row in enumerate(worst_frames(story))}
+    bare = dict(place)
+    for topic, _, data in messages(path, CompressedImage.DESCRIPTOR.full_name):
+        if topic != THUMBNAILS or not bare:
+            continue
+        with suppress(*BROKEN):
+            message = CompressedImage.FromString(data)
+            at = bare.get(message.frame_id, _MOST)
+            jpeg = _bounded(message.data, _LARGE_PX if at < _LARGE else _SMALL_PX) if at < _MOST else b""
+            if jpeg:
+                del bare[message.frame_id]
+                stream.set_time(PICK, sequence=at)
+                stream.log(FRAME, rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+    for at in bare.values():
+        stream.set_time(PICK, sequence=at)
+        stream.log(FRAME, rerun.Clear(recursive=False))
+    stream.reset_time()
+
+
+def _bounded(jpeg: bytes, side_px: int) -> bytes:
+    """A JPEG whose longer side is at most so long; nothing of what is none."""
+    image = decoded(jpeg)
+    if image is None or max(image.shape[:2]) <= side_px:
+        return b"" if image is None else jpeg
+    return thumbnail(image[..., ::-1], side_px)
+
+
 def draw_picks(story: Story, stream: Any) -> None:
-    """A frame's image and figures at its place of the timeline, and where it is on the plan."""
+    """A frame's figures at its place of the timeline, and where it is on the plan."""
     import rerun
 
     adjusted = story.table("frames.adjusted")
     rings = dict(story.outlines.get("adjusted", ()))
-    images = story.images.get("/frames", {})
+    said: dict[str, list[str]] = {}
+    for told in story.log:
+        if told.frame and told.level != "INFO":
+            said.setdefault(told.frame, []).append(told.text)
     for place, row in enumerate(worst_frames(story)):
         name = adjusted.row[row]
         stream.set_time(PICK, sequence=place)
-        if name in images:
-            stream.log(FRAME, rerun.EncodedImage(contents=images[name], media_type="image/jpeg"))
-        else:
-            stream.log(FRAME, rerun.Clear(recursive=False))
-        about = rerun.TextDocument(frame_text(story, row), media_type="text/markdown")
+        text = frame_text(story, row, said.get(name, ()))
+        about = rerun.TextDocument(text, media_type="text/markdown")
         stream.log(FRAME_TEXT, about)
         ring = rings.get(name, np.zeros((0, 2)))
         line = [np.concatenate([ring, ring[:1]]) * [1.0, -1.0]] if len(ring) else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -39,8 +39,8 @@ def worst_frames(story: Story) -> list[int]:
     return [int(k) for k in np.argsort(-odd, kind="stable")] if len(moved) else []
 
 
-def frame_text(story: Story, row: int) -> str:
-    """One frame in figures."""
+def frame_text(story: Story, row: int, said: Iterable[str]) -> str:
+    """One frame in figures, and what was said of it."""
     placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
     name = adjusted.row[row]
     given = placed.number.get(name)
@@ -55,7 +55,6 @@ def frame_text(story: Story, row: int) -> str:
         lines.append(f"| {column} | {_figure(before, 2)} | {_figure(adjusted.column(column)[row], 2)} |")
     for column, digits in (("pairs", 0), ("tie_points", 0), ("share_down_weighted", 3)):
         lines.append(f"| {column} | | {_figure(adjusted.column(column)[row], digits)} |")
-    said = [line.text for line in story.log if line.frame == name and line.level != "INFO"]
     return "\n".join([*lines, "", *(f"- {_cell(text)}" for text in said)])
 
 

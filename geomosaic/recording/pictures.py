@@ -15,6 +15,7 @@ from geomosaic.projection.footprint import footprint
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
 from geomosaic.recording.compare_frames import places_m
+from geomosaic.recording.limits import RESIDUAL, badness
 from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.messages import ChipTies
 from geomosaic.recording.model import Recording
@@ -45,12 +46,10 @@ def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str,
         for ring in sides:
             canvas.ring(ring, colour)
     number = {name: i for i, name in enumerate(solved.names)}
-    known = [p["rms_px"] for p in pairs if p.get("rms_px") is not None]
-    most_px = float(np.quantile(known, 0.98)) if known else 1.0
     for p in sorted(pairs, key=lambda p: (p["tied"], p.get("rms_px") or 0.0)):
         ends = at_m[[number[p["left"]], number[p["right"]]]]
-        rms_px = p.get("rms_px")
-        share = 0.0 if rms_px is None else rms_px / max(most_px, 1e-9)
+        left_px = np.array([np.nan if p.get("rms_px") is None else p["rms_px"]])
+        share = float(badness(left_px, RESIDUAL.good, RESIDUAL.bad)[0])
         canvas.line(ends, heat(share) if p["tied"] else (190, 190, 190), dashed=not p["tied"])
     wrong: dict[str, list[str]] = {}
     for fault in faults:
@@ -67,7 +66,7 @@ def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str,
             canvas.label(at_m[i], ", ".join([label[-14:], *(accused or ())]), RED if accused else INK)
     foot = [
         "grey outlines: as given; blue: as found; arrows: from given to found position",
-        f"lines: tied pairs, green to red 0 to {most_px:.2f} px left (98 % of them); dashed: tried, not tied",
+        f"lines: tied pairs, yellow {RESIDUAL.good:g} red {RESIDUAL.bad:g} px left; dashed: tried, not tied",
         "red: frames of which something is wrong",
     ]
     return png_of(canvas.finished(foot))

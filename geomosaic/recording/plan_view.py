@@ -7,21 +7,26 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.recording.limits import MOVE, RESIDUAL, badness, moves_sd
 from geomosaic.recording.story import Story, ToldTable
 
 Floats = NDArray[np.float64]
 Colours = NDArray[np.uint8]
 PLAN: Final = "/plan"
 NAME: Final = (
-    "plan, m: thick arrows from POS to adjusted, lines and dots: pairs and tie points by residual, green to "
-    "red; grey: tried, not tied; white: picked frame"
+    f"plan, m: arrows from POS to adjusted, yellow {MOVE.good:g}, red {MOVE.bad:g} deviations; pairs and tie "
+    f"points, yellow {RESIDUAL.good:g}, red {RESIDUAL.bad:g} ground pixels; grey: tried, not tied"
 )
 _GREY, _FAINT, _RED = (95, 95, 110), (60, 66, 80), (255, 60, 60)
-_MOST_LABELS: Final = 150
-FAR: Final = 5.0
-"""Times the median move beyond which a frame's is named: of normal errors one frame in 10,000 is."""
-_QUIET: Final = 0.25
-"""Ground pixels: residuals up to that are called usual, however small all others are."""
+_ROOM: Final = (1000.0, 600.0)
+"""UI points that a plan has on a screen of 1920 x 1080: names that would lie on one another there are left
+out, and shown where the pointer is."""
+_LETTER, _NAME_HIGH, _NAME_RIM = 7.5, 24.0, 14.0
+_LONGEST_NAME: Final = 40
+_CROWDED: Final = 100
+"""Frames of which a plan is full: beyond them what is all right is drawn thinner."""
+_LEAST_NAMED_M: Final = 1.0
+"""No move below it is named, however sure its position was given: names tell whole metres."""
 HEADING_OFF_DEG: Final = 30.0
 """From which a heading is said to be off: no sensor is that bad, a wrong tag is."""
 
@@ -45,27 +50,48 @@ def draw_plan(story: Story, stream: Any) -> None:
     if not now.row:
         return
     at, number = _drawn(_places(now)), now.number
-    _draw_pairs(story, stream, at, number)
-    _draw_ties(story, stream)
+    thin = min(1.0, (_CROWDED / len(now.row)) ** 0.5)
+    _draw_pairs(story, stream, at, number, thin)
+    _draw_ties(story, stream, thin)
+    far_sd = moves_in_sd(placed, adjusted)
     if adjusted.row:
-        _draw_moves(stream, adjusted, at)
-    labels, colours = frame_labels(placed, adjusted), frame_colours(now)
-    odd = [k for k, label in enumerate(labels) if " " in label]
-    every = list(range(len(labels))) if len(labels) <= _MOST_LABELS else odd
-    points = rerun.Points2D(at, colors=colours, radii=_ui(3.5), draw_order=5.0)
+        _draw_moves(stream, adjusted, at, far_sd)
+    labels, colours = frame_labels(placed, adjusted), frame_colours(placed, adjusted)
+    points = rerun.Points2D(
+        at, colors=colours, radii=_ui(3.5 * thin), labels=labels, show_labels=False, draw_order=5.0
+    )
     stream.log(f"{PLAN}/frames", points, static=True)
+    rings = [_drawn(ring) for what in ("placed", "adjusted") for _, ring in story.outlines.get(what, ())]
+    every = np.concatenate([at, *rings])
+    seen = every[np.isfinite(every).all(axis=1)]
+    shown = names_apart(at, np.ptp(seen, axis=0) if len(seen) else np.ones(2), labels, far_sd)
     named = rerun.Points2D(
-        at[every],
-        colors=colours[every],
+        at[shown],
+        colors=colours[shown] // 2 + 128,
         radii=_ui(1.0),
-        labels=[labels[k] for k in every],
+        labels=[labels[k] for k in shown],
         show_labels=True,
         draw_order=6.0,
     )
     stream.log(f"{PLAN}/names", named, static=True)
 
 
-def _draw_pairs(story: Story, stream: Any, at: Floats, number: dict[str, int]) -> None:
+def names_apart(at: Floats, span_m: Floats, labels: list[str], far_sd: Floats) -> list[int]:
+    """Rows of those labels at (n, 2) that don't lie on one another where all of the plan, span_m (2,), is
+    seen: odd ones first, and of these the ones that moved farthest (n, in deviations)."""
+    at_pt = np.nan_to_num(at) * min(_ROOM / np.maximum(span_m, 1e-9))
+    wide = np.array([len(label) * _LETTER + _NAME_RIM for label in labels])
+    odd = np.array([" " in label for label in labels])
+    shown: list[int] = []
+    moved = np.nan_to_num(far_sd) if len(far_sd) == len(labels) else np.zeros(len(labels))
+    for k in np.lexsort((np.arange(len(labels)), -moved, ~odd)):
+        across, down = np.abs(at_pt[shown] - at_pt[k]).T
+        if not ((across < (wide[shown] + wide[k]) / 2.0) & (down < _NAME_HIGH)).any():
+            shown.append(int(k))
+    return shown
+
+
+def _draw_pairs(story: Story, stream: Any, at: Floats, number: dict[str, int], thin: float) -> None:
     import rerun
 
     tried, tied = story.table("pairs.tried"), story.table("pairs.adjusted")
@@ -74,40 +100,36 @@ def _draw_pairs(story: Story, stream: Any, at: Floats, number: dict[str, int]) -
         for a, b, why in zip(tried.row, tried.other, tried.note, strict=False)
         if why and a in number and b in number
     ]
-    lines = rerun.LineStrips2D(vain, colors=[_GREY], radii=_ui(0.4), draw_order=2.0)
+    lines = rerun.LineStrips2D(vain, colors=[_GREY], radii=_ui(0.4 * thin), draw_order=2.0)
     stream.log(f"{PLAN}/pairs_untied", lines, static=True)
     known = [k for k, (a, b) in enumerate(zip(tied.row, tied.other, strict=False)) if {a, b} <= number.keys()]
     rms_m = tied.column("rms_m")[known]
-    usual_m = max(_usual(rms_m), _QUIET * _pixel_m(story))
     order = np.argsort(np.nan_to_num(rms_m), kind="stable")
     ends = [at[[number[tied.row[known[k]]], number[tied.other[known[k]]]]] for k in order]
-    colours = by_size(rms_m[order], usual_m)
-    width = [1.2 if c[0] > 200 and c[1] < 120 else 0.7 for c in colours]
-    lines = rerun.LineStrips2D(ends, colors=colours, radii=_ui(np.array(width)), draw_order=3.0)
+    bad = _in_pixels(story, rms_m[order])
+    width = np.where(bad > 0.5, 1.2 * thin**0.5, 0.7 * thin)
+    lines = rerun.LineStrips2D(ends, colors=by_badness(bad), radii=_ui(width), draw_order=3.0)
     stream.log(f"{PLAN}/pairs_tied", lines, static=True)
 
 
-def _draw_ties(story: Story, stream: Any) -> None:
+def _draw_ties(story: Story, stream: Any, thin: float) -> None:
     import rerun
 
     sample = story.table("ties.ground")
-    residual_m = sample.column("residual_m")
-    at = _drawn(_places(sample))
-    usual_m = max(_usual(residual_m), _QUIET * _pixel_m(story))
-    points = rerun.Points2D(at, colors=by_size(residual_m, usual_m), radii=_ui(0.9), draw_order=1.5)
+    colours = by_badness(_in_pixels(story, sample.column("residual_m")))
+    points = rerun.Points2D(_drawn(_places(sample)), colors=colours, radii=_ui(0.9 * thin), draw_order=1.5)
     stream.log(f"{PLAN}/tie_points", points, static=True)
 
 
-def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats) -> None:
+def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats, far_sd: Floats) -> None:
     import rerun
 
     moved = _drawn(np.column_stack([adjusted.column("moved_e_m"), adjusted.column("moved_n_m")]))
-    length = np.hypot(*moved.T)
-    known = np.isfinite(length)
+    known = np.isfinite(moved).all(axis=1)
     arrows = rerun.Arrows2D(
         origins=(at - moved)[known],
         vectors=moved[known],
-        colors=by_size(length[known], _usual(length)),
+        colors=by_badness(badness(far_sd[known], MOVE.good, MOVE.bad)),
         radii=_ui(1.6),
         draw_order=4.0,
     )
@@ -117,23 +139,31 @@ def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats) -> None:
 def frame_labels(placed: ToldTable, adjusted: ToldTable) -> list[str]:
     """Names without their endings, and behind a blank what is odd about a frame."""
     if not adjusted.row:
-        return [_stem(name) for name in placed.row]
-    moved = moves_m(adjusted)
-    far = FAR * np.nanmedian(moved) if np.isfinite(moved).any() else np.inf
+        return [_stem(name)[:_LONGEST_NAME] for name in placed.row]
+    moved, far_sd = moves_m(adjusted), moves_in_sd(placed, adjusted)
     off = headings_off_deg(placed, adjusted)
     out = []
     for k, name in enumerate(adjusted.row):
-        odd = [f"{moved[k]:.0f} m"] if moved[k] > max(far, 1.0) else []
+        odd = [f"{moved[k]:.0f} m"] if far_sd[k] > MOVE.good and moved[k] > _LEAST_NAMED_M else []
         odd += [f"heading {off[k]:.0f} deg off"] if off[k] > HEADING_OFF_DEG else []
         status = adjusted.note[k] if adjusted.note else "tied"
         odd += [status] if status != "tied" else []
-        out.append(" ".join([_stem(name), ", ".join(odd)]).strip())
+        out.append(" ".join([_stem(name)[:_LONGEST_NAME], ", ".join(odd)]).strip())
     return out
 
 
 def moves_m(adjusted: ToldTable) -> Floats:
     """How far frames moved over the ground, (n,)."""
     return np.hypot(adjusted.column("moved_e_m"), adjusted.column("moved_n_m"))
+
+
+def moves_in_sd(placed: ToldTable, adjusted: ToldTable) -> Floats:
+    """The same in deviations of given and found positions together, (n,)."""
+    given = [placed.number.get(name, -1) for name in adjusted.row]
+    before = np.column_stack([np.append(placed.column(f"sd_{axis}_m"), np.nan)[given] for axis in "en"])
+    after = np.column_stack([adjusted.column(f"sd_{axis}_m") for axis in "en"])
+    moved = np.column_stack([adjusted.column("moved_e_m"), adjusted.column("moved_n_m")])
+    return moves_sd(moved, before, after)
 
 
 def headings_off_deg(placed: ToldTable, adjusted: ToldTable) -> Floats:
@@ -143,39 +173,34 @@ def headings_off_deg(placed: ToldTable, adjusted: ToldTable) -> Floats:
     return np.asarray(np.abs((adjusted.column("yaw_deg") - before + 180.0) % 360.0 - 180.0))
 
 
-def frame_colours(now: ToldTable) -> Colours:
-    """By how far frames moved; red for what isn't tied."""
-    moved = moves_m(now)
-    colours = (
-        by_size(moved, _usual(moved))
-        if np.isfinite(moved).any()
-        else np.full((len(now.row), 3), 170, np.uint8)
-    )
-    for k, status in enumerate(now.note):
+def frame_colours(placed: ToldTable, adjusted: ToldTable) -> Colours:
+    """By how many deviations frames moved, light grey before they did; red for a heading that is off, and for
+    what isn't tied."""
+    if not adjusted.row:
+        return np.full((len(placed.row), 3), 170, np.uint8)
+    colours = by_badness(badness(moves_in_sd(placed, adjusted), MOVE.good, MOVE.bad))
+    colours[headings_off_deg(placed, adjusted) > HEADING_OFF_DEG] = _RED
+    for k, status in enumerate(adjusted.note):
         if status in ("placed", "rejected"):
             colours[k] = _RED
     return colours
 
 
-def by_size(values: Floats, usual: float) -> Colours:
-    """(n, 3): green for none, yellow for twice the usual, red from four times on; grey for unknown."""
-    share = np.clip(np.nan_to_num(values) / max(4.0 * usual, 1e-12), 0.0, 1.0)[:, None]
+def by_badness(bad: Floats) -> Colours:
+    """(n, 3): green for 0, yellow for 0.5, red for 1; grey for unknown."""
+    share = np.nan_to_num(bad)[:, None]
     green, yellow, red = (np.array(c, dtype=np.float64) for c in ((60, 200, 80), (230, 190, 60), _RED))
     low = green + (yellow - green) * np.minimum(2.0 * share, 1.0)
     mixed = np.where(share > 0.5, yellow + (red - yellow) * (2.0 * share - 1.0), low)
-    mixed[~np.isfinite(values)] = _GREY
+    mixed[np.isnan(bad)] = _GREY
     return np.asarray(np.round(mixed), dtype=np.uint8)
 
 
-def _pixel_m(story: Story) -> float:
-    """The frames' ground pixel, 0 if it isn't known."""
+def _in_pixels(story: Story, residual_m: Floats) -> Floats:
+    """How bad residuals are, by the frames' ground pixel; NaN if that isn't known."""
     known = story.figures.get("placement.ground_pixel_m")
-    return float(known) if isinstance(known, int | float) else 0.0
-
-
-def _usual(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else 1.0
+    pixel_m = float(known) if isinstance(known, int | float) and known > 0 else np.nan
+    return badness(residual_m / pixel_m, RESIDUAL.good, RESIDUAL.bad)
 
 
 def _places(table: ToldTable) -> Floats:

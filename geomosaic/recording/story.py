@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -33,6 +34,7 @@ SHOWN: Final[Mapping[str, Any]] = {
     )
 }
 """What a story is made of, by schema."""
+THUMBNAILS: Final = "/frames"
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class ToldTable:
         """One column; all unknown if it isn't there."""
         return self.columns.get(name, np.full(len(self.row), np.nan))
 
-    @property
+    @cached_property
     def number(self) -> dict[str, int]:
         """Each row's number by its name."""
         return {name: k for k, name in enumerate(self.row)}
@@ -81,8 +83,9 @@ class LoggedLine:
 
 @dataclass
 class Story:
-    """The latest of everything. images: JPEGs by topic and name. chips: JPEG and `ChipTies`, worst first.
-    figures: metrics by name. strips_lonlat: outlines of CCD strips on the map."""
+    """The latest of everything. images: JPEGs by topic and name, but those of frames, which may be many.
+    chips: JPEG and `ChipTies`, worst first. figures: metrics by name. strips_lonlat: outlines of CCD strips
+    on the map."""
 
     tables: dict[str, ToldTable] = field(default_factory=dict)
     outlines: dict[str, list[tuple[str, Floats]]] = field(default_factory=dict)
@@ -113,7 +116,7 @@ class Story:
                 self.spectra[topic.rpartition("/")[2]] = message
             case "Metric":
                 self.figures[message.name] = json.loads(message.json)
-            case "CompressedImage":
+            case "CompressedImage" if topic != THUMBNAILS:
                 self.images.setdefault(topic, {})[message.frame_id] = message.data
             case "ChipTies":
                 _check_even(message)

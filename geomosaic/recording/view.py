@@ -12,7 +12,7 @@ from typing import Any
 from mcap.records import Message
 
 from geomosaic.errors import FileError, OutputError
-from geomosaic.recording.image_view import draw_chips, draw_images, draw_picks
+from geomosaic.recording.image_view import draw_chips, draw_images, draw_picks, draw_thumbnails
 from geomosaic.recording.layout import layout
 from geomosaic.recording.list_view import PICK, draw_lists
 from geomosaic.recording.mcapfile import BROKEN, MEND, items, opened
@@ -57,6 +57,7 @@ def write_rrd(recording: Recording, path: Path) -> None:
         stream.save(temporary, default_blueprint=layout(recording))
         story = told(recording.path)
         draw(story, stream)
+        draw_thumbnails(recording.path, story, stream)
         draw_log(story, stream)
         log_strips(recording, stream)
         stream.flush()
