@@ -92,7 +92,23 @@ def write_tiles(
     (folder / "tiles.json").write_text(json.dumps(index, indent=2) + "\n")
     with open_raster(mosaic_file, OWN) as tiff:
         told = f"{tiff.width:,} x {tiff.height:,} px of {tiff.res[0]:g} m"
-    write_tile_page(folder / "index.html", mosaic_file.parent.name, told, index, layers_file)
+    there = _rows_of_columns(folder, tile_format)
+    write_tile_page(
+        folder / "index.html", mosaic_file.parent.name, told, {**index, "there": there}, layers_file
+    )
+
+
+def _rows_of_columns(folder: Path, tile_format: str) -> dict[str, dict[str, list[list[int]]]]:
+    """Which tiles there are: by zoom and column, the first and the last row of each run without a gap."""
+    found: dict[str, dict[str, list[list[int]]]] = {}
+    for column in sorted(folder.glob("*/*/")):
+        runs = found.setdefault(column.parent.name, {}).setdefault(column.name, [])
+        for row in sorted(int(tile.stem) for tile in column.glob(f"*.{tile_format}")):
+            if runs and runs[-1][1] == row - 1:
+                runs[-1][1] = row
+            else:
+                runs.append([row, row])
+    return found
 
 
 def write_kmz(mosaic_file: Path, out: Path, *, progress: Progress | None = None) -> None:

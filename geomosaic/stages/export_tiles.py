@@ -17,7 +17,7 @@ class ExportTiles(Stage):
     id = "export.tiles"
     display_name = "Write web map tiles"
     group = "Export"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     optional_inputs: ClassVar[dict[str, type]] = {"layers_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"tiles_folder": RunFile}
