@@ -1,9 +1,11 @@
 """How well the surface between frames is matched: simulated towns and their truth, a real flight's halves.
 
-    .venv/bin/python tools/bench_surface.py [--out DIR] [--seeds 5,7,11] [--real DIR]
+    .venv/bin/python tools/bench_surface.py [--out DIR] [--seeds 5,7,11] [--small] [--real DIR]
 
-Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 50 % overlap, hills of 10 m, houses with walls of
-3.5 to 10 m, trees, through the whole command with cells of 4 ground pixels. Of a real flight (18 frames of
+Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 60 % overlap, hills of 10 m, houses with walls of
+3.5 to 10 m and hipped or level roofs, bridges, trees, through the whole command with cells of 4 ground
+pixels: the surface against the true heights, beside StereoSGBM on rectified pairs; the mosaic on it and
+the one on the ground through tie points against the true ortho. Of a real flight (18 frames of
 9 MP) seconds and memory of the stage, and mosaics of its odd and even frames on one surface, laid over
 each other; skipped without the data. Tables go to standard output and OUT/surface.json.
 """
@@ -20,43 +22,83 @@ from pathlib import Path
 from bench_real_cloud import read_cloud
 from bench_real_halves import halves_of_one
 from bench_real_table import Row, print_table
-from bench_surface_judge import judged
+from bench_surface_judge import Judged, judged
+from bench_surface_rival import stereo_sgbm
+from bench_surface_roofs import Roofs, roofs
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
-TOWN = ["--buildings-stand", "--trees-stand", "--buildings", "2", "--relief-m", "10", "--width-px", "2000",
-        "--height-px", "1500", "--lines", "3", "--frames-per-line", "6"]  # fmt: skip
+TOWN = ["--buildings-stand", "--trees-stand", "--buildings", "2", "--hipped-roofs", "--bridges", "--relief-m",
+        "10", "--forward-overlap", "0.7", "--side-overlap", "0.6", "--lines", "3"]  # fmt: skip
+SIZE = ["--width-px", "2000", "--height-px", "1500", "--frames-per-line", "6"]
+SMALL = ["--width-px", "1000", "--height-px", "750", "--frames-per-line", "5"]
 WANTED_NMAD_PX = {"ground": 1.2, "roofs": 1.5}
 WANTED_OFF_1_M = {"edges": 0.25, "trees": 0.15}
 WANTED_S = 15.0
+WANTED_CORNERS_PX = 2.0
 _CELL_PX = 4.0
 
 
-def town(out: Path, seed: int) -> list[Row]:
+def town(out: Path, seed: int, size: list[str]) -> list[Row]:
     """Rows of one simulated town."""
     survey, run = out / f"town-{seed}", out / f"run-{seed}"
-    if not (survey / "truth" / "truth.json").is_file():
-        _call("simulate", "frames", survey, *TOWN, "--seed", seed)
-    told = ["--pos", survey / "pos.csv", "--camera", survey / "cameras.json"]
-    _call("mosaic", survey / "frames", *told, "-o", run, "--surface", "dense")
-    found, cell_m = judged(run, survey / "truth")
+    truth = survey / "truth"
+    if not (truth / "truth.json").is_file():
+        _call("simulate", "frames", survey, *TOWN, *size, "--seed", seed)
+    told = [
+        "--pos",
+        survey / "pos.csv",
+        "--camera",
+        survey / "cameras.json",
+        "--align-to",
+        truth / "ortho.tif",
+    ]
+    rows: list[Row] = []
+    for name, *how in (("tie points' ground", "ties"), ("surface", "dense", "--ortho", "surface")):
+        _call("mosaic", survey / "frames", *told, "-o", run, "--surface", *how, "--overwrite")
+        rows += _roof_rows(f"town {seed}, mosaic on the {name}", roofs(run / "mosaic.tif", truth))
+    found, cell_m = judged(run, truth)
     (run / "judged.json").write_text(json.dumps({k: asdict(v) for k, v in found.items()}), encoding="utf-8")
+    rows += [_class_row(f"town {seed}, {name}", name, of, cell_m) for name, of in found.items()]
+    rival, seconds = stereo_sgbm(run)
+    told_s = json.loads((run / "run.json").read_text(encoding="utf-8"))["timings_s"]["surface.dense"]
+    rows.append(
+        (f"town {seed}, seconds: surface.dense, StereoSGBM", f"{told_s:.1f}, {seconds:.1f}", "", True)
+    )
+    for name, of in judged(run, truth, rival)[0].items():
+        what, text, _, _ = _class_row(f"town {seed}, StereoSGBM, {name}", name, of, cell_m)
+        rows.append((what, text.split(";")[0], "", True))
+    return rows
+
+
+def _roof_rows(what: str, found: dict[str, Roofs]) -> list[Row]:
     rows: list[Row] = []
     for name, of in found.items():
-        nmad_px = of.nmad_m / (cell_m / _CELL_PX)
-        what = f"town {seed}, {name} ({of.cells:,} cells)"
         text = (
-            f"NMAD {nmad_px:.2f} ground px, {100.0 * of.off_1_m:.1f} % off by 1 m; within 1 and 2 deviations "
-            f"{100.0 * of.within_1_sd:.0f} and {100.0 * of.within_2_sd:.0f} %, held {100.0 * of.held:.0f} %"
+            f"corners {of.rmse_px:.2f} px RMSE, 90 % {of.p90_px:.2f} ({of.matched} of {of.corners} match); "
+            f"edges ({of.pieces} pieces) missing {100.0 * of.missing:.1f} %, doubled "
+            f"{100.0 * of.doubled:.1f} %, moved {100.0 * of.moved:.1f} %; SSIM {of.ssim:.3f}, "
+            f"about them {of.ssim_roofs:.3f}"
         )
-        if name in WANTED_NMAD_PX:
-            limit = WANTED_NMAD_PX[name]
-            rows.append((what, text, f"NMAD {limit} px", nmad_px <= limit))
-        elif name in WANTED_OFF_1_M:
-            share = WANTED_OFF_1_M[name]
-            rows.append((what, text, f"{100.0 * share:.0f} % off by 1 m", of.off_1_m <= share))
-        else:
-            rows.append((what, text, "", True))
+        wanted = "surface" in what and name == "houses"
+        good = of.rmse_px <= WANTED_CORNERS_PX
+        rows.append((f"{what}, {name}", text, f"corners {WANTED_CORNERS_PX} px" if wanted else "", good))
     return rows
+
+
+def _class_row(what: str, name: str, of: Judged, cell_m: float) -> Row:
+    nmad_px = of.nmad_m / (cell_m / _CELL_PX)
+    text = (
+        f"NMAD {nmad_px:.2f} ground px, {100.0 * of.off_1_m:.1f} % off by 1 m; within 1 and 2 deviations "
+        f"{100.0 * of.within_1_sd:.0f} and {100.0 * of.within_2_sd:.0f} %, held {100.0 * of.held:.0f} %"
+    )
+    what = f"{what} ({of.cells:,} cells)"
+    if name in WANTED_NMAD_PX:
+        limit = WANTED_NMAD_PX[name]
+        return what, text, f"NMAD {limit} px", nmad_px <= limit
+    if name in WANTED_OFF_1_M:
+        share = WANTED_OFF_1_M[name]
+        return what, text, f"{100.0 * share:.0f} % off by 1 m", of.off_1_m <= share
+    return what, text, "", True
 
 
 def flight(out: Path, data: Path) -> list[Row]:
@@ -87,9 +129,17 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/bench-surface"))
     parser.add_argument("--seeds", default="5,7,11")
     parser.add_argument("--real", type=Path, default=Path("../shared/data"))
+    parser.add_argument(
+        "--small", action="store_true", help="15 frames of 1000 x 750 px a town, to try the bench"
+    )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    rows = [row for seed in given.seeds.split(",") if seed for row in town(given.out, int(seed))]
+    rows = [
+        row
+        for seed in given.seeds.split(",")
+        if seed
+        for row in town(given.out, int(seed), SMALL if given.small else SIZE)
+    ]
     rows += flight(given.out, given.real)
     (given.out / "surface.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print_table(rows)

@@ -42,8 +42,8 @@ class Judged:
     held: float
 
 
-def judged(run: Path, truth: Path) -> tuple[dict[str, Judged], float]:
-    """By class the cells that three frames see, and the side of a cell (m).
+def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[dict[str, Judged], float]:
+    """By class the cells that three frames see, and the side of a cell (m); of another surface if given.
 
     Heights are compared in each cell's middle with the land there, roofs and crowns as they stand. What all
     frames miss in common (place, turn, scale) is taken off by the projection centres, the ground's median
@@ -52,7 +52,7 @@ def judged(run: Path, truth: Path) -> tuple[dict[str, Judged], float]:
     summary = read_summary(run)
     survey: Survey = load_artefact(run, summary, "survey", Survey)
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)
-    surface: DenseSurface = load_artefact(run, summary, "surface", DenseSurface)
+    surface = other or load_artefact(run, summary, "surface", DenseSurface)
     east, north = surface.cells.axes_m()
     points = np.stack(np.broadcast_arrays(east, north[:, None], surface.up_m.astype(float)), axis=-1)
     seen = np.zeros(surface.up_m.shape, dtype=int)

@@ -1,0 +1,249 @@
+"""Roofs and bridges of a mosaic against the true ortho: corners' places, doubled and missing edges, SSIM."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.matching.displacement import measure_displacements
+from geomosaic.quality.compare import compare
+from geomosaic.quality.figures import Similarity, best_similarity
+from geomosaic.quality.ssim import luma, ssim_maps
+from geomosaic.simulate.plan import SurveyPlan
+from geomosaic.simulate.survey import landscape_of
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+_PATCH_PX: Annotated[
+    int,
+    Because(
+        "px", "side of the patches about corners: smaller ones don't match, larger ones are all yard", CHOSEN
+    ),
+] = 32
+_INWARD_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which patches lie inside their corner: about the corner itself three quarters are ground, which "
+        "is where it belongs whatever the roof does",
+        CHOSEN,
+    ),
+] = 8.0
+_SEARCH_PX: Annotated[
+    int, Because("px", "a roof 14 m high at the side of a frame leans by 60 on a smooth ground", CHOSEN)
+] = 64
+_RIM_M: Annotated[
+    float, Because("m", "of the mosaic at its border, where less than three frames see", CHOSEN)
+] = 15.0
+_PIECE_M: Annotated[
+    float,
+    Because("m", "of an edge that are averaged: longer ones hide what a seam doubles in part", CHOSEN),
+] = 2.0
+_REACH_M: Annotated[
+    float,
+    Because("m", "across an edge in which it is looked for: a neighbour's edge is farther away", CHOSEN),
+] = 3.0
+_ABOUT_ROOFS_M: Annotated[float, Because("m", "about roofs in which SSIM is told apart", CHOSEN)] = 3.0
+_CLEAR: Annotated[
+    float,
+    Because(
+        "times what else steps in its profile",
+        "that an edge must step in the true ortho to be counted: roofs as dark as their shadow have none",
+        CHOSEN,
+    ),
+] = 4.0
+_THERE: Annotated[
+    float,
+    Because("of the true step", "that the mosaic has to show, else the edge is missing", CHOSEN),
+] = 0.4
+_ALIKE: Annotated[
+    float,
+    Because(
+        "of the strongest step",
+        "that a second one has where the true ortho has none: the edge is doubled; less are tiles, shadows",
+        CHOSEN,
+    ),
+] = 0.6
+_APART_M: Annotated[
+    float, Because("m", "between two steps of a doubled edge: nearer ones are one that is blurred", CHOSEN)
+] = 0.6
+
+
+@dataclass(frozen=True)
+class Roofs:
+    """Corners: how many, how many of them matched, RMSE and 90 % of what they are off (px); edges: pieces
+    that the true ortho shows, shares of them that are missing, doubled, and that lie farther off than
+    `_APART_M`; SSIM of all, and about roofs."""
+
+    corners: int
+    matched: int
+    rmse_px: float
+    p90_px: float
+    pieces: int
+    missing: float
+    doubled: float
+    moved: float
+    ssim: float
+    ssim_roofs: float
+
+
+def roofs(mosaic: Path, truth: Path) -> dict[str, Roofs]:
+    """Houses and bridges of a mosaic on the true ortho's grid. A similarity, found on all that lies still, is
+    taken off: it is the positions' error."""
+    image, true, seen, affine = _registered(mosaic, truth / "ortho.tif")
+    told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+    height, width = seen.shape
+    west, north = affine * (0, 0)
+    east, south = affine * (width, height)
+    built = landscape_of(SurveyPlan(**told["plan"])).buildings_in((west, south, east, north))
+    inner = cv2.distanceTransform(seen.view(np.uint8), cv2.DIST_L2, 5) * affine.a > _RIM_M
+    found = {}
+    for name, of in (
+        ("houses", [b for b in built if not b.road]),
+        ("bridges", [b for b in built if b.open_m]),
+    ):
+        outlines = [np.column_stack(~affine * b.outline_m().T) for b in of]
+        outlines = [px for px in outlines if _all_within(inner, px)]
+        if outlines:
+            found[name] = _judged(image, true, seen, inner, outlines, affine.a)
+    return found
+
+
+def _registered(mosaic: Path, ortho: Path) -> tuple[Image, Image, Bools, rasterio.Affine]:
+    """Both (rows, cols, 3) on the pixels of the true ortho that the mosaic covers, and where it does."""
+    with rasterio.open(mosaic) as a, rasterio.open(ortho) as b:
+        window = rasterio.windows.from_bounds(*a.bounds, b.transform).round_offsets().round_lengths()
+        true = b.read((1, 2, 3), window=window, boundless=True, fill_value=0)
+        valid = (a.dataset_mask() > 0) & (b.read_masks(1, window=window, boundless=True) > 0)
+        image, affine = a.read((1, 2, 3)), a.transform
+    of = compare(mosaic, ortho, patch_px=48, step_px=48).vectors_m
+    still = np.ones(len(of), dtype=bool)
+    for _ in range(5):
+        similarity, _ = best_similarity(of[still, :2], of[still, 2:])
+        left = of[:, 2:] - _moved(similarity, of[:, :2])
+        length = np.linalg.norm(left, axis=1)
+        still = length < 3.0 * np.median(length)
+    corners = np.array([[0.0, 0.0], [image.shape[2], 0.0], [0.0, image.shape[1]]])
+    at = np.column_stack(affine * corners.T)
+    to = np.column_stack(~affine * (at + _moved(similarity, at)).T)
+    m = cv2.getAffineTransform((corners - 0.5).astype(np.float32), (to - 0.5).astype(np.float32))
+    size = image.shape[2], image.shape[1]
+    how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    laid = cv2.warpAffine(np.moveaxis(image, 0, -1).astype(np.float32), m, size, flags=how)
+    mask = cv2.warpAffine(valid.view(np.uint8) * 255, m, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return laid, np.moveaxis(true, 0, -1).astype(np.float32), valid & (mask > 250), affine
+
+
+def _moved(similarity: Similarity, at: Floats) -> Floats:
+    """Displacements (n, 2) of places by a similarity."""
+    centre = np.array([similarity.centre_east_m, similarity.centre_north_m])
+    z = (at - centre) @ [1.0, 1.0j]
+    moved = (similarity.scale * np.exp(1j * similarity.rotation_rad) - 1.0) * z
+    shift = np.array([similarity.shift_east_m, similarity.shift_north_m])
+    return np.column_stack([moved.real, moved.imag]) + shift
+
+
+def _all_within(inner: Bools, px: Floats) -> bool:
+    at = np.floor(px).astype(int)
+    there = (at >= 0).all() and (at < [inner.shape[1], inner.shape[0]]).all()
+    return bool(there and inner[at[:, 1], at[:, 0]].all())
+
+
+def _judged(
+    image: Image, true: Image, seen: Bools, inner: Bools, outlines: list[Floats], pixel_m: float
+) -> Roofs:
+    grey, true_grey = (luma(np.moveaxis(a, -1, 0)) for a in (image, true))
+    corners = np.concatenate([_inward(px) for px in outlines])
+    at = np.round(corners[:, ::-1] - _PATCH_PX / 2.0).astype(np.int64)
+    found = measure_displacements(grey, true_grey, seen, seen, at, patch_px=_PATCH_PX, search_px=_SEARCH_PX)
+    off = np.linalg.norm(found.displacement_px, axis=1)
+    pieces = [_steps(image, true, a, b, pixel_m) for px in outlines for a, b in _edges(px, pixel_m)]
+    counted = [p for p in pieces if p is not None]
+    maps = ssim_maps(np.clip(grey, 0, 255), true_grey, seen, 255.0).ssim
+    about = np.zeros(seen.shape, np.uint8)
+    cv2.fillPoly(about, [np.round(px * 16 - 8).astype(np.int32) for px in outlines], (1, 0, 0), shift=4)
+    side = 2 * round(_ABOUT_ROOFS_M / pixel_m) + 1
+    about = cv2.dilate(about, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    return Roofs(
+        len(corners),
+        len(off),
+        float(np.sqrt(np.mean(off**2))) if off.size else np.nan,
+        float(np.quantile(off, 0.9)) if off.size else np.nan,
+        len(counted),
+        *np.mean(counted, axis=0).tolist(),
+        float(np.nanmean(maps[inner])),
+        float(np.nanmean(maps[about > 0])),
+    )
+
+
+def _inward(px: Floats) -> Floats:
+    middle = px.mean(axis=0)
+    return np.asarray(px + _INWARD_PX * np.sign(middle - px))
+
+
+def _edges(px: Floats, pixel_m: float) -> Iterator[tuple[Floats, Floats]]:
+    """Pieces of an outline (4, 2), without its corners: begin and end of each."""
+    for a, b in zip(px, np.roll(px, -1, axis=0), strict=True):
+        length = np.linalg.norm(b - a) * pixel_m
+        count = int((length - 2.0) // _PIECE_M)
+        ends = (length / 2.0 + (np.arange(count + 1) - count / 2.0) * _PIECE_M) / max(length, 1e-9)
+        for first, last in pairwise(ends):
+            yield a + (b - a) * first, a + (b - a) * last
+
+
+def _steps(image: Image, true: Image, a: Floats, b: Floats, pixel_m: float) -> tuple[bool, bool, bool] | None:
+    """Whether a piece of an edge is missing, doubled, or elsewhere; None where the truth shows none."""
+    ahead = (b - a) / np.linalg.norm(b - a)
+    across = np.array([-ahead[1], ahead[0]])
+    reach_px = _REACH_M / pixel_m
+    off = np.arange(-reach_px - 4.0, reach_px + 4.5, 0.5)
+    along = np.linspace(0.0, 1.0, 2 * int(np.linalg.norm(b - a)) + 1)
+    at = a + (b - a) * along[:, None, None] + across * off[:, None] - 0.5
+    x, y = (np.ascontiguousarray(at[..., k], dtype=np.float32) for k in (0, 1))
+    slopes = []
+    for of in (true, image):
+        profile = cv2.remap(of, x, y, cv2.INTER_LINEAR).mean(axis=0)
+        slopes.append(np.gradient(cv2.GaussianBlur(profile, (1, 0), 0, sigmaY=2.0), 0.5, axis=0))
+    near = np.abs(off) <= 3.0
+    middle = np.flatnonzero(near)[np.linalg.norm(slopes[0][near], axis=1).argmax()]
+    direction = slopes[0][middle] / np.linalg.norm(slopes[0][middle])
+    truth, shown = (slope @ direction for slope in slopes)
+    within = np.abs(off) <= reach_px
+    strength = float(truth[middle])
+    others = within & (np.abs(off) > _APART_M / pixel_m)
+    if strength < _CLEAR * float(np.median(np.abs(truth[others]))):
+        return None
+    peaks = _peaks(shown, within)
+    if not peaks.size or shown[peaks].max() < _THERE * strength:
+        return True, False, False
+    first = peaks[shown[peaks].argmax()]
+    true_peaks = _peaks(truth, within)
+    true_off = off[true_peaks[truth[true_peaks] >= _THERE * strength]]
+    alike = off[peaks[shown[peaks] >= _ALIKE * shown[first]]]
+    apart = _APART_M / pixel_m
+    alone = np.abs(alike[:, None] - true_off).min(axis=1) > apart
+    doubled = bool(alone.any() and np.ptp(alike) > apart)
+    return False, doubled, bool(abs(off[first] - off[middle]) > apart)
+
+
+def _peaks(values: Floats, within: Bools) -> NDArray[np.intp]:
+    inner = values[1:-1]
+    return np.flatnonzero((inner > values[:-2]) & (inner >= values[2:]) & within[1:-1]) + 1
+
+
+if __name__ == "__main__":
+    import sys
+
+    for name, of in roofs(Path(sys.argv[1]), Path(sys.argv[2])).items():
+        print(name, of)
