@@ -25,7 +25,7 @@ TILE_CELLS: Annotated[
         "60 MB",
         CHOSEN,
     ),
-] = 128
+] = 224
 _BELOW: Annotated[
     float,
     Because(
@@ -64,13 +64,17 @@ class Level:
     def tasks(self, frames: Sequence[Sighted], base: GroundSurface, above: Floats32 | None) -> list[Task]:
         """What is to be done, tile by tile: those that two frames see. above: the coarser level's heights."""
         found = []
-        for tile in self.cells.tiles(TILE_CELLS):
-            cells = tile.around(self.cells, MARGIN_CELLS)
-            chosen = seeing(frames, base, tile.around(self.cells, 0))
-            if len(chosen) > 1:
+        tiles = list(self.cells.tiles(TILE_CELLS))
+        seen = seeing(frames, base, [tile.around(self.cells, 0) for tile in tiles])
+        for tile, places in zip(tiles, seen, strict=True):
+            part = _seen_part(tile, places.sum(axis=0) > 1)
+            if part is not None:
+                cells = part.around(self.cells, MARGIN_CELLS)
                 about = None if above is None else self._about(cells, above)
                 reach = self.lowest_m, self.highest_m
-                found.append(Task(tile, Search(cells, self.cells.cell_m, *reach, about, self.fine), chosen))
+                search = Search(cells, self.cells.cell_m, *reach, about, self.fine)
+                chosen = np.flatnonzero(places.any(axis=(1, 2)))
+                found.append(Task(part, search, tuple(chosen.tolist())))
         return found
 
     def _about(self, cells: Cells, above: Floats32) -> Floats32:
@@ -96,14 +100,17 @@ class Level:
 
 @dataclass(frozen=True)
 class Task:
-    """A tile, what is looked for in it and about it, and the frames (their places among all) that are asked:
-    first the one that looks down on it most steeply."""
+    """A tile as far as two frames see it, what is looked for in it and about it, and the frames (their places
+    among all) that are asked."""
 
     tile: Tile
     search: Search
     frames: tuple[int, ...]
 
 
+_PLACES: Annotated[
+    int, Because("places", "of a tile along each side at which frames are asked whether they see it", CHOSEN)
+] = 9
 _BY: Final = 2
 """Fine cells along a coarse one's side."""
 
@@ -120,14 +127,33 @@ def levels(cells: Cells, flying_m: float) -> list[Level]:
     ]
 
 
-def seeing(frames: Sequence[Sighted], base: GroundSurface, cells: Cells) -> tuple[int, ...]:
-    """The frames that may see some of the cells."""
-    east, north = (axis[:: max(len(axis) // 4, 1)] for axis in cells.axes_m())
-    grid = np.stack(np.broadcast_arrays(east, north[:, None], base.up_at(east, north[:, None])), axis=-1)
-    found = []
-    for k, frame in enumerate(frames):
-        col, row = np.moveaxis(frame.pose.image_from_ground(frame.camera, grid), -1, 0)
+def seeing(frames: Sequence[Sighted], base: GroundSurface, tiles: Sequence[Cells]) -> NDArray[np.bool_]:
+    """Which frames see which of a grid of places of each tile: (tiles, frames, north, east)."""
+    share = np.linspace(0.0, 1.0, _PLACES)
+    west, south, east, north = (
+        np.array(ends)[:, None]
+        for ends in zip(*((a[0], b[0], a[-1], b[-1]) for a, b in (t.axes_m() for t in tiles)), strict=True)
+    )
+    at = np.broadcast_arrays(
+        (west + share * (east - west))[:, None, :], (south + share * (north - south))[:, :, None]
+    )
+    places = np.stack([*at, base.up_at(*at)], axis=-1)
+    seen = []
+    for frame in frames:
+        col, row = np.moveaxis(frame.pose.image_from_ground(frame.camera, places), -1, 0)
         size = frame.camera.width_px, frame.camera.height_px
-        if ((col >= 0.0) & (col < size[0]) & (row >= 0.0) & (row < size[1])).any():
-            found.append(k)
-    return tuple(found)
+        seen.append((col >= 0.0) & (col < size[0]) & (row >= 0.0) & (row < size[1]))
+    return np.stack(seen, axis=1)
+
+
+def _seen_part(tile: Tile, seen: NDArray[np.bool_]) -> Tile | None:
+    """The part of a tile about those of its places (north, east) that are seen, as far as the next ones."""
+    if not seen.any():
+        return None
+    ends = []
+    for axis, size in ((1, tile.rows), (0, tile.cols)):
+        at = np.flatnonzero(seen.any(axis=axis))
+        first, last = (np.array([at[0] - 1, at[-1] + 1]).clip(0, _PLACES - 1) * (size - 1)) // (_PLACES - 1)
+        ends.append((int(first), int(last - first) + 1))
+    (row, rows), (col, cols) = ends
+    return Tile(tile.row + row, tile.col + col, rows, cols)

@@ -19,7 +19,7 @@ from geomosaic.surface.costs import census_costs
 from geomosaic.surface.refinement import UNSEEN, likeness, refined
 from geomosaic.surface.sharpening import sharpened
 from geomosaic.surface.verticals import Sighted, Verticals
-from geomosaic.surface.visibility import asked_frames, hidden_from
+from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
@@ -32,6 +32,12 @@ MARGIN_CELLS: Annotated[
         CHOSEN,
     ),
 ] = 16
+_LOOKED_AT_CELLS: Annotated[
+    int,
+    Because(
+        "cells", "about a tile that are refined as well: as far as `sharpening` looks, and windows", CHOSEN
+    ),
+] = 8
 _NEAR_HEIGHTS: Annotated[
     int,
     Because(
@@ -130,7 +136,7 @@ def matched(
     """Heights of cells, by the frames that see them, two at least."""
     verticals = Verticals(search.cells, base, frames, search.lowest_m, search.highest_m)
     steps = _steps(search, verticals.base_m)
-    asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _FRAMES)
+    asked: Asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _FRAMES)
     hidden: dict[int, Floats32] = {}
     if search.about_m is not None:
         about_m = search.about_m - verticals.base_m
@@ -142,12 +148,26 @@ def matched(
     if not search.fine:
         return unseen((verticals.base_m + height_m)[inner])
     greys = [p.grey for p in pictures]
+    asked = _within(asked, MARGIN_CELLS - _LOOKED_AT_CELLS, search.cells)
     height_m, alike = refined(verticals, greys, height_m, search.step_m, asked, hidden)
-    height_m = sharpened(verticals, base, search.cells, greys, _smoothed(height_m), alike, asked)
+    height_m = sharpened(verticals, search.cells.cell_m, greys, _smoothed(height_m), alike, asked)
     alike, views, seeing = likeness(verticals, greys, height_m, asked)
     distinct = distinctness(costs, total)
     up_m = verticals.base_m + height_m
     return Heights(up_m[inner], alike[inner], views[inner], seeing[inner], distinct[inner])
+
+
+def _within(asked: Asked, margin: int, cells: Cells) -> Asked:
+    """What is asked of cells that lie further from the tile's edge than a margin."""
+    found = []
+    for at, frames in asked:
+        rows, cols = (
+            slice(max(s.start, margin), min(s.stop, n - margin))
+            for s, n in zip(at, (cells.rows, cells.cols), strict=True)
+        )
+        if rows.start < rows.stop and cols.start < cols.stop:
+            found.append(((rows, cols), frames))
+    return found
 
 
 def _steps(search: Search, base_m: Floats32) -> NDArray[np.int16]:

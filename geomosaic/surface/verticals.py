@@ -9,6 +9,7 @@ flies about as high, and what a tilt, a lens or a rolling shutter bends is left 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Annotated, Any, Final
 
@@ -67,34 +68,47 @@ class Verticals:
         frames: Sequence[Sighted],
         lowest_m: float,
         highest_m: float,
-        node_cells: int = NODE_CELLS,
     ) -> None:
         """lowest_m, highest_m: over the base, between which places are good to 0.1 px of a picture."""
-        self._cells, self._node_cells = cells, node_cells
-        self.reach_m = lowest_m, highest_m
-        down, across = (-(-n // node_cells) + 2 for n in (cells.rows, cells.cols))
-        nodes = cells.part(-node_cells, -node_cells, 0, 0)
-        east, north = Cells(nodes.west_m, nodes.south_m, cells.cell_m * node_cells, down, across).axes_m()
+        self._reach_m = lowest_m, highest_m
+        down, across = (-(-n // NODE_CELLS) + 2 for n in (cells.rows, cells.cols))
+        nodes = cells.part(-NODE_CELLS, -NODE_CELLS, 0, 0)
+        east, north = Cells(nodes.west_m, nodes.south_m, cells.cell_m * NODE_CELLS, down, across).axes_m()
         ground = np.stack(
             np.broadcast_arrays(east, north[:, None], base.up_at(east, north[:, None])), axis=-1
         )
         self.frames = tuple(frames)
-        self.base_m = self._at_cells(ground[..., 2])
         above = [float(f.pose.position_m[2] - ground[..., 2].mean()) for f in frames]
         self._away_m = np.float32(max(float(np.median(above)), 1.5 * highest_m))
-        self._terms = []
+        self._nodes_up_m = ground[..., 2]
+        self._nodes_terms = []
         for frame in frames:
             terms = self._terms_at(frame, ground) / frame.reduction
             terms[0] -= 0.5  # OpenCV counts from the first pixel's middle
-            self._terms.append([[self._at_cells(term[..., axis]) for term in terms] for axis in (0, 1)])
+            self._nodes_terms.append(np.moveaxis(terms, -1, 0))
+        self._spread(cells, NODE_CELLS)
+
+    def _spread(self, cells: Cells, node_cells: int) -> None:
+        self._cells, self._node_cells = cells, node_cells
+        self.base_m = self._at_cells(self._nodes_up_m)
+        self._terms: dict[int, list[list[Floats32]]] = {}
+
+    def finer(self, by: int) -> Verticals:
+        """The same, so many times as dense each way, from the same nodes."""
+        found, cells = copy(self), self._cells
+        fine = Cells(cells.west_m, cells.south_m, cells.cell_m / by, by * cells.rows, by * cells.cols)
+        found._spread(fine, by * self._node_cells)
+        return found
 
     def _terms_at(self, frame: Sighted, ground: Floats) -> Floats:
         """Constant, linear and square (3, nodes north, nodes east, 2) of a frame's cols and rows; of nodes
         that it doesn't see at all heights, by those near the base."""
         found = np.full((3, *ground.shape[:2], 2), np.nan)
         for share in _REACH_SHARES:
-            heights = np.linspace(*self.reach_m, 3) * share
             lacking = np.isnan(found).any(axis=(0, 3))
+            if not lacking.any():
+                break
+            heights = np.linspace(*self._reach_m, 3) * share
             points = ground[lacking] + np.array([0.0, 0.0, 1.0]) * heights[:, None, None]
             seen = frame.pose.image_from_ground(frame.camera, points)
             bent = heights / (1.0 - heights / float(self._away_m))
@@ -108,6 +122,8 @@ class Verticals:
     def places(self, frame: int, bent: Floats32, at: Block = WHOLE) -> tuple[Floats32, Floats32]:
         """Cols and rows in a frame's picture of points over the cells at a block, as bent (..., rows, cols);
         NaN where it doesn't see the point."""
+        if frame not in self._terms:
+            self._terms[frame] = [[self._at_cells(t) for t in terms] for terms in self._nodes_terms[frame]]
         found = []
         for constant, linear, square in self._terms[frame]:
             place = square[at] * bent
