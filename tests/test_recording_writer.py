@@ -11,16 +11,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from recording_scene import ARTEFACT, CAMERA, FRAMES, RECIPE, record, written
 
-from geomosaic.errors import OutputError
+from geomosaic.errors import InputError, OutputError
 from geomosaic.recording import Recorder, artefact_data, messages, read_recording, thumbnail
 from geomosaic.recording.messages import Progress
 
@@ -30,19 +32,27 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("scene") / "run.mcap")
 
 
+class JsonFactory(DecoderFactory):
+    """Protobuf, and JSON as plain values."""
+
+    def decoder_for(self, message_encoding: str, schema: Any) -> Any:
+        return json.loads if message_encoding == "json" else super().decoder_for(message_encoding, schema)
+
+
 def decoded(path: Path, topic: str) -> list:
     """Messages of a topic, decoded by mcap's own reader from the file's own schemas, CRCs checked."""
     with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[JsonFactory()])
         return [m.decoded_message for m in reader.iter_decoded_messages(topics=[topic])]
 
 
 def test_every_message_is_read_by_mcaps_own_reader_with_all_crcs(scene: Path) -> None:
     with scene.open("rb") as file:
-        reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=[JsonFactory()])
         found = list(reader.iter_decoded_messages(log_time_order=False))
     assert len(found) == 4 + 1 + 3 + 6 + 3 + 2 + 3 + 1 + 1 + 6
-    assert {channel.message_encoding for _, channel, _, _ in found} == {"protobuf"}
+    in_json = {channel.topic for _, channel, _, _ in found if channel.message_encoding != "protobuf"}
+    assert in_json == {f"/location/{status}" for status in ("observed", "tied", "placed", "rejected")}
     with scene.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         names = [a.name for a in reader.iter_attachments()]
@@ -65,11 +75,12 @@ def test_recipe_environment_and_manifest_stand_before_the_first_chunk(tmp_path: 
 
 def test_values_of_foxgloves_messages(scene: Path) -> None:
     fix = decoded(scene, "/location/observed")[1]
-    assert (fix.frame_id, fix.longitude, fix.latitude, fix.altitude) == (FRAMES[1], -91.249, 46.5005, 251.5)
-    assert list(fix.position_covariance) == [2.25, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
-    assert fix.HasField("color") and fix.color.a == 1.0
+    place = tuple(fix[name] for name in ("frame_id", "longitude", "latitude", "altitude"))
+    assert place == (FRAMES[1], -91.249, 46.5005, 251.5)
+    assert fix["position_covariance"] == [2.25, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
+    assert fix["color"]["a"] == 1.0 and fix["timestamp"]["nsec"] > 0 and fix["position_covariance_type"] == 2
     unsure = decoded(scene, "/location/tied")[0]
-    assert unsure.position_covariance_type == 0 and not unsure.position_covariance
+    assert unsure["position_covariance_type"] == 0 and not unsure["position_covariance"]
     camera = decoded(scene, "/tables/camera.FC_220")[0]
     known = dict(zip(camera.column, camera.value, strict=True))
     assert (known["principal_col_px"], known["principal_row_px"], known["k1"]) == (2001.5, 1499.25, -0.011)
@@ -109,6 +120,9 @@ def test_schemas_stand_alone_in_a_fresh_pool(scene: Path) -> None:
         "foxglove.LocationFix",
     }
     for schema in schemas:
+        if schema.encoding == "jsonschema":
+            assert json.loads(schema.data)["title"] == schema.name == "foxglove.LocationFix"
+            continue
         pool = descriptor_pool.DescriptorPool()
         for file_proto in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
             pool.Add(file_proto)
@@ -314,3 +328,21 @@ def test_thumbnails_of_sixteen_bits_are_stretched() -> None:
 def test_no_pixels_no_thumbnail() -> None:
     with pytest.raises(ValueError, match="shape"):
         thumbnail(np.zeros((0, 5, 3), np.uint8))
+
+
+def test_positions_of_recordings_of_both_encodings_are_copied(tmp_path: Path) -> None:
+    """Positions were protobuf once; a replay takes them from either."""
+    fix = LocationFix(frame_id="a.jpg", latitude=46.5, longitude=-91.25, altitude=250.0)
+    fix.color.g = 0.5
+    with Recorder(tmp_path / "old.mcap") as recorder:
+        recorder.stage_started("survey.read", 1, {}, {})
+        recorder.copy("/location/tied", "foxglove.LocationFix", fix.SerializeToString())
+    ((_, _, data),) = messages(tmp_path / "old.mcap", "foxglove.LocationFix")
+    with Recorder(tmp_path / "new.mcap") as recorder:
+        recorder.stage_started("survey.read", 1, {}, {})
+        recorder.copy("/location/tied", "foxglove.LocationFix", data)
+        for bad in (b"{", b"{}", b'{"frame_id": 3}', b"[]", b'{"frame_id": "a", "latitude": "x"}'):
+            with pytest.raises(InputError, match="is damaged"):
+                recorder.copy("/location/tied", "foxglove.LocationFix", bad)
+    (again,) = decoded(tmp_path / "new.mcap", "/location/tied")
+    assert (again["frame_id"], again["latitude"], again["color"]["g"]) == ("a.jpg", 46.5, 0.5)

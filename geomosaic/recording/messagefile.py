@@ -1,4 +1,4 @@
-"""An MCAP file of protobuf messages on one clock, written so that a killed process loses little."""
+"""An MCAP file of messages on one clock, written so that a killed process loses little."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mcap.well_known import MessageEncoding
+from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from geomosaic import __version__
 from geomosaic.errors import OutputError
+from geomosaic.recording.as_json import AS_JSON, fix_json
 
 CHUNK_BYTES = 128 * 1024
 _FIXED_STEP_NS = 1_000_000
@@ -73,7 +74,7 @@ class MessageFile:
             )
 
     def write(self, topic: str, message: Any) -> None:
-        """A protobuf message; the first on a topic settles the topic's schema."""
+        """A protobuf message; the first on a topic settles the topic's schema. JSON where `as_json` says."""
         with self._lock:
             self._written(topic, message)
 
@@ -81,13 +82,15 @@ class MessageFile:
         now = self._now_ns()
         if "timestamp" in message.DESCRIPTOR.fields_by_name:
             message.timestamp.FromNanoseconds(now)
+        schema = message.DESCRIPTOR.full_name
+        data = fix_json(message) if schema in AS_JSON else message.SerializeToString(deterministic=True)
         with self._writing():
             self._writer.add_message(
                 channel_id=self._channel_id(topic, type(message)),
                 log_time=now,
                 publish_time=now,
                 sequence=self._sequence & 0xFFFFFFFF,
-                data=message.SerializeToString(deterministic=True),
+                data=data,
             )
         self._sequence += 1
 
@@ -120,11 +123,16 @@ class MessageFile:
     def _channel_id(self, topic: str, message_class: Any) -> int:
         if topic not in self._channel_ids:
             schema = message_class.DESCRIPTOR.full_name
+            encodings = (SchemaEncoding.JSONSchema, MessageEncoding.JSON)
+            if schema not in AS_JSON:
+                encodings = (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
             if schema not in self._schema_ids:
-                descriptors = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
-                self._schema_ids[schema] = self._writer.register_schema(schema, "protobuf", descriptors)
+                described = AS_JSON.get(schema)
+                if described is None:
+                    described = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
+                self._schema_ids[schema] = self._writer.register_schema(schema, encodings[0], described)
             self._channel_ids[topic] = self._writer.register_channel(
-                topic, MessageEncoding.Protobuf, self._schema_ids[schema]
+                topic, encodings[1], self._schema_ids[schema]
             )
         return self._channel_ids[topic]
 

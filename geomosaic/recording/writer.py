@@ -22,6 +22,7 @@ from google.protobuf.message import DecodeError
 
 from geomosaic import __version__
 from geomosaic.errors import InputError
+from geomosaic.recording.as_json import AS_JSON, fix_of
 from geomosaic.recording.heartbeat import Beat, Heartbeat
 from geomosaic.recording.levels import wanted
 from geomosaic.recording.messagefile import MessageFile
@@ -234,8 +235,8 @@ class Recorder(StageCalls, StripCalls):
                 f"no stage records a '{topic_part(schema)}'", mend="replay from an earlier stage"
             )
         try:
-            message = _CLASSES[schema].FromString(data)
-        except DecodeError as error:
+            message = fix_of(data) if schema in AS_JSON else _CLASSES[schema].FromString(data)
+        except (DecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
             raise InputError(f"a {schema} is damaged", mend="replay from an earlier stage") from error
         self._write(topic, message)
 

@@ -41,8 +41,10 @@ for await (const metadata of reader.readMetadata()) {
 }
 for await (const message of reader.readMessages({ validateCrcs: true })) {
   const channel = reader.channelsById.get(message.channelId);
-  const type = typeOf(reader.schemasById.get(channel.schemaId));
-  const value = type.toObject(type.decode(message.data), { longs: Number, bytes: Array });
+  const type = channel.messageEncoding === "json" ? null : typeOf(reader.schemasById.get(channel.schemaId));
+  const value = type
+    ? type.toObject(type.decode(message.data), { longs: Number, bytes: Array })
+    : JSON.parse(new TextDecoder().decode(message.data));
   out.counts[channel.topic] = (out.counts[channel.topic] ?? 0) + 1;
   if (channel.topic !== "/artefacts" && !channel.topic.startsWith("/images")) {
     out.first[channel.topic] ??= value;
