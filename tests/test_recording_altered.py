@@ -168,3 +168,18 @@ def test_a_damaged_event_is_one_line(recorded: Path, capsys: pytest.CaptureFixtu
     said = capsys.readouterr().err
     assert code == 2 and said.count("\n") == 1 and "replayed.raise" in said
     assert not (out / "sum.txt").exists()
+
+
+def test_no_byte_of_an_artefact_ends_in_more_than_one_clear_error() -> None:
+    """A flag of encryption and a version of the container that is yet to come were faults of the program."""
+    data = encode((1, "a", np.arange(3)))
+    wrong = 0
+    for at in range(len(data)):
+        for bits in (0x01, 0x80, 0xFF):
+            spoiled = bytearray(data)
+            spoiled[at] ^= bits
+            try:
+                decode(bytes(spoiled), tuple)
+            except FileError:
+                wrong += 1
+    assert wrong > len(data)

@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 _NOT_WHOLE = (
     *(ValueError, KeyError, TypeError, IndexError, AttributeError),
-    *(zipfile.BadZipFile, EOFError, RecursionError, MemoryError),
+    *(zipfile.BadZipFile, EOFError, RuntimeError, MemoryError),  # RuntimeError: encrypted, a later version
     *(SyntaxError, tokenize.TokenError),  # of an array's header, which numpy reads as a Python literal
 )
 
