@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -46,6 +47,27 @@ def test_a_dry_run_says_what_the_run_would_take_and_leaves_nothing(
     assert "Match frames" not in said.err and all_below(survey.frames.parent) == before
 
 
+def test_a_dry_run_in_json_has_its_figures_as_numbers(
+    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["mosaic", survey.frames, "--gsd", 0.25, "--workers", 1]
+    assert geomosaic(*command, "--dry-run", "--json", "-q") == 0
+    said = capsys.readouterr()
+    plan = json.loads(said.out)
+    assert said.err == ""
+    assert plan["stages"][0] == "survey.read" and "mosaic.tif" in plan["results"]
+    assert plan["output"] == f"{survey.frames}-mosaic"
+    assert plan["metrics"]["survey"]["frames"] == 4
+    assert plan["metrics"]["placement"]["candidate_pairs"] == 6
+    found = plan["metrics"]["estimate"]
+    assert found["gsd_m"] == 0.25 and 100 < found["width_px"] < 1000
+    for name in ("disk_gb", "memory_gb", "minutes"):
+        least, most = found[name]
+        assert 0.0 < least < most, name
+    assert geomosaic(*command, "--json") == 2
+    assert "--json says what --dry-run finds" in capsys.readouterr().err
+
+
 def test_a_dry_run_refuses_what_the_run_refuses(
     survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,6 +84,13 @@ def test_a_recipe_by_name_quietly_into_a_folder_beside_the_frames(
     assert said.out == said.err == ""
     run = survey.frames.with_name("frames-quick-look")
     assert summary(run)["recipe"]["name"] == "quick look" and (run / "mosaic.tif").is_file()
+    for more in (("replay", run / "run.mcap", "-o", run.with_name("again")), ("export", "vrt", run)):
+        assert geomosaic(*more, "-q") == 0
+        said = capsys.readouterr()
+        assert said.out == said.err == "", more[0]
+    assert (run / "mosaic.vrt").is_file() and (run.with_name("again") / "mosaic.tif").is_file()
+    assert geomosaic("export", "vrt", run.with_name("nowhere"), "-q") == 2
+    assert "nowhere" in capsys.readouterr().err, "but errors"
     assert geomosaic("run", "quick_lok", survey.frames) == 2
     assert "unknown recipe 'quick_lok'; did you mean 'quick-look'?" in capsys.readouterr().err
 

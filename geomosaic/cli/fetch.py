@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.options import folder_given
+from geomosaic.cli.options import Quiet, folder_given
 
 
 def fetch(
@@ -31,6 +31,7 @@ def fetch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="replace files that are in the way or were changed here")
     ] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fetch frames, and the files that go with them, from web servers and object stores into a folder.
 
@@ -43,8 +44,10 @@ def fetch(
 
     texts = [text for s in sources for text in ([s] if is_address(s) else read_addresses(Path(s)))]
     wanted = [parsed(text, insecure) for text in texts]
-    with progress() as reporter:
+    with progress(quiet=quiet) as reporter:
         fetched = fetch_files(wanted, output, reporter, overwrite=overwrite)
+    if quiet:
+        return
     size = f"{fetched.size_bytes / 1e6:,.1f} MB"
     print(f"fetched    {len(fetched.fetched)} files, {size}; {len(fetched.there)} were there")
     if fetched.skipped:

@@ -14,6 +14,7 @@ from geomosaic.cli.options import (
     FixedTime,
     Live,
     Overwrite,
+    PlanJson,
     Private,
     PrivatePlaces,
     Quiet,
@@ -29,12 +30,11 @@ from geomosaic.cli.options import (
     record_options,
 )
 from geomosaic.cli.recipes import completed
-from geomosaic.errors import InputError, PoorResultError, UnknownNameError
+from geomosaic.cli.running import execute
+from geomosaic.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from geomosaic.pipeline.given import Given
     from geomosaic.pipeline.recipe import Recipe
-    from geomosaic.recording.levels import RecordOptions
 
 STAGES = (
     "survey.read",
@@ -158,6 +158,7 @@ def mosaic(
     overwrite: Overwrite = False,
     strict: Strict = False,
     dry_run: DryRun = False,
+    as_json: PlanJson = False,
     quiet: Quiet = False,
     record: Record = "normal",
     private: Private = False,
@@ -207,7 +208,13 @@ def mosaic(
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)
     output = output or beside(frames, "mosaic")
     recorded = record_options(record, private, private_places, live)
-    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet, "record": recorded}
+    how: dict[str, Any] = {
+        "strict": strict,
+        "dry_run": dry_run,
+        "as_json": as_json,
+        "quiet": quiet,
+        "record": recorded,
+    }
     execute(recipe, output, workers, dask, fixed_time, overwrite, **how)
 
 
@@ -243,6 +250,7 @@ def run(
     overwrite: Overwrite = False,
     strict: Strict = False,
     dry_run: DryRun = False,
+    as_json: PlanJson = False,
     quiet: Quiet = False,
     record: Record = "normal",
     private: Private = False,
@@ -285,7 +293,13 @@ def run(
         output = beside(input or (named or [file])[0], file.stem.replace("_", "-"))
     prepare([step.stage.id for step in checked.steps], workers, dask)
     recorded = record_options(record, private, private_places, live)
-    how: dict[str, Any] = {"strict": strict, "dry_run": dry_run, "quiet": quiet, "record": recorded}
+    how: dict[str, Any] = {
+        "strict": strict,
+        "dry_run": dry_run,
+        "as_json": as_json,
+        "quiet": quiet,
+        "record": recorded,
+    }
     execute(checked, output, workers, dask, fixed_time, overwrite, **how)
 
 
@@ -327,61 +341,3 @@ def prepare(stages: Iterable[str], workers: int | None, dask: str | None) -> Non
 
     if dask is None and (workers or cores()) > 1:
         prepare_workers(installed().modules(stages))
-
-
-def execute(
-    recipe: Recipe,
-    output: Path,
-    workers: int | None,
-    dask: str | None,
-    fixed_time: bool,
-    overwrite: bool = False,
-    given: Mapping[int, Given] | None = None,
-    *,
-    strict: bool = False,
-    dry_run: bool = False,
-    quiet: bool = False,
-    record: RecordOptions | None = None,
-) -> None:
-    """Runs a checked recipe with progress on stderr, and says on stdout where the results lie.
-
-    Raises: what the run raises; if strict, `PoorResultError` after it for the first shortcoming of a stage.
-    """
-    from geomosaic.cli.plan import show_plan
-    from geomosaic.cli.progress import progress
-    from geomosaic.pipeline.runner import run
-
-    with progress(quiet=quiet) as reporter:
-        if dry_run:
-            show_plan(recipe, output, reporter, workers or cores(), dask)
-            return
-        summary = run(
-            recipe,
-            output,
-            overwrite=overwrite,
-            workers=workers or cores(),
-            dask=dask,
-            fixed_time=fixed_time,
-            given=given,
-            reporter=reporter,
-            record=record,
-        )
-    if not quiet:
-        _conclude(recipe, output, summary)
-    for text in (step.stage.shortcoming(summary) for step in recipe.steps if strict):
-        if text:
-            raise PoorResultError(text)
-
-
-def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
-    from geomosaic.pipeline.recipe import RECORDING
-
-    for step in reversed(recipe.steps):
-        for name, text in step.stage.conclusions(summary):
-            print(f"{name:<10} {text}")
-    for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
-        if (output / file).exists() and not file.endswith(".aux.xml"):
-            name = "recording" if file == RECORDING else Path(file).stem
-            print(f"{name:<10} {output / file}")
-    if summary["warnings"]:
-        print(f"warnings   {len(summary['warnings'])}, see above and run.json")

@@ -95,6 +95,7 @@ PrivatePlaces = Annotated[
 ]
 Live = Annotated[bool, typer.Option("--live", help="show the run in Rerun while it is on")]
 Seed = Annotated[int | None, typer.Option(help="seed of all randomness", min=0)]
+PlanJson = Annotated[bool, typer.Option("--json", help="with --dry-run: its figures as JSON")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 

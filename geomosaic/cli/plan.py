@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Iterator
@@ -48,8 +49,11 @@ class _Listening:
         self.notes.append(text)
 
 
-def show_plan(recipe: Recipe, output: Path, reporter: Reporter, workers: int, dask: str | None) -> None:
-    """Runs the stages up to the last that looks ahead, in a folder that goes, and prints what they found.
+def show_plan(
+    recipe: Recipe, output: Path, reporter: Reporter, workers: int, dask: str | None, as_json: bool
+) -> None:
+    """Runs the stages up to the last that looks ahead, in a folder that goes, and prints what they found: for
+    people, or as JSON with numbers.
 
     Raises: what the run itself would raise up to there, `OutputError` for a place that can't be written to.
     """
@@ -57,23 +61,35 @@ def show_plan(recipe: Recipe, output: Path, reporter: Reporter, workers: int, da
 
     recipe.check_files(run_folder=output)
     ahead = [i for i, step in enumerate(recipe.steps) if step.stage.looks_ahead]
+    begun = _Begun(
+        recipe.name, recipe.description, recipe.seed, recipe.steps[: ahead[-1] + 1 if ahead else 0],
+        recipe.file, recipe,
+    )  # fmt: skip
+    listening: Any = _Listening(reporter)
+    summary: dict[str, Any] = {"metrics": {}, "warnings": []}
+    if ahead:
+        with _beside(output) as folder:
+            summary = run(begun, folder, workers=workers, dask=dask, reporter=listening)
+    if as_json:
+        plan = {
+            "stages": [step.stage.id for step in recipe.steps],
+            "results": sorted(recipe.results()),
+            "output": str(output),
+            "metrics": summary["metrics"],
+            "warnings": summary["warnings"],
+        }
+        print(json.dumps(plan, indent=2))
+        return
     names = [step.stage.display_name for step in recipe.steps]
     print(f"stages     {len(names)}: {', '.join(names)}")
     print(f"results    {', '.join(sorted(recipe.results()))}")
-    if ahead:
-        begun = _Begun(
-            recipe.name, recipe.description, recipe.seed, recipe.steps[: ahead[-1] + 1], recipe.file, recipe
-        )
-        listening: Any = _Listening(reporter)
-        with _beside(output) as folder:
-            summary = run(begun, folder, workers=workers, dask=dask, reporter=listening)
-        for step in begun.steps:
-            for name, text in step.stage.plans(summary):
-                print(f"{name:<10} {text}")
-        for text in listening.notes:
-            print(f"expected   {text}")
-        if summary["warnings"]:
-            print(f"warnings   {len(summary['warnings'])}, see above")
+    for step in begun.steps:
+        for name, text in step.stage.plans(summary):
+            print(f"{name:<10} {text}")
+    for text in listening.notes:
+        print(f"expected   {text}")
+    if summary["warnings"]:
+        print(f"warnings   {len(summary['warnings'])}, see above")
     print(f"nothing was written; without --dry-run the run goes to {output}")
 
 

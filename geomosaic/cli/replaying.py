@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geomosaic.cli.inspection import RecordingFile, recording_file
-from geomosaic.cli.options import Dask, FixedTime, Overwrite, RunFolder, Sets, Workers
+from geomosaic.cli.options import Dask, FixedTime, Overwrite, Quiet, RunFolder, Sets, Workers
 from geomosaic.errors import FileError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def replay(
             metavar="DIR", help="where the frames lie now; found by content, whatever they are called"
         ),
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Run a recorded recipe again from any stage on, taking what comes before from the recording.
 
@@ -49,7 +50,7 @@ def replay(
     frames are gone, the recorded thumbnails stand in for them. Trust a recording as you would a recipe: it
     names the files to read.
     """
-    from geomosaic.cli.mosaic import execute
+    from geomosaic.cli.running import execute
     from geomosaic.pipeline.elsewhere import at_places, found_frames
     from geomosaic.pipeline.given import given_stage, missing_inputs
     from geomosaic.recording import read_recording
@@ -69,7 +70,7 @@ def replay(
         given = at_places(given, places)
     recipe, given = _on_thumbnails(recorded, recipe, given, sets, output)
     try:
-        execute(recipe, output, workers, dask, fixed_time, overwrite, given)
+        execute(recipe, output, workers, dask, fixed_time, overwrite, given, quiet=quiet)
     except FileError as error:
         for path in missing_inputs(given.values()):
             mend = "put it back there, name its folder with --frames, or replay from a later stage"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.options import AsJson, Overwrite, Seed, Sets, Workers, cores
+from geomosaic.cli.options import AsJson, Overwrite, Quiet, Seed, Sets, Workers, cores
 from geomosaic.errors import FileError
 
 if TYPE_CHECKING:
@@ -39,7 +39,9 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
             place, more = ("out", "folder to write"), {"seed": (Seed, None), "overwrite": (Overwrite, False)}
         else:
             place, more = ("run", "folder of a finished run"), {}
-        command = command_of(stage, place, _runner(stage), {**more, "workers": (Workers, None)})
+        command = command_of(
+            stage, place, _runner(stage), {**more, "workers": (Workers, None), "quiet": (Quiet, False)}
+        )
         told = described(stage) if group == "export" and len(ids) > 1 else None
         app.command(stage.id.partition(".")[2], short_help=told)(command)
 
@@ -51,6 +53,7 @@ def _runner(stage: type[Stage]) -> Any:
         seed: int | None = None,
         workers: int | None = None,
         overwrite: bool = False,
+        quiet: bool = False,
         **options: Any,
     ) -> None:
         from geomosaic.cli.declared import params_from
@@ -61,7 +64,9 @@ def _runner(stage: type[Stage]) -> Any:
         summary, inputs = _inputs(stage, folder)
         params = params_from(stage, options)
         place = RunFolder(folder) if stage.inputs else RunFolder.opened(folder, overwrite=overwrite)
-        values, _ = _run(stage, params, place, inputs, summary, seed or 0, workers)
+        values, _ = _run(stage, params, place, inputs, summary, seed or 0, workers, quiet)
+        if quiet:
+            return
         names = {*stage.results, *(value.name for value in values.values() if isinstance(value, RunFile))}
         made = {folder / name for name in names if (folder / name).exists()}
         for path in sorted(made or _files(folder) - before) or [folder]:
@@ -96,11 +101,12 @@ def _run(
     summary: dict[str, Any],
     seed: int = 0,
     workers: int | None = None,
+    quiet: bool = False,
 ) -> tuple[dict[str, Any], Notes]:
     from geomosaic.cli.progress import progress
     from geomosaic.pipeline.single import run_stage
 
-    with tempfile.TemporaryDirectory(prefix="geomosaic-") as work, progress() as reporter:
+    with tempfile.TemporaryDirectory(prefix="geomosaic-") as work, progress(quiet=quiet) as reporter:
         return run_stage(
             stage,
             params,

@@ -7,12 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
-from geomosaic.cli.mosaic import execute, recipe_of
+from geomosaic.cli.mosaic import recipe_of
 from geomosaic.cli.options import (
     DryRun,
     FixedTime,
     Live,
     Overwrite,
+    PlanJson,
     Private,
     PrivatePlaces,
     Quiet,
@@ -25,6 +26,7 @@ from geomosaic.cli.options import (
     name_choices,
     record_options,
 )
+from geomosaic.cli.running import execute
 
 STAGES = (
     "survey.strips",
@@ -69,6 +71,7 @@ def strips(
     seed: Seed = None,
     overwrite: Overwrite = False,
     dry_run: DryRun = False,
+    as_json: PlanJson = False,
     quiet: Quiet = False,
     record: Record = "normal",
     private: Private = False,
@@ -84,5 +87,5 @@ def strips(
     recipe = recipe_of("strips", f"strips of {geometry.name}", stages, given, seed, set)
     output = output or beside(geometry, "scene")
     recorded = record_options(record, private, private_places, live)
-    how: dict[str, Any] = {"dry_run": dry_run, "quiet": quiet, "record": recorded}
+    how: dict[str, Any] = {"dry_run": dry_run, "as_json": as_json, "quiet": quiet, "record": recorded}
     execute(recipe, output, workers, None, fixed_time, overwrite, **how)

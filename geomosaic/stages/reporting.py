@@ -162,13 +162,14 @@ def params_of(context: Context, stage: type[Stage]) -> Any:
 def report_estimate(context: Context, estimate: Estimate) -> None:
     """One line and `metrics.estimate`; `OutputError` where the disk hasn't the room for the least of it.
 
-    What an earlier run left there counts as free. Memory and time depend on the workers, which results must
-    not: they are reported and not kept.
+    What an earlier run left there counts as free. Memory and time depend on the workers, which equal bytes
+    must not: with `fixed_time` they aren't kept.
     """
     left = [p.lstat() for p in context.run_folder.rglob("*")]
     before = sum(s.st_size for s in left if stat.S_ISREG(s.st_mode)) / 1e9
     free_gb = shutil.disk_usage(context.run_folder).free / 1e9
-    kept = {k: v for k, v in asdict(estimate).items() if k not in ("memory_gb", "minutes")}
+    left_out = ("memory_gb", "minutes") if context.fixed_time else ()
+    kept = {k: v for k, v in asdict(estimate).items() if k not in left_out}
     context.metric("estimate", kept | {"disk_gb": estimate.disk_gb})
     context.inform(estimate.text())
     if estimate.disk_gb[0] > free_gb + before:

@@ -1,0 +1,78 @@
+"""A checked recipe from the command line: its progress while it runs, and what it comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.cli.options import cores
+from geomosaic.errors import InputError, PoorResultError
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.given import Given
+    from geomosaic.pipeline.recipe import Recipe
+    from geomosaic.recording.levels import RecordOptions
+
+
+def execute(
+    recipe: Recipe,
+    output: Path,
+    workers: int | None,
+    dask: str | None,
+    fixed_time: bool,
+    overwrite: bool = False,
+    given: Mapping[int, Given] | None = None,
+    *,
+    strict: bool = False,
+    dry_run: bool = False,
+    as_json: bool = False,
+    quiet: bool = False,
+    record: RecordOptions | None = None,
+) -> None:
+    """Runs a checked recipe with progress on stderr, and says on stdout where the results lie.
+
+    Raises: what the run raises; if strict, `PoorResultError` after it for the first shortcoming of a stage.
+    """
+    from geomosaic.cli.plan import show_plan
+    from geomosaic.cli.progress import progress
+    from geomosaic.pipeline.runner import run
+
+    if as_json and not dry_run:
+        raise InputError(
+            "--json says what --dry-run finds", mend="add --dry-run, or read run.json after the run"
+        )
+    with progress(quiet=quiet) as reporter:
+        if dry_run:
+            show_plan(recipe, output, reporter, workers or cores(), dask, as_json)
+            return
+        summary = run(
+            recipe,
+            output,
+            overwrite=overwrite,
+            workers=workers or cores(),
+            dask=dask,
+            fixed_time=fixed_time,
+            given=given,
+            reporter=reporter,
+            record=record,
+        )
+    if not quiet:
+        _conclude(recipe, output, summary)
+    for text in (step.stage.shortcoming(summary) for step in recipe.steps if strict):
+        if text:
+            raise PoorResultError(text)
+
+
+def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
+    from geomosaic.pipeline.recipe import RECORDING
+
+    for step in reversed(recipe.steps):
+        for name, text in step.stage.conclusions(summary):
+            print(f"{name:<10} {text}")
+    for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
+        if (output / file).exists() and not file.endswith(".aux.xml"):
+            name = "recording" if file == RECORDING else Path(file).stem
+            print(f"{name:<10} {output / file}")
+    if summary["warnings"]:
+        print(f"warnings   {len(summary['warnings'])}, see above and run.json")
