@@ -48,15 +48,12 @@ class Cells:
 
     def common(self, window: Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
         """What they have in common with a window's: counted from their own first cell, and from its first."""
-        own: list[slice] = []
-        at: list[slice] = []
-        shape = window_cells(window)
-        firsts = window.row // CELL_PX - self.row, window.col // CELL_PX - self.col
-        for first, wanted, size in zip(firsts, shape, self.flags.shape, strict=True):
-            begin, end = max(first, 0), max(min(first + wanted, size), first, 0)
-            own.append(slice(begin, end))
-            at.append(slice(begin - first, end - first))
-        return (own[0], own[1]), (at[0], at[1])
+        (high, wide), (down, across) = self.flags.shape, window_cells(window)
+        row, col = window.row // CELL_PX - self.row, window.col // CELL_PX - self.col
+        top, left = max(row, 0), max(col, 0)
+        end, right = max(min(row + down, high), top), max(min(col + across, wide), left)
+        own = slice(top, end), slice(left, right)
+        return own, (slice(top - row, end - row), slice(left - col, right - col))
 
     def boxes(self, tile_px: int) -> Iterator[Window]:
         """Boxes that hold them all, each within a tile of tile_px, and none of them twice."""

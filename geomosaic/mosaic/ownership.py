@@ -166,27 +166,38 @@ def cell_px_of(scene: Scene) -> int:
 
 
 def frame_cells(
-    scene: Scene, view: FrameView, cell_px: int, beyond_px: int = 0, *, smooth: bool = False
+    scene: Scene,
+    view: FrameView,
+    cell_px: int,
+    beyond_px: int = 0,
+    *,
+    smooth: bool = False,
+    part: tuple[slice, slice] | None = None,
 ) -> FrameCells:
-    """The cells of a frame's bounds, as far as beyond_px outside the grid.
+    """The cells of a frame's bounds, as far as beyond_px outside the grid; part: some of their rows and cols.
 
     smooth: places are exact at every fourth cell each way and bilinear between, without the ground's relief.
     """
     window = bounds_window(scene.grid, view, cell_px, beyond_px)
+    down, across = part or (slice(0, window.height // cell_px), slice(0, window.width // cell_px))
     relief_m = None
-    places = _between(scene, view, window, cell_px) if smooth else None
+    places = _between(scene, view, window, cell_px, (down, across)) if smooth else None
     if places is None:
         ground = ground_of(scene, window, cell_px)
-        places, relief_m = frame_from_map(ground, view.pose, view.camera), ground.relief_m
+        places = frame_from_map(ground, view.pose, view.camera, down, across)
+        relief_m = None if ground.relief_m is None else ground.relief_m[down, across]
     cols, rows = places
-    margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(scene.grid, window, view, cell_px)
-    first = window.row // cell_px, window.col // cell_px
+    first = window.row // cell_px + down.start, window.col // cell_px + across.start
+    of_part = Window(first[1] * cell_px, first[0] * cell_px, cols.shape[1] * cell_px, cols.shape[0] * cell_px)
+    margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(scene.grid, of_part, view, cell_px)
     return FrameCells(view, *first, cols, rows, margin, away_m, relief_m)
 
 
-def _between(scene: Scene, view: FrameView, window: Window, cell_px: int) -> tuple[Floats32, Floats32] | None:
-    """Cols and rows of a window's cells between those of every fourth; None where the lens ends near the
-    frame's edge, which would be lost."""
+def _between(
+    scene: Scene, view: FrameView, window: Window, cell_px: int, part: tuple[slice, slice]
+) -> tuple[Floats32, Floats32] | None:
+    """Cols and rows of part of a window's cells between those of every fourth; None where the lens ends near
+    the frame's edge, which would be lost."""
     side, wide = _APART * cell_px, _APART
     down, across = (-(-n // side) + 2 for n in (window.height, window.width))
     around = Window(window.col - side, window.row - side, across * side, down * side)
@@ -195,9 +206,13 @@ def _between(scene: Scene, view: FrameView, window: Window, cell_px: int) -> tup
     step_px = 1.5 * side * scene.grid.gsd_m / view.gsd_m
     if (margin_px(*places, view.camera, None)[beyond_lens] > -step_px).any():
         return None
-    cells = slice(wide, wide + window.height // cell_px), slice(wide, wide + window.width // cell_px)
+    nodes = tuple(slice(of.start // wide, -(-of.stop // wide) + 2) for of in part)
+    cells = tuple(
+        slice(wide + of.start - of.start // wide * wide, wide + of.stop - of.start // wide * wide)
+        for of in part
+    )
     cols, rows = (
-        cv2.resize(a, None, fx=wide, fy=wide, interpolation=cv2.INTER_LINEAR)[cells] for a in places
+        cv2.resize(a[nodes], None, fx=wide, fy=wide, interpolation=cv2.INTER_LINEAR)[cells] for a in places
     )
     return np.ascontiguousarray(cols), np.ascontiguousarray(rows)
 
@@ -205,19 +220,51 @@ def _between(scene: Scene, view: FrameView, window: Window, cell_px: int) -> tup
 def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:
     """Each cell goes to the frame that sees it and whose nadir point is nearest: it looks down most steeply.
 
+    Frames are looked at where they are the nearest, then once more where the nearest sees nothing.
     Returns: the ownership, and the distance to that point in m, infinite where no frame sees the ground.
     """
-    grid = scene.grid
-    shape = -(-grid.height_px // cell_px), -(-grid.width_px // cell_px)
+    shape = -(-scene.grid.height_px // cell_px), -(-scene.grid.width_px // cell_px)
     nearest, owner = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.int32)
-    for view in scene.views:
-        cells = frame_cells(scene, view, cell_px, smooth=True)
-        mine = (cells.margin_px > 0.0) & (cells.distance_m < nearest[cells.of_all])
-        if (hidden := cells.hidden(cell_px)) is not None:
-            mine &= ~hidden
-        nearest[cells.of_all][mine] = cells.distance_m[mine]
-        owner[cells.of_all][mine] = view.frame + 1
-    return Ownership(grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+    windows = [bounds_window(scene.grid, view, cell_px) for view in scene.views]
+    areas = [_cells_in(window, cell_px) for window in windows]
+    for view, window, at in zip(scene.views, windows, areas, strict=True):
+        away_m = distances_m(scene.grid, window, view, cell_px)
+        np.copyto(owner[at], view.frame + 1, where=away_m < nearest[at])
+        np.minimum(nearest[at], away_m, out=nearest[at])
+    unseen = np.zeros(shape, dtype=bool)
+    for view, at in zip(scene.views, areas, strict=True):
+        mine = owner[at] == view.frame + 1
+        if (cells := _cells_of(scene, view, cell_px, mine)) is not None:
+            unseen[cells.of_all] |= (owner[cells.of_all] == view.frame + 1) & ~_shows(cells, cell_px)
+    nearest[unseen], owner[unseen] = np.inf, 0
+    for view, at in zip(scene.views, areas, strict=True):
+        if (cells := _cells_of(scene, view, cell_px, unseen[at])) is not None:
+            nearer = unseen[cells.of_all] & (cells.distance_m < nearest[cells.of_all])
+            nearer &= _shows(cells, cell_px)
+            np.copyto(nearest[cells.of_all], cells.distance_m, where=nearer)
+            owner[cells.of_all][nearer] = view.frame + 1
+    return Ownership(scene.grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+
+
+def _cells_in(window: Window, cell_px: int) -> tuple[slice, slice]:
+    """Rows and cols of a window of whole cells."""
+    row, col = window.row // cell_px, window.col // cell_px
+    return slice(row, row + window.height // cell_px), slice(col, col + window.width // cell_px)
+
+
+def _cells_of(scene: Scene, view: FrameView, cell_px: int, wanted: Bools) -> FrameCells | None:
+    """The cells about all of a frame's that are wanted, if any are."""
+    down, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
+    if not down.size:
+        return None
+    part = slice(int(down[0]), int(down[-1]) + 1), slice(int(across[0]), int(across[-1]) + 1)
+    return frame_cells(scene, view, cell_px, smooth=True, part=part)
+
+
+def _shows(cells: FrameCells, cell_px: int) -> Bools:
+    """Which cells a frame sees, and nothing hides."""
+    hidden, sees = cells.hidden(cell_px), cells.margin_px > 0.0
+    return sees if hidden is None else sees & ~hidden
 
 
 def within(ownership: Ownership, area: Area) -> Ownership:
@@ -241,8 +288,8 @@ def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]
     near, beside = np.zeros((len(owners), *around.shape), dtype=np.uint8), np.ones((3, 3), np.uint8)
     for of, number in zip(near, owners, strict=True):
         cv2.dilate((around == number).view(np.uint8), beside, of)
-    owned = functools.reduce(np.bitwise_or, [near[:, rows] for rows, _ in met])
-    owned = functools.reduce(np.bitwise_or, [owned[:, :, cols] for _, cols in met])
+    owned = functools.reduce(np.bitwise_or, [near.take(rows, axis=1) for rows, _ in met])
+    owned = functools.reduce(np.bitwise_or, [owned.take(cols, axis=2) for _, cols in met])
     return [n - 1 for n in owners], owned.view(bool)
 
 

@@ -87,7 +87,7 @@ class Planning:
         inner = np.s_[cells : gives.shape[1] - cells, cells : gives.shape[2] - cells]
         side = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
         reached = np.array([cv2.dilate(g.view(np.uint8), side) for g in gives])
-        mixed = np.add.reduce(reached, axis=0, dtype=np.uint16) > 1
+        mixed = np.add.reduce(reached, axis=0, dtype=np.min_scalar_type(len(reached))) > 1
         if mixed[inner].any():
             blended = np.zeros_like(mixed)
             blended[inner] = mixed[inner]
@@ -96,11 +96,12 @@ class Planning:
             asked = looked_at & (gives | (sees & reached.view(bool) & mixed))
         else:
             around, asked = window.grown(0), gives[:, *inner]
-        used = asked.any(axis=(1, 2))
+        used = _any_of_each(asked)
         asked = asked[used]
+        spans = zip(_spans(asked.any(axis=2)), _spans(asked.any(axis=1)), strict=True)
         parts = tuple(
-            Part(self.sources[number], _span(where.any(axis=1)), _span(where.any(axis=0)))
-            for number, where in zip(itertools.compress(giving, used), asked, strict=True)
+            Part(self.sources[number], rows, cols)
+            for number, (rows, cols) in zip(itertools.compress(giving, used), spans, strict=True)
         )
         return Planned(Step(window, around, self.reach_px, parts), asked)
 
@@ -113,7 +114,7 @@ class Planning:
         """
         numbers, own = owned_cells(self.ownership, window)
         somewhere, everywhere = self._seen(numbers, window)
-        own &= somewhere.any(axis=(1, 2), keepdims=True)
+        own &= _any_of_each(somewhere)[:, None, None]
         sure = np.logical_or.reduce(own) & ~np.logical_or.reduce(own & ~everywhere)
         gives = somewhere & own
         if not sure.all():
@@ -124,7 +125,7 @@ class Planning:
             side = 2 * (self.halo_px // CELL_PX) + 1
             inside = self.ownership.area.cells(self.ownership.grid, window, CELL_PX)
             gives &= cv2.dilate(inside.view(np.uint8), np.ones((side, side), np.uint8)).view(bool)
-        some = gives.any(axis=(1, 2))
+        some = _any_of_each(gives)
         return list(itertools.compress(numbers, some)), somewhere[some], gives[some]
 
     def _with_nearest(
@@ -187,20 +188,30 @@ class Asking:
 
     def add(self, planned: Planned) -> None:
         """One step more."""
-        for part, cells in zip(planned.step.parts, planned.asked, strict=True):
-            own, at = self._of(part.source.number).common(planned.step.around)
-            self._of(part.source.number).flags[own] |= cells[at]
+        for part, wanted in zip(planned.step.parts, planned.asked, strict=True):
+            cells = self._of(part.source.number)
+            own, at = cells.common(planned.step.around)
+            cells.flags[own] |= wanted[at]
 
     def cells(self) -> dict[int, Cells]:
         """Of the frames that are asked for anything, in their order."""
         return dict(sorted(self._asked.items()))
 
     def _of(self, number: int) -> Cells:
-        seen = self._seen[number]
-        return self._asked.setdefault(number, Cells(seen.row, seen.col, np.zeros_like(seen.somewhere)))
+        if number not in self._asked:
+            seen = self._seen[number]
+            self._asked[number] = Cells(seen.row, seen.col, np.zeros_like(seen.somewhere))
+        return self._asked[number]
 
 
-def _span(any_in: NDArray[np.bool_]) -> slice:
-    """From the first cell in use to the last one, as pixels."""
-    used = np.flatnonzero(any_in)
-    return slice(int(used[0]) * CELL_PX, (int(used[-1]) + 1) * CELL_PX)
+def _any_of_each(flags: Bools) -> Bools:
+    """Whether any is, of each of (k, h, w)."""
+    k, h, w = flags.shape
+    return np.asarray(flags.reshape(k, h * w).any(axis=1))
+
+
+def _spans(any_in: Bools) -> list[slice]:
+    """Of each (k, n) from the first cell in use to the last one, as pixels."""
+    first, left = any_in.argmax(axis=1), any_in[:, ::-1].argmax(axis=1)
+    ends = zip(first.tolist(), (any_in.shape[1] - left).tolist(), strict=True)
+    return [slice(a * CELL_PX, b * CELL_PX) for a, b in ends]

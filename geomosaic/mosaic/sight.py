@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import decode, may_be_masked
-from geomosaic.mosaic.ownership import frame_cells
-from geomosaic.mosaic.scene import CELL_PX, Scene, margin_px
+from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
 from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Window
+from geomosaic.projection.warp import frame_from_map
 from geomosaic.survey.model import Frame
 
 Floats32 = NDArray[np.float32]
@@ -71,26 +71,30 @@ def cells_in_view(
     scene: Scene, view: FrameView, beyond_px: int = 0, mask_distance_px: Floats32 | None = None
 ) -> SeenCells:
     """What a frame sees by its pose, and its mask if that is given, as far as beyond_px outside the grid."""
-    cells = frame_cells(scene, view.widened(), CELL_PX, beyond_px)
-    margin = cells.margin_px
-    if mask_distance_px is not None:
-        margin = margin_px(cells.cols_px, cells.rows_px, view.camera, mask_distance_px)
-    slack = _change_within(cells.cols_px, cells.rows_px, CELL_PX * scene.grid.gsd_m / view.gsd_m)
-    somewhere, everywhere = margin > -slack, margin > slack
+    window = bounds_window(scene.grid, view.widened(), CELL_PX, beyond_px)
+    cols, rows = frame_from_map(ground_of(scene, window, CELL_PX), view.pose, view.camera)
+    margin = margin_px(cols, rows, view.camera, mask_distance_px)
+    slack = _change_within(cols, rows, CELL_PX * scene.grid.gsd_m / view.gsd_m)
+    everywhere = margin > slack
+    somewhere = margin > np.negative(slack, out=slack)
     if view.hidden is not None:
-        window = cells.window(CELL_PX)
         somewhere &= view.hidden.widened(-1).share(window, CELL_PX) < 1.0
         everywhere &= view.hidden.widened(1).share(window, CELL_PX) == 0.0
-    return SeenCells(cells.row, cells.col, somewhere, everywhere)
+    return SeenCells(window.row // CELL_PX, window.col // CELL_PX, somewhere, everywhere)
 
 
 def _change_within(cols: Floats32, rows: Floats32, expected_px: float) -> Floats32:
     """Bound on how far the image moves between a cell's middle and its corners, (h, w)."""
-    most = np.full(cols.shape, expected_px, dtype=np.float32)
-    for axis in (0, 1):
-        with np.errstate(over="ignore"):
-            step = np.sqrt(np.square(np.diff(cols, axis=axis)) + np.square(np.diff(rows, axis=axis)))
-        along, step = np.moveaxis(most, axis, 0), np.moveaxis(step, axis, 0)
-        for at in (along[:-1], along[1:]):
-            np.fmax(at, step, out=at)
-    return most + np.float32(1.0)
+    most = np.zeros(cols.shape, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        for before, after in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+            step, down = cols[after] - cols[before], rows[after] - rows[before]
+            step *= step
+            down *= down
+            step += down
+            for at in (most[before], most[after]):
+                np.fmax(at, step, out=at)
+    np.sqrt(most, out=most)
+    np.maximum(most, np.float32(expected_px), out=most)
+    most += np.float32(1.0)
+    return most
