@@ -18,7 +18,7 @@ from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.compare import compare
-from geomosaic.report.parts import map_footprints_m
+from geomosaic.report.frame_layers import map_footprints_m
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 CAMERA = Camera("v1.0 dji fc300s", 1000, 750, 1000.0, 497.5, 380.0, k1=-0.0123, focal_length_sd_px=10.0)

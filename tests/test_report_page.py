@@ -18,7 +18,8 @@ from geomosaic.export.orientation import orientations
 from geomosaic.pipeline.stage import Context
 from geomosaic.report.frames import render_report
 from geomosaic.report.glance import glance
-from geomosaic.report.parts import frame_rows
+from geomosaic.report.parts import frame_table
+from geomosaic.report.warnings import warnings_of
 from geomosaic.stages.export_report import ExportReport
 from geomosaic.stages.quality_compare import QualityCompare
 
@@ -69,7 +70,7 @@ def test_the_page_is_whole_and_says_what_a_surveyor_asks(html):
         "focal length", "1000.00", "CCIR", "geomosaic replay run.mcap", "nadir point", "time taken", "11.0 s",
     ):  # fmt: skip
         assert wanted in words, wanted
-    assert words.index("no tie points") < words.index("The mosaic")
+    assert words.index("Not judged") < words.index("Map and frames") < words.index("no tie points")
     targets = {a.get("id") for _, a in page.tags}
     links = [a["href"] for t, a in page.tags if t == "a"]
     assert links and all(link.startswith("#") and link[1:] in targets for link in links)
@@ -95,8 +96,8 @@ def test_nothing_is_fetched_and_nothing_foreign_is_run(html):
     assert "default-src 'none'" in html
     sources = [a[k] for _, a in page.tags for k in ("src", "href") if a.get(k)]
     assert all(s.startswith(("data:image/", "#")) for s in sources)
-    assert "@import" not in html and "url(" not in html
-    assert [t for t, _ in page.tags].count("script") == 1
+    assert "@import" not in html and "url(" not in html[: html.index("</style>")]
+    assert not any(t in ("link", "iframe", "object", "base") for t, _ in page.tags)
     assert not any(k.startswith("on") for _, a in page.tags for k in a)
 
 
@@ -110,24 +111,49 @@ def test_strangers_names_are_shown_as_they_are(html):
 def test_the_score_form_asks_each_criterion_at_five_levels(html):
     page = Page(html)
     radios = [a for t, a in page.tags if t == "input" and a.get("type") == "radio"]
-    (form,) = [a for t, a in page.tags if t == "form"]
+    (form,) = [a for t, a in page.tags if t == "form" and a["id"] == "scores"]
+    assert form["data-run"].startswith("run"), "the folder's name"
     names = form["data-criteria"].split()
     assert {a["name"] for a in radios} == {f"score-{n}" for n in names}
     for name in names:
         assert [a["value"] for a in radios if a["name"] == f"score-{name}"] == list("54321")
 
 
-def test_moved_and_turned_are_measured_from_the_prior(run):
-    rows = frame_rows(
+def test_the_table_measures_from_the_prior(run):
+    table = frame_table(
         run["placement"],
         run["ties"],
+        run["adjusted"],
         orientations(run["survey"], run["placement"].poses, run["adjusted"]),
+        {"DJI_0006.JPG": 3},
     )
-    moved = run["adjusted"].poses.positions_m[5] - run["placement"].poses.positions_m[5]
-    assert rows[5].moved_m == pytest.approx(float(np.sqrt((moved**2).sum())))
-    assert 0.0 < rows[5].turned_deg < 4.0
-    assert rows[-1].status == "placed" and rows[-1].ties == 0
-    assert sum(r.ties for r in rows) == 2 * sum(len(p) for p in run["ties"].pairs)
+    name, status, residual, moved, turned, _, ties, warned, line = table.rows[5].cells
+    prior, after = run["placement"].poses.positions_m[5], run["adjusted"].poses.positions_m[5]
+    assert float(moved.by) == pytest.approx(float(np.linalg.norm(after - prior)), rel=1e-5)
+    assert 0.0 < float(turned.by) < 4.0 and (name.text, status.text) == ("DJI_0006.JPG", "tied")
+    assert float(residual.by) == pytest.approx(0.04 * np.sqrt(2.0) / 0.1, rel=0.15)
+    assert (warned.by, line.by) == ("3", "1") and float(ties.by) > 0.0
+    last = table.rows[-1]
+    assert last.kind == "placed" and last.cells[6].by == "0" and last.cells[2].text == "–"
+    assert sum(int(r.cells[6].by) for r in table.rows) == 2 * sum(len(p) for p in run["ties"].pairs)
+
+
+def test_equal_warnings_are_counted_and_routine_ones_folded(run):
+    one = {"code": "frame-turned", "text": "righted here"}
+    given = [{**one, "frame": f"{i}.jpg"} for i in range(6)]
+    given.append({"code": "frame-damaged", "frame": "7.jpg", "text": "no end"})
+    given.append({"code": "shutter-doubtful", "frame": "", "text": "frames turn"})
+    told = warnings_of({"warnings": given})
+    assert [w.code for w in told.severe] == ["frame damaged"] and [w.code for w in told.look] == [
+        "shutter doubtful"
+    ]
+    assert [(w.count, len(w.frames)) for w in told.routine] == [(6, 6)] and told.frames == {"7.jpg": 1}
+    html = render_report(**{**run, "summary": {**run["summary"], "warnings": given}})
+    words = " ".join(Page(html).words.split())
+    assert (
+        words.index("The map suffers from this") < words.index("Worth a look") < words.index("1 routine note")
+    )
+    assert "× 6" in words and words.count("righted here") == 1
 
 
 def test_the_plain_run_without_reference_rounds_or_ties(run):
@@ -138,7 +164,7 @@ def test_the_plain_run_without_reference_rounds_or_ties(run):
     words = " ".join(page.words.split())
     assert "No warnings." in words and "Not judged" in words
     assert "Accuracy against the reference" not in words
-    assert "time taken" not in words and "Time" not in words
+    assert "time taken" not in words and "memory so far" not in words
     assert not re.search(r"\bnan\b", words)
 
 
@@ -148,7 +174,7 @@ def test_a_thousand_frames_stay_below_five_megabytes(tmp_path):
     run["summary"]["warnings"] = [{**one, "frame": f"DJI_{i}.JPG"} for i in range(1000)]
     html = render_report(**run)
     assert len(html.encode()) < 5e6
-    assert "995 more" in html and "The rest is in run.json." in html
+    assert "× 1000" in html and "The rest is in run.json." in html
 
 
 def test_the_glance_knows_its_place_and_area(tmp_path):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from defusedxml.ElementTree import fromstring
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.report.map_plots import network_map, vector_map
+from geomosaic.report.numbers import by_deviation, duration, percent, short, signed, whole
 from geomosaic.report.plots import Axis, Series, bar_plot, histogram, line_plot
-from geomosaic.report.svg import nice_ticks, short, tick_texts
+from geomosaic.report.svg import nice_ticks, tick_texts
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -52,6 +50,15 @@ def test_short_numbers(value, text):
     assert short(2.5, "m") == "2.50\u00a0m"
 
 
+def test_all_other_numbers_are_written_by_the_same_rule():
+    assert signed(0.01234, "m") == "+0.0123\u00a0m" and signed(-3.0) == "-3.00" and signed(0.0) == "0"
+    assert signed(float("nan")) == "–" and whole(1234567) == "1\u202f234\u202f567"
+    assert percent(0.12345) == "12.3\u00a0%" and percent(None) == "–" and percent(1.0) == "100\u00a0%"
+    assert duration(0.0005) == "< 0.01\u00a0s" and duration(11.01) == "11.0\u00a0s"
+    assert duration(131.9) == "2\u00a0min 11\u00a0s"
+    assert [by_deviation(sd) for sd in (0.0042, 4.9, 250.0)] == [4, 1, 0]
+
+
 def test_a_line_goes_where_its_values_say():
     plot = line_plot(
         [Series("a", [0.0, 10.0], [0.0, 4.0], marks=False)], Axis("x", "s"), Axis("y", "m"), label="l"
@@ -85,32 +92,11 @@ def test_histogram_counts_and_tells_of_what_lies_beyond():
     assert any("beyond" in (t.text or "") and "40" in t.text for t in root.iter(f"{SVG}text"))
 
 
-def test_vectors_point_where_they_should():
-    at = np.array([[0.0, 0.0], [100.0, 50.0]])
-    plot = vector_map(at, np.array([[2.0, 0.0], [0.0, 2.0]]), label="l")
-    paths = [p for p in fromstring(plot).iter(f"{SVG}path") if p.get("stroke")]
-    first, second = ([float(v) for v in re.findall(r"-?[\d.]+", p.get("d"))][:4] for p in paths[:2])
-    assert first[2] - first[0] == pytest.approx(48.0, abs=0.1) and first[3] == first[1]
-    assert second[3] - second[1] == pytest.approx(-48.0, abs=0.1) and second[2] == second[0]
-    assert second[0] > first[0] and second[1] < first[1]
-    assert "arrow: 2 m" in plot
-
-
-def test_many_vectors_are_thinned_and_it_is_said():
-    at = np.random.default_rng(1).uniform(0, 1000, (5000, 2))
-    plot = vector_map(at, np.ones((5000, 2)), label="l", most=500)
-    assert "500 of 5000 shown" in plot and len(plot) < 200_000
-
-
 def test_nothing_to_draw_is_still_an_image():
-    none = np.empty((0, 2))
     for plot in (
         line_plot([], Axis("x"), Axis("y"), label="l"),
         bar_plot([], [], Axis("x"), label="l"),
         histogram([], Axis("x"), label="l"),
-        vector_map(none, none, label="l"),
-        vector_map(np.zeros((1, 2)), np.zeros((1, 2)), label="l"),
-        network_map(np.zeros((1, 2)), np.empty((0, 2), dtype=int), np.empty(0), label="l", what="ties"),
     ):
         assert "nan" not in plot and fromstring(plot).tag == f"{SVG}svg"
 
@@ -120,7 +106,6 @@ def test_strangers_names_stay_text():
     plots = [
         line_plot([Series(bad, [0, 1], [0, 1])] * 2, Axis(bad), Axis("y"), label=bad),
         bar_plot([bad], [1.0], Axis("x"), label=bad),
-        network_map(np.eye(2), np.array([[0, 1]]), np.ones(1), label=bad, what=bad, names=[bad, "b"]),
     ]
     for plot in plots:
         assert "<script" not in plot

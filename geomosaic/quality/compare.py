@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import rasterio
@@ -17,7 +17,7 @@ from rasterio.windows import Window
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import FileError, InputError
 from geomosaic.matching.displacement import Displacements, measure_displacements
-from geomosaic.quality.figures import Figures, figures, touching_patches
+from geomosaic.quality.figures import Figures, Similarity, figures, touching_patches
 from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
 from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, pooled, ssim_maps
 
@@ -33,6 +33,15 @@ _BLOCK_PX: Annotated[
         CHOSEN,
     ),
 ] = 1536
+_FAR_SCALE: Annotated[
+    float,
+    Because(
+        "share",
+        "a similarity that changes scale by more is none of two images of the same ground: few patches, "
+        "matched by chance",
+        CHOSEN,
+    ),
+] = 0.2
 _GLANCE_PX: Annotated[
     int,
     Because(
@@ -51,7 +60,8 @@ class Comparison:
     vectors_m: (n, 4) easting and northing of the patch in the reference, displacement east and north.
     vectors_sd_px: (n,) standard deviation of each. overlap_share: valid pixels the reference covers.
     ssim_cells: (rows, cols) mean SSIM of cells of ssim_cell_m from the top left corner (west_m,
-    north_m), NaN where nothing is valid.
+    north_m), NaN where nothing is valid. ssim_registered: after the best similarity, which takes out a shift,
+    turn and scale that are told as displacements; None where too little was measured for one.
     """
 
     mosaic: str
@@ -70,6 +80,7 @@ class Comparison:
     ssim_cell_m: float
     west_m: float
     north_m: float
+    ssim_registered: SsimTerms | None = None
 
 
 def compare(
@@ -123,7 +134,30 @@ def compare(
         t = a.transform
         affine = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f]]) * metres
         names = mosaic.name, reference.name
-        return _assembled(parts, names, a.crs.to_string(), a.shape, affine, gsd_m, sizes)
+        found = _assembled(parts, names, a.crs.to_string(), a.shape, affine, gsd_m, sizes)
+        over = registered(a.transform, found.figures.similarity, metres)
+        if over is None:
+            return found
+        moved = stack.enter_context(on_grid_of(a, b, reference, over))
+        again = pooled([_ssim_of(a, moved, block, tones) for block in windows])
+        return replace(found, ssim_registered=again if again.pixels else None)
+
+
+def registered(mosaic_px: rasterio.Affine, similarity: Similarity, metres: float) -> rasterio.Affine | None:
+    """The mosaic's grid as it lies in the reference: from col and row to the map, in its units of so many
+    metres. None where there is no similarity, or it isn't one of two images of the same ground.
+    """
+    s = similarity
+    if not (np.isfinite(s.scale) and abs(s.scale - 1.0) < _FAR_SCALE):
+        return None
+    centre = np.array([s.centre_east_m, s.centre_north_m]) / metres
+    shift = np.array([s.shift_east_m, s.shift_north_m]) / metres
+    cosine, sine = np.cos(s.rotation_rad) / s.scale, np.sin(s.rotation_rad) / s.scale
+    at = np.array([mosaic_px.c, mosaic_px.f]) - centre - shift
+    back = np.array([[cosine, sine], [-sine, cosine]])
+    (a, b), (d, e) = (back @ [[mosaic_px.a, mosaic_px.b], [mosaic_px.d, mosaic_px.e]]).tolist()
+    west, north = (back @ at + centre).tolist()
+    return rasterio.Affine(a, b, west, d, e, north)
 
 
 @dataclass(frozen=True)
@@ -159,11 +193,7 @@ def _compare_block(
 ) -> _Part:
     """Patches that begin in the block and SSIM of its pixels, read with a margin around it."""
     outer = grown(block, max(sizes.search_px + sizes.patch_px, WINDOW_PX), mosaic.height, mosaic.width)
-    image, image_valid = read_luma(mosaic, outer)
-    if image_valid.any():
-        reference, reference_valid = read_luma(pair, outer)
-    else:
-        reference, reference_valid = np.zeros_like(image), np.zeros_like(image_valid)
+    image, image_valid, reference, reference_valid = _both(mosaic, pair, outer)
     both = image_valid & reference_valid
     row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
     inner = np.s_[row : row + block.height, col : col + block.width]
@@ -188,6 +218,25 @@ def _compare_block(
         block.row_off // sizes.step_px,
         block.col_off // sizes.step_px,
     )
+
+
+def _both(mosaic: rasterio.DatasetReader, pair: WarpedVRT, window: Window) -> tuple[Any, Any, Any, Any]:
+    """Luma and valid pixels of both; the reference isn't read where the mosaic shows nothing."""
+    image, valid = read_luma(mosaic, window)
+    if valid.any():
+        return image, valid, *read_luma(pair, window)
+    return image, valid, np.zeros_like(image), np.zeros_like(valid)
+
+
+def _ssim_of(mosaic: rasterio.DatasetReader, pair: WarpedVRT, block: Window, tones: _Tones) -> SsimTerms:
+    """SSIM of a block's pixels."""
+    outer = grown(block, WINDOW_PX, mosaic.height, mosaic.width)
+    image, image_valid, reference, reference_valid = _both(mosaic, pair, outer)
+    row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
+    inner = np.s_[row : row + block.height, col : col + block.width]
+    both = image_valid & reference_valid
+    maps = ssim_maps(image * tones.gain + tones.offset, reference, both, tones.span).cut(inner)
+    return mean_terms(maps, tones.gain, tones.offset)
 
 
 def _assembled(

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from rasterio import Affine
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
@@ -46,14 +47,14 @@ def pixel_m(dataset: Raster, path: Path) -> tuple[float, float]:
     return float(np.sqrt(abs(dataset.transform.determinant))) * metres, metres
 
 
-def on_grid_of(mosaic: Raster, other: Raster, path: Path) -> WarpedVRT:
-    """The other raster (cubic) on the mosaic's grid; `path` names it in errors."""
+def on_grid_of(mosaic: Raster, other: Raster, path: Path, transform: Affine | None = None) -> WarpedVRT:
+    """The other raster (cubic) on the mosaic's grid, or another of its size; `path` names it in errors."""
     alpha = ColorInterp.alpha in other.colorinterp
     try:
         return WarpedVRT(
             other,
             crs=mosaic.crs,
-            transform=mosaic.transform,
+            transform=mosaic.transform if transform is None else transform,
             width=mosaic.width,
             height=mosaic.height,
             resampling=Resampling.cubic,

@@ -1,4 +1,4 @@
-"""How a mosaic compares with a reference: figures in words, displacements as a map, likeness as an image."""
+"""How a mosaic compares with a reference: figures in words, likeness as an image."""
 
 from __future__ import annotations
 
@@ -7,23 +7,7 @@ import numpy as np
 
 from geomosaic.quality.compare import Comparison
 from geomosaic.report.glance import data_uri
-from geomosaic.report.map_plots import vector_map
-from geomosaic.report.svg import short
-
-
-def comparison_map(comparison: Comparison, after_similarity: bool) -> str:
-    """The displacement vectors, as measured or as the best similarity leaves them, in pixels."""
-    at, vector = comparison.vectors_m[:, :2], comparison.vectors_m[:, 2:]
-    label = "displacement of the mosaic against the reference"
-    if after_similarity:
-        s = comparison.figures.similarity
-        if not np.isfinite(s.scale):
-            return ""
-        about = (at - [s.centre_east_m, s.centre_north_m]) @ [1.0, 1.0j]
-        turned = (s.scale * np.exp(1j * s.rotation_rad) - 1.0) * about
-        vector = vector - np.stack([turned.real, turned.imag], axis=-1) - [s.shift_east_m, s.shift_north_m]
-        label += ", after the best similarity"
-    return vector_map(at, vector, unit="px", unit_per_m=1.0 / comparison.gsd_m, label=label)
+from geomosaic.report.numbers import percent, short, signed, whole
 
 
 def ssim_image(comparison: Comparison) -> str:
@@ -43,7 +27,7 @@ def ssim_image(comparison: Comparison) -> str:
 def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
     """The figures: name, value, what it means."""
     f, s = c.figures, c.figures.similarity
-    turn = f"{np.degrees(s.rotation_rad) * 3600:+.0f}″" if np.isfinite(s.rotation_rad) else "–"
+    turn = signed(float(np.degrees(s.rotation_rad)) * 3600.0, "″")
     return [
         (
             "absolute RMSE",
@@ -53,14 +37,14 @@ def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
         ("CE90", short(f.ce90_m, "m"), "90 % of the displacements are shorter"),
         (
             "mean displacement",
-            f"{f.mean_east_m:+.3f} m east, {f.mean_north_m:+.3f} m north",
+            f"{signed(f.mean_east_m, 'm')} east, {signed(f.mean_north_m, 'm')} north",
             "mosaic minus reference; what a single shift would mend",
         ),
         (
             "RMSE after similarity",
             f"{short(f.after_similarity_px, 'px')} ({short(f.after_similarity_m, 'm')})",
             f"what is left after the best shift, turn and scale: the mosaic in itself. "
-            f"Scale {s.scale:.6f}, turn {turn}",
+            f"Scale {signed(1e6 * (s.scale - 1.0), 'ppm')}, turn {turn}",
         ),
         (
             "jump, 99 %",
@@ -69,14 +53,27 @@ def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
         ),
         (
             "patches measured",
-            f"{f.measured:,} of {f.asked:,} ({100 * f.share_measured:.1f} %)",
+            f"{whole(f.measured)} of {whole(f.asked)} ({percent(f.share_measured)})",
             f"patches of {c.patch_px} px every {c.step_px} px, searched within {c.search_px} px",
         ),
+        *_ssim_rows(c),
+        ("overlap", percent(c.overlap_share), "share of the mosaic that the reference covers"),
+    ]
+
+
+def _ssim_rows(c: Comparison) -> list[tuple[str, str, str]]:
+    """As the two lie, and after registration: the first falls with a shift of a pixel that nobody sees."""
+    told = [("SSIM as it lies", c.ssim, "falls with any shift against the reference")]
+    if c.ssim_registered is not None:
+        told.insert(
+            0, ("SSIM", c.ssim_registered, "after registration: the best shift, turn and scale taken out")
+        )
+    return [
         (
-            "SSIM",
-            short(c.ssim.ssim),
-            f"luminance {short(c.ssim.luminance)}, contrast {short(c.ssim.contrast)}, "
-            f"structure {short(c.ssim.structure)}",
-        ),
-        ("overlap", f"{100 * c.overlap_share:.1f} %", "share of the mosaic that the reference covers"),
+            name,
+            short(terms.ssim),
+            f"{words}; luminance {short(terms.luminance)}, contrast {short(terms.contrast)}, "
+            f"structure {short(terms.structure)}",
+        )
+        for name, terms, words in told
     ]

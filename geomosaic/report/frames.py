@@ -1,17 +1,17 @@
-"""The report: one self-contained HTML page for people, without a network or (but for the form) a script."""
+"""The report of frames: one self-contained HTML page for people, without a network."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
+import numpy as np
 from pyproj import CRS
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import orientations
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
@@ -21,25 +21,31 @@ from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report import parts
-from geomosaic.report.comparison import comparison_map, comparison_rows, ssim_image
-from geomosaic.report.glance import glance
-from geomosaic.report.overview import overview
-from geomosaic.report.page import Fact, length, markup, part, plural, render
+from geomosaic.report.comparison import comparison_rows, ssim_image
+from geomosaic.report.frame_layers import FrameLayers, map_footprints_m
+from geomosaic.report.glance import Glance, glance
+from geomosaic.report.layers import MapImage, MapView, box_of
+from geomosaic.report.map_images import overlap_image
+from geomosaic.report.numbers import length, plural, short, whole
+from geomosaic.report.page import Fact, Shown, markup, part, render
 from geomosaic.report.solved import solved_section
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.report.surface import SurfaceSection
-from geomosaic.report.svg import short
 from geomosaic.report.verdict import verdict_section
+from geomosaic.report.warnings import warnings_of
 from geomosaic.survey.model import Survey
 
-_MOST_ROWS = 3000
-
 _GROUND = {"flat": "flat ground", "dem": "the DEM", "tie_surface": "the tie points' surface"}
-_STATUS = {
-    "tied": "joined to its neighbours by tie points",
-    "placed": "placed by its position and attitude alone",
-    "rejected": "left out of the mosaic",
-}
+_FEW = 60
+"""Frames whose outlines and names don't yet hide the mosaic."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Other images of the mosaic's ground, to be swiped over it: by POS alone, and the reference."""
+
+    given: Glance | None = None
+    reference: Glance | None = None
 
 
 def render_report(
@@ -54,6 +60,7 @@ def render_report(
     comparison: Comparison | None = None,
     verdict: Verdict | None = None,
     surface: SurfaceSection | None = None,
+    beside: Beside = Beside(),
 ) -> str:
     """The page's HTML.
 
@@ -65,65 +72,95 @@ def render_report(
         summary: what run.json holds (`frames`, `warnings`, `timings_s`, `peak_memory_mb`, `metrics`,
             `recipe`, `versions`); missing keys are left out of the page.
     """
-    names = tuple(f.name for f in survey.frames)
     image = glance(mosaic_file)
-    footprints_m = parts.map_footprints_m(survey, adjusted)
-    nadir_m = map_from_work(survey, adjusted.poses.positions_m)
-    drawn = overview(
-        image, footprints_m, nadir_m, placement.lines, placement.sequence, adjusted.status, names
-    )
-    pairs = pair_misalignments(ties, adjusted.residuals_m)
+    footprints_m = map_footprints_m(survey, adjusted)
     orientation = orientations(survey, placement.poses, adjusted)
-    rows = parts.frame_rows(placement, ties, orientation)
-    ground = _ground(adjusted, summary)
-    svg = markup
     judged = verdict_section(survey, verdict)
+    ground = _ground(adjusted, summary)
+    origin = np.array([mosaic.grid.west_m, mosaic.grid.south_m])
+    pixel_m = mosaic.grid.gsd_m * mosaic.grid.width_px / image.width_px
+    drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
+    begin = Shown(
+        title="Mosaic of " + plural(len(survey.frames), "frame"),
+        run=mosaic_file.absolute().parent.name,
+        judged=judged.judged,
+        image=image,
+        caption="North is up. The full image is mosaic.tif.",
+        facts=_facts(survey, placement, ties, adjusted, mosaic, summary, image.covered_m2),
+        map_view=MapView(
+            (float(origin[0]), float(origin[1])),
+            ("E", "N"),
+            False,
+            "m",
+            True,
+            box_of(image, origin),
+            _images(image, origin, footprints_m, comparison, surface, beside),
+            drawn.all(mosaic, None if verdict is None else verdict.seams, comparison),
+        ),
+        table=parts.frame_table(placement, ties, adjusted, orientation, warnings_of(summary).frames),
+    )
     return render(
         "frames.html",
         summary,
-        _facts(survey, placement, ties, adjusted, mosaic, summary, image.covered_m2),
+        begin,
         form_script=part("score_form.js"),
-        title="Mosaic of " + plural(len(names), "frame"),
-        verdict=judged.lead,
         surface=surface,
         surface_css=part("surface.css"),
         surface_script=part("surface_profile.js"),
         judged=judged,
-        overview=svg(drawn),
-        crowded=len(names) > 60,
+        crowded=len(survey.frames) > _FEW,
         composition_rows=parts.composition_rows(summary.get("metrics", {})),
         comparison=comparison,
         comparison_rows=comparison_rows(comparison) if comparison else [],
-        comparison_maps=_comparison_maps(comparison) if comparison else [],
-        ssim_uri=ssim_image(comparison) if comparison else "",
-        ssim_width_px=_heat_width_px(comparison) if comparison else 0,
         before=parts.misaligned_px(adjusted, 0, placement.ground_pixel_m) if adjusted.rounds else None,
-        rounds=svg(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
-        moves=svg(parts.moves_map(survey, placement, adjusted, footprints_m)),
-        graph=svg(parts.ties_map(survey, ties, adjusted)),
-        residuals=svg(parts.residuals_plot(adjusted, placement.ground_pixel_m)),
-        worst_pairs=parts.worst_pairs(survey, pairs),
-        frames=rows[:_MOST_ROWS],
-        frames_left_out=max(0, len(rows) - _MOST_ROWS),
-        status_words=_STATUS,
+        rounds=markup(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
+        residuals=markup(parts.residuals_plot(adjusted, placement.ground_pixel_m)),
+        worst_pairs=parts.worst_pairs(survey, pair_misalignments(ties, adjusted.residuals_m)),
         control=parts.control_tables(adjusted),
-        solved=solved_section(survey, placement, adjusted, orientation, footprints_m, ground),
+        solved=solved_section(survey, placement, adjusted, ground),
         cameras=parts.camera_rows(survey, adjusted),
         levels=CCIR_500_1,
         criteria=CRITERIA,
     )
 
 
-def _comparison_maps(comparison: Comparison) -> list[tuple[str, Markup]]:
-    if not len(comparison.vectors_m):
-        return []
-    titles = (("As measured", False), ("After the best shift, turn and scale", True))
-    return [(title, markup(comparison_map(comparison, after))) for title, after in titles]
-
-
-def _heat_width_px(comparison: Comparison) -> int:
-    rows, cols = comparison.ssim_cells.shape
-    return int(min(720.0, 420.0 * cols / rows))
+def _images(
+    image: Glance,
+    origin: np.ndarray[Any, Any],
+    footprints_m: list[parts.Floats],
+    comparison: Comparison | None,
+    surface: SurfaceSection | None,
+    beside: Beside,
+) -> list[MapImage]:
+    box = box_of(image, origin)
+    counts = "red 1, orange 2, yellow 3, light green 4, green 5 and more footprints"
+    out = [
+        MapImage(
+            "overlap", "Overlap count", overlap_image(image, footprints_m), box, note=counts, opacity=0.6
+        )
+    ]
+    if surface is not None:
+        west, south, east, north = surface.box_m
+        lies = (west - origin[0], south - origin[1], east - origin[0], north - origin[1])
+        ends = f"{short(surface.low_m, 'm', 4)} dark to {short(surface.high_m, 'm', 4)} light"
+        out.append(MapImage("surface", "Surface", "#surface-image", lies, note=ends))
+    if comparison is not None:
+        rows, cols = comparison.ssim_cells.shape
+        west, north = comparison.west_m - float(origin[0]), comparison.north_m - float(origin[1])
+        east, south = west + cols * comparison.ssim_cell_m, north - rows * comparison.ssim_cell_m
+        note = f"dark 0 to light 1, in cells of {short(comparison.ssim_cell_m, 'm')}"
+        out.append(
+            MapImage(
+                "ssim", "SSIM", ssim_image(comparison), (west, south, east, north), note=note, opacity=0.8
+            )
+        )
+    for name, title, other in (
+        ("given", "by POS only", beside.given),
+        ("reference", "the reference", beside.reference),
+    ):
+        if other is not None:
+            out.append(MapImage(name, title, other.uri, box_of(other, origin), "compare"))
+    return out
 
 
 def _facts(
@@ -138,18 +175,23 @@ def _facts(
     """What the head of the page says."""
     crs = CRS.from_user_input(mosaic.grid.crs)
     code = crs.to_authority()
-    count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
+    counted = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
     area = (covered_m2 / 1e4, "ha") if covered_m2 < 1e7 else (covered_m2 / 1e6, "km²")
     method = str(summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
-    rejected = f"{count['placed']} placed by POS alone, {count['rejected']} rejected"
+    odd = [
+        f"{n} {words}"
+        for n, words in ((counted["placed"], "placed by POS alone"), (counted["rejected"], "rejected"))
+        if n
+    ]
+    size = f"{whole(mosaic.grid.width_px)} × {whole(mosaic.grid.height_px)} px"
     return [
-        ("frames tied", f"{count['tied']} of {len(survey.frames)}", rejected),
-        ("taken", *_taken(survey)),
-        ("ground pixel", length(mosaic.grid.gsd_m), f"{mosaic.grid.width_px} × {mosaic.grid.height_px} px"),
+        ("frames tied", f"{counted['tied']} of {len(survey.frames)}", ", ".join(odd)),
+        ("ground pixel", length(mosaic.grid.gsd_m), size),
         ("area covered", short(*area), plural(len(set(placement.lines)), "flight line")),
-        ("map", ":".join(code) if code else crs.name, crs.name if code else ""),
-        ("tie points", f"{sum(len(p) for p in ties.pairs):,}", "in " + plural(len(ties.pairs), "pair")),
+        ("tie points", whole(sum(len(p) for p in ties.pairs)), "in " + plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
+        ("map", ":".join(code) if code else crs.name, crs.name if code else ""),
+        ("taken", *_taken(survey)),
     ]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, Resampling
+from rasterio.vrt import WarpedVRT
 
-from geomosaic.doors.raster import OWN, open_raster, reading
-from geomosaic.report.svg import tag
+from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 
 Floats = NDArray[np.float64]
 
-_LONGER_SIDE_PX = 1400
+_LONGER_SIDE_PX = 2000
 
 
 @dataclass(frozen=True)
@@ -38,23 +38,26 @@ class Glance:
         return np.asarray(map_m @ self.px_from_map[:, :2].T + self.px_from_map[:, 2])
 
 
-def glance(path: Path) -> Glance:
+def glance(path: Path, longest_px: int = _LONGER_SIDE_PX) -> Glance:
     """A reduced read of mosaic.tif as a WebP image whose invalid pixels are transparent.
 
     Values of other than 8 bits are stretched between their 1st and 99th percentile.
     """
     with open_raster(path, OWN) as dataset, reading(path, OWN.problem, OWN.mend):
-        scale = max(1.0, max(dataset.shape) / _LONGER_SIDE_PX)
-        shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
-        colours = [
-            i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha
-        ]
-        colours = colours[:3] if len(colours) >= 3 else colours[:1] * 3
-        bands = dataset.read(colours, out_shape=(3, *shape), resampling=Resampling.average)
-        valid = dataset.dataset_mask(out_shape=shape) > 127
-        t = dataset.transform
-        full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
-        size = dataset.width, dataset.height
+        return glance_of(dataset, longest_px)
+
+
+def glance_of(dataset: Raster | WarpedVRT, longest_px: int) -> Glance:
+    """The same of an open raster."""
+    scale = max(1.0, max(dataset.shape) / longest_px)
+    shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
+    colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
+    colours = colours[:3] if len(colours) >= 3 else colours[:1] * 3
+    bands = dataset.read(colours, out_shape=(3, *shape), resampling=Resampling.average)
+    valid = dataset.dataset_mask(out_shape=shape) > 127
+    t = dataset.transform
+    full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
+    size = dataset.width, dataset.height
     drawn = np.moveaxis(bands if bands.dtype == np.uint8 else stretched(bands, valid), 0, -1)
     reduce = np.diag([shape[1] / size[0], shape[0] / size[1], 1.0])
     pixel_m2 = abs(np.linalg.det(full[:2, :2])) * size[0] * size[1] / (shape[0] * shape[1])
@@ -86,13 +89,3 @@ def data_uri(kind: str, image: NDArray[np.uint8], settings: Sequence[int] = ()) 
     """An encoded image (blue, green, red, opacity) that a page can hold."""
     data = cv2.imencode(f".{kind}", image, list(settings))[1]
     return f"data:image/{kind};base64," + base64.b64encode(data.tobytes()).decode("ascii")
-
-
-def drawn_over(
-    glance: Glance, groups: Mapping[str, Sequence[str]], *, style: str, box: str, label: str
-) -> str:
-    """An inline SVG of an image and groups of elements over it, by the classes that a page can switch."""
-    image = tag("image", href=glance.uri, width=glance.width_px, height=glance.height_px)
-    layers = "".join(tag("g", "".join(content), class_=name) for name, content in groups.items())
-    head = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": box, "class_": "over", "role": "img"}
-    return tag("svg", tag("style", style) + image + layers, **head, aria_label=label)

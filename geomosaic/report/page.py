@@ -1,41 +1,81 @@
-"""What all reports share: the templates, warnings in groups, times, and words for numbers."""
+"""What all reports share: the templates, the map's data and script, warnings, times and memory."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from geomosaic.report.plots import Axis, bar_plot
-from geomosaic.report.svg import short
+from geomosaic.export.tile_page import inline_json, leaflet
+from geomosaic.report import numbers
+from geomosaic.report.glance import Glance
+from geomosaic.report.layers import MapView
+from geomosaic.report.table import Table
+from geomosaic.report.warnings import warnings_of
 
-_TEMPLATES = Path(__file__).parent / "templates"
-_MOST_WARNINGS = 500
+_TEMPLATES: Final = Path(__file__).parent / "templates"
 
 Fact = tuple[str, str, str]
 """Of the page's head: name, value, a note."""
 
 
-def render(name: str, summary: Mapping[str, Any], facts: list[Fact], **shown: Any) -> str:
+@dataclass(frozen=True)
+class Judged:
+    """The first words. grade: `good`, `doubtful`, `bad`, or empty where nothing was judged; why: sentences;
+    mend: what would help."""
+
+    grade: str
+    why: str
+    mend: str = ""
+
+    @property
+    def word(self) -> str:
+        """The grade in one word of the headline."""
+        return self.grade.capitalize() or "Not judged"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What every page begins with. run: its name; image: the mosaic, and its caption."""
+
+    title: str
+    run: str
+    judged: Judged
+    image: Glance
+    caption: str
+    facts: list[Fact]
+    map_view: MapView
+    table: Table
+
+
+def render(name: str, summary: Mapping[str, Any], begin: Shown, **shown: Any) -> str:
     """A page by its template, which escapes all that isn't markup.
 
     Args: summary: what run.json holds so far, of which every page shows warnings, times, recipe and versions;
-    facts: the head's, to which the time taken is added; shown: the rest, by the template's names.
+    begin: the first screen, the map and the table; shown: the rest, by the template's names.
     """
     environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["short"] = short
-    environment.filters["svg"] = markup
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    names = ("short", "signed", "whole", "percent", "plural", "duration", "map_metres")
+    environment.filters |= {word: getattr(numbers, word) for word in names} | {"svg": markup}
     return environment.get_template(name).render(
         css=part("style.css"),
-        facts=[*facts, *_time_taken(summary)],
-        warnings=_grouped_warnings(summary),
-        timings=markup(_timings_plot(summary)),
+        leaflet_css=leaflet("leaflet.css"),
+        leaflet_js=leaflet("leaflet.js"),
+        script=part("report.js"),
+        begin=begin,
+        facts=[*begin.facts, *_time_taken(summary)],
+        map_data=inline_json(begin.map_view.plain()),
+        warnings=warnings_of(summary),
+        stages=_stages(summary),
+        memory_mb=summary.get("peak_memory_mb"),
         recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
         versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
         **shown,
@@ -52,43 +92,31 @@ def markup(svg: str | None) -> Markup:
     return Markup(svg or "")  # noqa: S704
 
 
-def plural(number: int, noun: str) -> str:
-    """`3 frames`, `1 frame`."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
-def length(metres: float) -> str:
-    """In metres, or centimetres below one."""
-    return short(metres * 100.0, "cm") if metres < 1.0 else short(metres, "m")
-
-
 def _time_taken(summary: Mapping[str, Any]) -> list[Fact]:
     timings, memory = summary.get("timings_s", {}), summary.get("peak_memory_mb")
     if not timings:
         return []
-    note = f"peak memory {memory:.0f} MB" if memory else ""
-    return [("time taken", _duration(sum(map(float, timings.values()))), note)]
+    note = f"peak memory {numbers.short(memory, 'MB')}" if memory else ""
+    return [("time taken", numbers.duration(sum(map(float, timings.values()))), note)]
 
 
-def _duration(seconds: float) -> str:
-    """Seconds, or minutes from two on."""
-    if seconds < 120.0:
-        return f"{seconds:.1f}\u00a0s"
-    return f"{int(seconds // 60)}\u00a0min {int(seconds % 60)}\u00a0s"
+@dataclass(frozen=True)
+class StageCost:
+    """Seconds of a stage, its share of the longest in per cent, the run's peak memory up to its end in MB
+    where it is known; kept: its results came from the cache."""
+
+    name: str
+    seconds: float
+    share: float
+    memory_mb: float | None
+    kept: bool
 
 
-def _grouped_warnings(summary: Mapping[str, Any]) -> list[tuple[str, int, list[Mapping[str, Any]]]]:
-    """Code, number and first warnings of each code; the most frequent last, so that none hides another."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for warning in summary.get("warnings", []):
-        groups.setdefault(str(warning.get("code", "")), []).append(warning)
-    counted = ((code, len(group), group[:_MOST_WARNINGS]) for code, group in groups.items())
-    return sorted(counted, key=lambda g: g[1])
-
-
-def _timings_plot(summary: Mapping[str, Any]) -> str | None:
-    """Bars of the stages' times; None where none are known."""
-    timings = summary.get("timings_s", {})
-    if not timings:
-        return None
-    return bar_plot(list(timings), list(timings.values()), Axis("time", "s"), label="time of each stage")
+def _stages(summary: Mapping[str, Any]) -> list[StageCost]:
+    timings = {k: float(v) for k, v in summary.get("timings_s", {}).items()}
+    memory = summary.get("memory_mb", {})
+    longest = max(timings.values(), default=0.0) or 1.0
+    kept = {*summary.get("cached_stages", []), *summary.get("recorded_stages", [])}
+    return [
+        StageCost(name, s, 100.0 * s / longest, memory.get(name), name in kept) for name, s in timings.items()
+    ]

@@ -1,9 +1,8 @@
-"""What the report shows, worked out of the artefacts: rows of tables and images as SVG."""
+"""What the report of frames shows, worked out of the artefacts: tables, and plots as SVG."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,66 +10,78 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.camera.interior import Camera
-from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
-from geomosaic.projection.footprint import footprint
 from geomosaic.quality.control import ControlFigures, control_figures
 from geomosaic.quality.misalignment import PairMisalignments
-from geomosaic.report.map_plots import network_map, vector_map
+from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
+from geomosaic.report.numbers import percent, short
 from geomosaic.report.plots import Axis, Series, histogram, line_plot
-from geomosaic.report.svg import short
+from geomosaic.report.table import Cell, Table, TableRow, count, number
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 
 _WORST_PAIRS = 15
-_OUTLINES = 400
+_MOST_ROWS = 3000
+_STATUS = {
+    "tied": "joined to its neighbours by tie points",
+    "placed": "placed by its position and attitude alone",
+    "rejected": "left out of the mosaic",
+}
 
 
-@dataclass(frozen=True)
-class FrameRow:
-    """One line of the table of frames; lengths in m, the turn in degrees."""
-
-    name: str
-    line: int
-    status: str
-    ties: int
-    moved_m: float
-    turned_deg: float
-    sd_horizontal_m: float
-
-
-def frame_rows(placement: Placement, ties: TiePoints, orientation: Orientations) -> list[FrameRow]:
-    """Rows in order of the survey: how far each frame was moved (3D) and turned from its POS."""
-    count = np.zeros(len(orientation.names), dtype=np.int64)
+def frame_table(
+    placement: Placement,
+    ties: TiePoints,
+    adjusted: Adjusted,
+    orientation: Orientations,
+    warned: Mapping[str, int],
+) -> Table:
+    """Frames in order of the survey: how far each was moved (3D) and turned from its POS, what is left at its
+    tie points, how sure its place is. warned: how often each is named in a warning."""
+    n = len(orientation.names)
+    points, taken = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    squares = np.zeros(n)
     for pair in ties.pairs:
-        count[[pair.left, pair.right]] += len(pair)
-    sd = np.linalg.norm(orientation.sd_m[:, :2], axis=1)
-    return [
-        FrameRow(
-            name,
-            placement.lines[i],
+        points[[pair.left, pair.right]] += len(pair)
+    weights = tie_weights(ties, adjusted.image_residuals)
+    for pair, residual, weight in zip(ties.pairs, adjusted.residuals_m, weights, strict=False):
+        counts = np.isfinite(residual).all(axis=1) & ~(weight < DOWN_WEIGHTED)
+        squares[[pair.left, pair.right]] += float(np.square(residual[counts]).sum())
+        taken[[pair.left, pair.right]] += int(counts.sum())
+    left_m = np.where(taken > 0, np.sqrt(squares / np.maximum(taken, 1)), np.nan)
+    sd_m = np.linalg.norm(orientation.sd_m[:, :2], axis=1)
+    rows = [
+        TableRow(
+            i,
             orientation.status[i],
-            int(count[i]),
-            float(orientation.moved_m[i]),
-            float(orientation.turned_deg[i]),
-            float(sd[i]),
+            (
+                Cell(name),
+                Cell(orientation.status[i]),
+                number(float(left_m[i] / placement.ground_pixel_m), "px"),
+                number(float(orientation.moved_m[i]), "m"),
+                number(float(orientation.turned_deg[i]), "°"),
+                number(float(sd_m[i]), "m"),
+                count(int(points[i])),
+                count(warned.get(name, 0)),
+                count(placement.lines[i]),
+            ),
         )
-        for i, name in enumerate(orientation.names)
+        for i, name in enumerate(orientation.names[:_MOST_ROWS])
     ]
-
-
-def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
-    """The frames' outlines on the map, (k, 2) each, without points whose ray misses the ground."""
-    per_side = 4 if len(survey.frames) <= _OUTLINES else 1
-    out = []
-    for i, camera in enumerate(adjusted.cameras):
-        outline = footprint(adjusted.poses[i], camera, adjusted.ground, per_side)
-        seen = outline[np.isfinite(outline).all(axis=1)]
-        out.append(map_from_work(survey, seen) if len(seen) else np.empty((0, 2)))
-    return out
+    return Table(
+        "frame",
+        (
+            ("frame", False), ("status", False), ("residual", True), ("moved", True), ("turned", True),
+            ("± horizontal", True), ("tie points", True), ("warnings", True), ("line", True),
+        ),
+        rows,
+        tuple(_STATUS.items()),
+        n - len(rows),
+        "positions.csv",
+    )  # fmt: skip
 
 
 def rounds_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
@@ -94,32 +105,6 @@ def misaligned_px(adjusted: Adjusted, i: int, ground_pixel_m: float) -> tuple[fl
     if not length.size:
         return float("nan"), float("nan")
     return float(np.sqrt((length**2).mean())), float(length.max())
-
-
-def moves_map(survey: Survey, placement: Placement, adjusted: Adjusted, footprints_m: list[Floats]) -> str:
-    """Arrows from where POS put the projection centres to where the adjustment puts them."""
-    before = map_from_work(survey, placement.poses.positions_m)
-    after = map_from_work(survey, adjusted.poses.positions_m)
-    odd = np.array([s != "tied" for s in adjusted.status])
-    outlines = [o for o in footprints_m if len(o) > 2] if len(footprints_m) <= _OUTLINES else []
-    return vector_map(
-        before, after - before, label="how far each frame was moved", outlines_m=outlines, weak=odd
-    )
-
-
-def ties_map(survey: Survey, ties: TiePoints, adjusted: Adjusted) -> str:
-    """The graph of tied frames."""
-    edges = np.array([(p.left, p.right) for p in ties.pairs], dtype=np.int64).reshape(-1, 2)
-    return network_map(
-        map_from_work(survey, adjusted.poses.positions_m),
-        edges,
-        np.array([len(p) for p in ties.pairs], dtype=np.float64),
-        label="which frames are tied, and by how many tie points",
-        what="tie points",
-        dashed=np.array(ties.untied, dtype=np.int64).reshape(-1, 2),
-        names=[f.name for f in survey.frames],
-        marked=np.array([s != "tied" for s in adjusted.status]),
-    )
 
 
 def residuals_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
@@ -191,7 +176,7 @@ def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tupl
 
 
 def _parameter(value: float, unit: str) -> str:
-    return f"{value:.2f}\u00a0{unit}" if unit else f"{value:.6f}"
+    return short(value, unit, 6)
 
 
 def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -232,8 +217,8 @@ def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, st
             out.append(
                 (
                     "seams on objects",
-                    short(100.0 * before, "%"),
-                    short(100.0 * cut["on_objects"], "%"),
+                    percent(before),
+                    percent(cut["on_objects"]),
                     "of their length, on what stands 2 m and more above the ground, by the elevation model",
                 )
             )

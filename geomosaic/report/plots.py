@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.report.numbers import short
 from geomosaic.report.svg import (
     COLOURS,
     DASHES,
@@ -211,7 +212,7 @@ def bar_plot(names: Sequence[str], values: ArrayLike, axis: Axis, *, label: str,
             out.append(
                 tag("rect", x=start, y=y + 4, width=max(end - start, 1.0), height=18.0, fill=COLOURS[0])
             )
-            out.append(text(end + 6, y + 17, f"{value:.3g}"))
+            out.append(text(end + 6, y + 17, short(value)))
     return document(width, height, out, label)
 
 
@@ -245,7 +246,7 @@ def histogram(
             out.append(tag("rect", None, **place, fill=COLOURS[0]))
     beyond = int((seen > ticks[-1]).sum())
     if beyond:
-        words = f"last bin holds {beyond} beyond {ticks[-1]:g}, largest {seen.max():.3g}"
+        words = f"last bin holds {beyond} beyond {short(ticks[-1])}, largest {short(float(seen.max()))}"
         out.append(text(frame.x.end, 20, words, text_anchor="end", class_="faint"))
     if mark is not None and ticks[0] <= mark[1] <= ticks[-1]:
         at_mark = float(frame.x.at(mark[1]))

@@ -1,17 +1,14 @@
-"""The report's section on what was solved: the ground, what frames share, residuals, error ellipses."""
+"""The report's section on what was solved: the ground, what frames share, residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.export.ellipses import error_ellipses, exaggeration
-from geomosaic.export.orientation import Orientations
 from geomosaic.placement.model import Placement
+from geomosaic.report.numbers import plural, short
 from geomosaic.report.plots import Axis, histogram
 from geomosaic.report.solved_figures import (
     STRONG,
@@ -21,12 +18,10 @@ from geomosaic.report.solved_figures import (
     strong_correlations,
     unknown_tables,
 )
-from geomosaic.report.solved_plots import correlation_map, ellipse_map, image_vectors
+from geomosaic.report.solved_plots import correlation_map, image_vectors
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _MOST_CAMERAS = 6
-_MOST_OUTLINES = 400
 
 
 @dataclass(frozen=True)
@@ -44,15 +39,12 @@ class SolvedSection:
     correlation_map: str
     fields: list[tuple[str, str]]
     lengths: str
-    ellipses: str
 
 
 def solved_section(
     survey: Survey,
     placement: Placement,
     adjusted: Adjusted,
-    orientation: Orientations,
-    footprints_m: Sequence[Floats],
     ground: str,
 ) -> SolvedSection:
     """Everything the section shows. ground: the sentence on the surface and why it was taken."""
@@ -70,7 +62,6 @@ def solved_section(
         else "",
         _fields(survey, placement, adjusted),
         _lengths(adjusted),
-        _ellipses(adjusted, orientation, footprints_m),
     )
 
 
@@ -92,7 +83,7 @@ def _fields(survey: Survey, placement: Placement, adjusted: Adjusted) -> list[tu
             principal_px=(f.camera.principal_col_px, f.camera.principal_row_px),
             scatter_px=f.scatter_px,
         )
-        out.append((f"{f.camera.name}: means of {f.observations:,} observations", drawn))
+        out.append((f"{f.camera.name}: means of {plural(f.observations, 'observation')}", drawn))
     return out
 
 
@@ -105,21 +96,5 @@ def _lengths(adjusted: Adjusted) -> str:
         np.linalg.norm(adjusted.image_residuals.residual_px, axis=1),
         Axis("length of the residual", "px"),
         label="lengths of the tie points' image residuals",
-        mark=(f"σ = {sigma_px:.3g} px", sigma_px) if np.isfinite(sigma_px) else None,
-    )
-
-
-def _ellipses(adjusted: Adjusted, orientation: Orientations, footprints_m: Sequence[Floats]) -> str:
-    if adjusted.pose_covariance is None:
-        return ""
-    ellipses = error_ellipses(orientation.covariance_m2[:, :2, :2])
-    factor = exaggeration(ellipses.semi_major_m, orientation.map_m)
-    return ellipse_map(
-        orientation.map_m,
-        ellipses.outlines_m(orientation.map_m, factor),
-        ellipses.semi_major_m,
-        factor,
-        label="error ellipses of the frames' positions",
-        footprints_m=[o for o in footprints_m if len(o) > 2] if len(footprints_m) <= _MOST_OUTLINES else [],
-        weak=np.array([s != "tied" for s in adjusted.status]),
+        mark=(f"σ = {short(sigma_px, 'px')}", sigma_px) if np.isfinite(sigma_px) else None,
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ImageResiduals, SharedUnknowns
 from geomosaic.camera.interior import Camera
+from geomosaic.report.numbers import by_deviation
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -91,7 +92,7 @@ def _row(shared: SharedUnknowns, k: int) -> UnknownRow:
     name = f"{word} [{unit}]" if unit else word
     if shared.held[k] or not (np.isfinite(sd) and sd > 0.0):
         return UnknownRow(name, f"{given:.6g}", "", "", "", "", True)
-    decimals = int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))
+    decimals = by_deviation(sd)
     change = f"{found - given:+.{decimals}f}"
     if shared.names[k] == "focal_length_px":
         change += f" ({100.0 * (found - given) / given:+.2f} %)"

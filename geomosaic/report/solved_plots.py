@@ -1,4 +1,4 @@
-"""Images of what was solved as SVG text: correlations, residuals over an image, error ellipses."""
+"""Images of what was solved as SVG text: correlations, residuals over an image."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from geomosaic.report.map_plots import MapArea, arrow, arrow_px
+from geomosaic.report.numbers import short
 from geomosaic.report.svg import COLOURS, document, nice_ticks, number, points, tag, text
 
 Floats = NDArray[np.float64]
 _MOST_UNKNOWNS = 40
-_LEGEND_RADIUS = 14.0
 
 
 def correlation_map(names: Sequence[str], correlation: Floats, *, label: str, width: float = 720) -> str:
@@ -87,7 +87,7 @@ def image_vectors(
     out += [arrow(a, v * px_per_unit, COLOURS[0]) for a, v in zip(start, vector_px, strict=True)]
     out.append(arrow(np.array([left, foot]), np.array([legend * px_per_unit, 0.0]), COLOURS[0]))
     factor = px_per_unit / scale
-    words = f"arrow: {legend:g} px (drawn {factor:,.0f} times larger)"
+    words = f"arrow: {legend:g} px (drawn {short(factor)} times larger)"
     if principal_px is not None:
         col, row = principal_px[0] * scale + left, principal_px[1] * scale + top
         cross = f"M{number(col - 7)},{number(row)}h14M{number(col)},{number(row - 7)}v14"
@@ -98,54 +98,26 @@ def image_vectors(
         long, right = scatter_px * px_per_unit, left + scale * cols
         bar = f"M{number(right - long)},{number(foot - 4)}v8m0,-4h{number(long)}m0,-4v8"
         out.append(tag("path", d=bar, class_="axis"))
-        out.append(text(right, foot + 20, f"by chance: {scatter_px:.2g} px", text_anchor="end"))
+        out.append(text(right, foot + 20, f"by chance: {short(scatter_px, 'px')}", text_anchor="end"))
     return document(width, foot + 30.0, out, label)
 
 
-def ellipse_map(
-    at_m: Floats,
-    outlines_m: Floats,
-    semi_major_m: Floats,
-    factor: float,
-    *,
-    label: str,
-    footprints_m: Sequence[Floats] = (),
-    weak: NDArray[np.bool_] | None = None,
-    width: float = 720,
-    most: int = 1500,
-) -> str:
-    """Error ellipses on a map, already larger than life by `factor`, as the image says.
+def arrow_px(at: Floats) -> float:
+    """How long a long arrow may be: the usual distance to the next one, within bounds."""
+    if len(at) < 2:
+        return 48.0
+    return float(np.clip(np.median(cKDTree(at).query(at, k=2)[0][:, 1]), 14.0, 48.0))
 
-    Args: at_m (n, 2); outlines_m (n, corners, 2); semi_major_m (n,) for the legend's circle; footprints_m
-    drawn below, and what the map encloses; weak (n,) ellipses in the second colour.
-    More than `most` are thinned evenly; the image says so.
-    """
-    known = np.flatnonzero(np.isfinite(outlines_m).all(axis=(1, 2)))
-    seen = known[:: max(1, -(-len(known) // most))]
-    area = MapArea(np.concatenate([at_m, *footprints_m]), width)
-    out = [
-        tag("polygon", points=points(area.at(o)), fill="none", stroke="currentColor", stroke_opacity=0.2)
-        for o in footprints_m
-    ]
-    for i in seen:
-        colour = COLOURS[1] if weak is not None and weak[i] else COLOURS[0]
-        outline = points(area.at(outlines_m[i]))
-        out.append(
-            tag("polygon", points=outline, fill=colour, fill_opacity=0.15, stroke=colour, stroke_width=1.4)
-        )
-    out += [
-        tag("circle", cx=float(x), cy=float(y), r=1.6, fill="currentColor") for x, y in area.at(at_m[seen])
-    ]
-    typical = float(np.median(semi_major_m[seen])) if len(seen) else 0.0
-    largest = min(typical, _LEGEND_RADIUS / (factor * area.px_per_m))
-    legend = max((t for t in nice_ticks(0.0, largest, 4) if t <= largest), default=0.0)
-    x, y = width / 2, area.height - 24
-    if legend > 0.0:
-        radius = legend * factor * area.px_per_m
-        out.append(tag("circle", cx=x + radius, cy=y - radius + 3.0, r=radius, class_="axis"))
-        out.append(text(x + 2 * radius + 8, y + 1, f"circle: {legend:g} m"))
-    words = f"ellipses of 1 σ, drawn {factor:,.0f} times larger than the map"
-    if len(seen) < len(known):
-        words += f", {len(seen)} of {len(known)}"
-    out.append(text(x, y + 17, words))
-    return document(width, area.height, [*out, *area.foot()], label)
+
+def arrow(start: Floats, vector: Floats, colour: str) -> str:
+    """From a dot at `start` (2,) along `vector` (2,), both in the image; a mere dot if too short to see."""
+    length = float(np.hypot(*vector))
+    if length < 1.0:
+        return tag("circle", cx=float(start[0]), cy=float(start[1]), r=1.5, fill=colour)
+    end, along = start + vector, vector / length
+    head = min(6.0, 0.45 * length)
+    side = np.array([-along[1], along[0]]) * head * 0.5
+    a, b = end - along * head + side, end - along * head - side
+    path = f"M{points([start])}L{points([end])}M{points([a])}L{points([end])}L{points([b])}"
+    dot = tag("circle", cx=float(start[0]), cy=float(start[1]), r=1.6, fill=colour)
+    return dot + tag("path", d=path, fill="none", stroke=colour, stroke_width=1.4)

@@ -15,12 +15,16 @@ from geomosaic.ccd.model import MEASURED, Floats, PairOffsets
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES, common_lines
 from geomosaic.quality.strips import BLOCK_LINES, PairQuality, StripQuality
-from geomosaic.report.glance import Glance, drawn_over, glance, stretched, webp
+from geomosaic.report.glance import Glance, glance, stretched, webp
+from geomosaic.report.layers import Layer
+from geomosaic.report.numbers import short
 from geomosaic.report.svg import COLOURS, number, tag
 from geomosaic.survey.strips import StripGeometry
 
 CROP_PX = (300, 220)
 _TICK_PX = 9
+_LEAST_HALF_PX = 4.0
+"""Of an overlap on the map, so that it can be clicked."""
 
 
 @dataclass(frozen=True)
@@ -49,40 +53,50 @@ def seam_col(geometry: StripGeometry, pair: int) -> float:
     return (pair + 1) * (geometry.width_px - geometry.overlap_px) + 0.5 * geometry.overlap_px
 
 
-def scene_overview(image: Glance, geometry: StripGeometry, quality: StripQuality, first_line: float) -> str:
-    """An inline SVG of the scene with its seams; segments above the limit are marked on them.
+def scene_layers(
+    geometry: StripGeometry, quality: StripQuality, high_px: int, first_line: float
+) -> list[Layer]:
+    """The map's layers: overlaps by pair, seams, segments above the limit, and the CCDs' numbers.
 
-    Groups carry the classes `seams` and `names`, so that the page can switch them.
+    Places are in cols and, upwards, minus rows of the scene. high_px: its lines.
     """
-    wide, high = image.width_px, image.height_px
-    unit = max(wide, high) / 1000.0
-    to_px = np.abs(np.diag(image.px_from_map[:, :2]))
-    seams, names = [], []
-    for pair in quality.pairs:
-        x = seam_col(geometry, pair.pair) * to_px[0]
-        seams.append(tag("line", x1=x, x2=x, y1=0.0, y2=float(high)))
-        for k, value in enumerate(pair.segments_px):
+    half = max(geometry.overlap_px / 2.0, _LEAST_HALF_PX)
+    overlaps, seams, odd, told, of = [], [], [], [], []
+    for k, pair in enumerate(quality.pairs):
+        col = seam_col(geometry, pair.pair)
+        overlaps.append(_rectangle(col - half, 0.0, col + half, float(high_px)))
+        seams.append([col, 0.0, col, -float(high_px)])
+        for segment, value in enumerate(pair.segments_px):
             if value > LIMIT_PX:
-                ends = k * SEGMENT_LINES, min((k + 1) * SEGMENT_LINES, pair.lines)
-                y0, y1 = (scene_row(geometry, pair.pair, end, first_line) * to_px[1] for end in ends)
-                title = tag("title", f"{value:.1f} px")
-                place = {"x": x - 3 * unit, "y": y0, "width": 6 * unit, "height": y1 - y0}
-                seams.append(tag("rect", title, **place, class_="odd"))
+                ends = segment * SEGMENT_LINES, min((segment + 1) * SEGMENT_LINES, pair.lines)
+                top, bottom = (scene_row(geometry, pair.pair, end, first_line) for end in ends)
+                odd.append(_rectangle(col - half, top, col + half, bottom))
+                told.append(f"lines {ends[0]} to {ends[1] - 1}: {short(float(value), 'px', 2)}")
+                of.append(k)
     step = geometry.width_px - geometry.overlap_px
-    for k, lines in enumerate(geometry.lines):
-        x = (k * step + geometry.width_px / 2) * to_px[0]
-        title = tag("title", f"CCD {k + 1}" if lines else f"CCD {k + 1}, dead")
-        size, odd = min(20.0 * unit, 0.5 * step * to_px[0]), "" if lines else "odd"
-        head = {"x": float(x), "y": float(26 * unit), "font_size": float(size), "text_anchor": "middle"}
-        names.append(tag("text", title + str(k + 1), **head, class_=odd))
-    style = (
-        f".over .seams line{{stroke:{COLOURS[5]};stroke-width:{number(1.2 * unit)};stroke-dasharray:"
-        f"{number(6 * unit)} {number(5 * unit)}}}.over .seams .odd{{fill:{COLOURS[1]};fill-opacity:.8}}"
-        f".over .names text{{fill:#fff;stroke:#000;stroke-width:{number(3 * unit)};paint-order:stroke}}"
-        f".over .names .odd{{fill:{COLOURS[1]}}}"
-    )
-    groups, label = {"seams": seams, "names": names}, "the scene with the seams of its strips"
-    return drawn_over(image, groups, style=style, box=f"0 0 {wide} {high}", label=label)
+    middles = [k * step + geometry.width_px / 2 for k in range(len(geometry.lines))]
+    dead = [k for k, lines in enumerate(geometry.lines) if not lines]
+    return [
+        Layer(
+            "overlaps", "Overlaps", "#00b4d8", areas=overlaps, rows=list(range(len(overlaps))), weight=1.0,
+            fill=0.08,
+        ),
+        Layer("seams", "Seams", "#ffe100", lines=seams, weight=1.2, dash="6 5", shown=True),
+        Layer(
+            "misplaced", "Misplaced segments", "#ff7a1a", areas=odd, rows=of, labels=told, fill=0.5,
+            shown=True,
+            note=f"off by more than {LIMIT_PX:g} px",
+        ),
+        Layer(
+            "ccds", "CCDs", "#ffffff", points=[[x, -0.02 * high_px] for x in middles], odd=dead,
+            permanent=True,
+            labels=[f"{k + 1}{', dead' if k in dead else ''}" for k in range(len(middles))], shown=True,
+        ),
+    ]  # fmt: skip
+
+
+def _rectangle(left: float, top: float, right: float, bottom: float) -> list[float]:
+    return [left, -top, right, -top, right, -bottom, left, -bottom]
 
 
 def seam_places(geometry: StripGeometry, quality: PairQuality, offsets: PairOffsets) -> list[Place]:

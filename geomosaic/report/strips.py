@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +15,19 @@ from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import PairQuality, StripQuality
-from geomosaic.report.page import Fact, length, markup, plural, render
-from geomosaic.report.strip_images import Place, scene_glance, scene_overview, seam_crops, seam_places
+from geomosaic.report.layers import MapView
+from geomosaic.report.numbers import length, percent, plural, short, signed, whole
+from geomosaic.report.page import Fact, Judged, Shown, markup, render
+from geomosaic.report.strip_images import Place, scene_glance, scene_layers, seam_crops, seam_places
 from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
-from geomosaic.report.svg import short
+from geomosaic.report.table import Cell, Table, TableRow, number
 from geomosaic.survey.strips import StripGeometry
 
-
-@dataclass(frozen=True)
-class PairRow:
-    """One pair of the table; shares in percent, NaN without common lines."""
-
-    name: str
-    strips: str
-    dcol_px: tuple[float, float]
-    dline_px: tuple[float, float]
-    labels: tuple[float, ...]
-    rms_px: float
-    worst_px: float
-    worst_lines: str
+_MENDS = {
+    "bad": "Look at that seam below; another method of offsets may do better there (What next).",
+    "doubtful": "Look at the seams that could not be checked below.",
+    "": "Look at the seams below: nothing in the strips says how well they lie.",
+}
 
 
 def render_strips_report(
@@ -67,16 +60,29 @@ def render_strips_report(
     return render(
         "strips.html",
         summary,
-        _facts(geometry, offsets, quality, mosaic),
-        title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
-        verdict=strips_verdict(quality),
-        misplaced=quality.misplaced,
+        Shown(
+            title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
+            run=mosaic_file.absolute().parent.name,
+            judged=Judged(grade := _grade(quality), strips_verdict(quality), _MENDS.get(grade, "")),
+            image=image,
+            caption="Lines run downwards in the order they were taken. The full image is mosaic.tif.",
+            facts=_facts(geometry, offsets, quality, mosaic),
+            map_view=MapView(
+                (0.0, 0.0),
+                ("column", "line"),
+                True,
+                "px",
+                False,
+                (0.0, -float(mosaic.height_px), float(mosaic.width_px), 0.0),
+                [],
+                scene_layers(geometry, quality, mosaic.height_px, mosaic.first_line),
+            ),
+            table=_pair_table(geometry, quality, by_pair),
+        ),
         gaps=_gaps(geometry, mosaic),
-        overview=markup(scene_overview(image, geometry, quality, mosaic.first_line)),
         limit=LIMIT_PX,
         segment_lines=SEGMENT_LINES,
         misplacement=markup(misplacement_plot(quality, names, label="misplacement of each segment")),
-        pairs=[_pair_row(geometry, p, by_pair[p.pair]) for p in quality.pairs],
         seams=seams,
         curves=[(_pair_name(p.pair), _curve(p)) for p in offsets.pairs],
         spectrum=markup(spectrum_plot(found, left, label="spectrum of the offsets found and left")),
@@ -108,12 +114,12 @@ def strips_verdict(quality: StripQuality) -> str:
     seams = "CCDs " + " and ".join([", ".join(hidden[:-1])] * (len(hidden) > 1) + hidden[-1:])
     rest = 1.0 - f.lines / max(quality.lines, 1)
     unknown = (
-        f" {_percent(rest)} of the lines could not be checked: bridged, unreliable or without texture."
+        f" {percent(rest)} of the lines could not be checked: bridged, unreliable or without texture."
         if rest > 0.005
         else ""
     )
     if quality.others.lines and quality.others.share_above > 0.05:
-        share = _percent(quality.others.share_above)
+        share = percent(quality.others.share_above)
         unknown += (
             f" Where lines were bridged, {share} seem off by more than {LIMIT_PX:g} px: clouds, or misplaced."
         )
@@ -135,6 +141,14 @@ def strips_verdict(quality: StripQuality) -> str:
     )
 
 
+def _grade(quality: StripQuality) -> str:
+    """`bad` with a misplaced segment, `doubtful` with an unchecked seam, empty where nothing was checked."""
+    if quality.misplaced is None:
+        return ""
+    hidden = any(not np.isfinite(p.segments_px).any() for p in quality.pairs)
+    return "bad" if quality.misplaced else "doubtful" if hidden else "good"
+
+
 def _worst(quality: StripQuality) -> tuple[PairQuality, int]:
     best = [np.nanmax(p.segments_px, initial=-1.0) for p in quality.pairs]
     pair = quality.pairs[int(np.argmax(best))]
@@ -146,10 +160,6 @@ def _segment_words(pair: PairQuality, segment: int) -> str:
     return f"{segment * SEGMENT_LINES} to {last}"
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f}\u00a0%" if np.isfinite(share) else "–"
-
-
 def _facts(
     geometry: StripGeometry,
     offsets: StripOffsets,
@@ -159,24 +169,24 @@ def _facts(
     """What the head of the page says."""
     f, living = quality.figures, sum(map(bool, geometry.lines))
     n = max(quality.lines, 1)
-    size = f"{mosaic.width_px} × {mosaic.height_px}"
+    size = f"{whole(mosaic.width_px)} × {whole(mosaic.height_px)}"
     return [
         (
             "strips",
             f"{living} of {len(geometry.ccds)}",
-            f"{geometry.width_px} px by {max(geometry.lines)} lines",
+            f"{whole(geometry.width_px)} px by {whole(max(geometry.lines))} lines",
         ),
         ("scene", size, f"{mosaic.dtype}, {mosaic.bit_depth} bits"),
-        ("ground pixel", length(geometry.ground_pixel_m), f"{geometry.line_rate_hz:g} lines a second"),
+        ("ground pixel", length(geometry.ground_pixel_m), f"{short(geometry.line_rate_hz)} lines a second"),
         ("method", offsets.method.replace("_", " "), "of the offsets"),
         ("misplacement", short(f.rms_px, "px", 2), f"RMS; 95 %: {short(f.p95_px, 'px', 2)}"),
         (
             "worst segment",
             short(f.worst_segment_px, "px", 2),
-            f"lines above {LIMIT_PX:g} px: {_percent(f.share_above)}",
+            f"lines above {LIMIT_PX:g} px: {percent(f.share_above)}",
         ),
-        ("checked", _percent(f.lines / n), f"of {quality.lines:,} lines of the overlaps"),
-        ("not measured", _percent(quality.other_lines / n), "bridged or unreliable"),
+        ("checked", percent(f.lines / n), f"of {whole(quality.lines)} lines of the overlaps"),
+        ("not measured", percent(quality.other_lines / n), "bridged or unreliable"),
     ]
 
 
@@ -196,27 +206,57 @@ def _gaps(geometry: StripGeometry, mosaic: StripMosaic) -> list[str]:
     return out
 
 
-def _pair_row(geometry: StripGeometry, checked: PairQuality, offsets: PairOffsets) -> PairRow:
+def _pair_table(geometry: StripGeometry, quality: StripQuality, offsets: Mapping[int, PairOffsets]) -> Table:
+    """Neighbouring CCDs: how their offsets were found, and what is left."""
+    return Table(
+        "seam",
+        (
+            ("CCDs", False), ("state", False), ("left, RMS", True), ("worst segment", True),
+            ("at lines", False),
+            ("measured", True), ("bridged", True), ("unreliable", True), ("dcol, px", False),
+            ("dline, px", False), ("strips", False),
+        ),
+        [_pair_row(geometry, k, p, offsets[p.pair]) for k, p in enumerate(quality.pairs)],
+        (
+            ("in place", f"no segment is off by more than {LIMIT_PX:g} px"),
+            ("misplaced", "some segment is"),
+            ("not checked", "nothing could be measured"),
+        ),
+        elsewhere="offsets.csv",
+    )  # fmt: skip
+
+
+def _pair_row(geometry: StripGeometry, place: int, checked: PairQuality, offsets: PairOffsets) -> TableRow:
     length_px = np.hypot(*checked.residual_px.T)
     known = np.isfinite(length_px) & (checked.counts > 0)
     counts = np.where(known, checked.counts, 0.0)
-    rms = (
-        float(np.sqrt((np.where(known, length_px, 0.0) ** 2 @ counts) / counts.sum()))
-        if known.any()
-        else np.nan
-    )
+    squares = np.where(known, length_px, 0.0) ** 2 @ counts
+    rms = float(np.sqrt(squares / counts.sum())) if known.any() else float("nan")
     segments = checked.segments_px
     some = bool(np.isfinite(segments).any())
+    worst = float(np.nanmax(segments)) if some else float("nan")
+    kind = "not checked" if not some else "misplaced" if worst > LIMIT_PX else "in place"
     files = [ccd.path.name if ccd.path else "" for ccd in geometry.ccds[checked.pair : checked.pair + 2]]
-    return PairRow(
-        _pair_name(checked.pair),
-        " – ".join(files),
-        (float(offsets.dcol_px.min()), float(offsets.dcol_px.max())),
-        (float(offsets.dline_px.min()), float(offsets.dline_px.max())),
-        tuple(100.0 * share for share in checked.share_of_labels),
-        rms,
-        float(np.nanmax(segments)) if some else float("nan"),
-        _segment_words(checked, int(np.nanargmax(segments))) if some else "–",
+    spans = [
+        Cell(f"{signed(float(v.min()))} to {signed(float(v.max()))}", f"{float(v.min()):.6g}")
+        for v in (offsets.dcol_px, offsets.dline_px)
+    ]
+    return TableRow(
+        place,
+        kind,
+        (
+            Cell(_pair_name(checked.pair)),
+            Cell(kind),
+            number(rms, "px", 2),
+            number(worst, "px", 2),
+            Cell(_segment_words(checked, int(np.nanargmax(segments))) if some else "–"),
+            *(
+                Cell(percent(share), f"{share:.6g}" if share == share else "-1")
+                for share in checked.share_of_labels
+            ),
+            *spans,
+            Cell(" – ".join(files)),
+        ),
     )
 
 
@@ -228,7 +268,7 @@ def _ccd_rows(
     for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True)):
         gain = offset = "–"
         if radiometry is not None and lines:
-            gain, offset = f"{radiometry.gain[k]:.4f}", f"{radiometry.offset[k]:+.2f}"
+            gain, offset = short(float(radiometry.gain[k]), digits=4), signed(float(radiometry.offset[k]))
         row = "leading" if ccd.row == 1 else "trailing"
         out.append((k + 1, ccd.path.name if ccd.path else "none", row, lines, gain, offset))
     return out

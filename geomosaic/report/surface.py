@@ -17,7 +17,7 @@ from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.quality.heights import HeightFigures
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.report.glance import data_uri
-from geomosaic.report.svg import short
+from geomosaic.report.numbers import percent, short, signed
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -50,10 +50,12 @@ class Profile:
 
 @dataclass(frozen=True)
 class SurfaceSection:
-    """All of it; uri: the shading, low_m and high_m the ends of its colours; compared: rows of figures by
-    class, off_uri the difference between -off_m and off_m, both empty without a reference."""
+    """All of it; uri: the shading, box_m: its west, south, east, north; low_m and high_m the ends of its
+    colours; compared: rows of figures by class, off_uri the difference between -off_m and off_m, both empty
+    without a reference."""
 
     uri: str
+    box_m: tuple[float, float, float, float]
     low_m: float
     high_m: float
     rows: list[Row]
@@ -80,6 +82,7 @@ def surface_section(
     off_m = 0.0 if comparison is None else _reach_m(comparison.difference_m)
     return SurfaceSection(
         _shaded(heights, pixel_m, low, high),
+        _box_m(surface),
         low,
         high,
         [*_figures(confidence, summary.get("metrics", {}), known), *_ortho(summary.get("metrics", {}))],
@@ -91,6 +94,12 @@ def surface_section(
         _difference(comparison.difference_m, off_m) if comparison else "",
         off_m,
     )
+
+
+def _box_m(path: Path) -> tuple[float, float, float, float]:
+    with open_raster(path, OWN) as raster:
+        west, south, east, north = map(float, raster.bounds)
+    return west, south, east, north
 
 
 def _reduced(
@@ -139,13 +148,13 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
     sd, seen = sd[np.isfinite(sd)], views[np.isfinite(views)]
     rows: list[Row] = []
     if heights.size:
-        ends = f"{heights.min():.1f} to {heights.max():.1f} m"
+        ends = f"{short(float(heights.min()), digits=4)} to {short(float(heights.max()), 'm', 4)}"
         rows.append(("heights", ends, str(told.get("heights", ""))))
     if "cell_m" in told:
         pixel = f"written in pixels of {short(told.get('pixel_m'), 'm')}"
         rows.append(("cells", short(told["cell_m"], "m"), pixel))
     if seen.size:
-        matched = f"{100.0 * float(np.mean(seen > 0.0)):.0f} %"
+        matched = percent(float(np.mean(seen > 0.0)))
         rows.append(
             (
                 "matched",
@@ -158,7 +167,7 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
         text = f"median {short(middle, 'm')}, 90 % below {short(most, 'm')}"
         rows.append(("deviation", text, "as matching states it; surface_confidence.tif has it by place"))
     if "ground_share" in told:
-        ground = f"{100.0 * told['ground_share']:.0f} %"
+        ground = percent(told["ground_share"])
         rows.append(
             ("ground", ground, "of the matched cells show the ground; terrain.tif goes on beneath the rest")
         )
@@ -194,8 +203,8 @@ def _fit(comparison: SurfaceComparison) -> str:
         return ""
     tilt = 1000.0 * float(np.hypot(f.tilt_east, f.tilt_north))
     return (
-        f"{f.east_m:+.2f} m east, {f.north_m:+.2f} m north, {f.up_m:+.2f} m up, and a tilt of {tilt:.2f} m "
-        "per km would lay the reference on the surface best"
+        f"{signed(f.east_m, 'm')} east, {signed(f.north_m, 'm')} north, {signed(f.up_m, 'm')} up, and a "
+        f"tilt of {short(tilt, 'm')} per km would lay the reference on the surface best"
     )
 
 

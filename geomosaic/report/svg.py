@@ -101,18 +101,3 @@ def tick_texts(ticks: Sequence[float]) -> list[str]:
         return [f"{t:.2g}" for t in ticks]
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     return [f"{t + 0.0:.{decimals}f}" for t in ticks]
-
-
-def short(value: float | None, unit: str = "", digits: int = 3) -> str:
-    """A value for people: three digits that matter; a dash for what isn't known."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if value == 0.0:
-        words = "0"
-    elif abs(value) >= 10 ** (digits - 1):
-        words = f"{value:,.0f}".replace(",", "\u202f")
-    else:
-        words = f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
-        if abs(value) < 1e-4:
-            words = f"{value:.1e}"
-    return f"{words}\u00a0{unit}" if unit else words

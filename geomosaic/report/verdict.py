@@ -9,18 +9,14 @@ from markupsafe import Markup
 
 from geomosaic.adjustment.residual_pattern import CELLS, ResidualPattern
 from geomosaic.quality.verdict import Verdict
-from geomosaic.report.page import markup
+from geomosaic.report.numbers import map_metres, short
+from geomosaic.report.page import Judged, markup
 from geomosaic.report.solved_plots import image_vectors
-from geomosaic.report.svg import short
 from geomosaic.survey.model import Survey
 
 _WORST_SEAMS = 12
-_LEADS = {
-    "good": "Good: nothing that was measured speaks against this mosaic.",
-    "doubtful": "Doubtful:",
-    "bad": "Bad:",
-}
-_NOT_JUDGED = "Not judged: the recipe has no stage quality.verdict."
+_GOOD = "Nothing that was measured speaks against this mosaic."
+_NOT_JUDGED = "The recipe has no stage quality.verdict."
 
 
 @dataclass(frozen=True)
@@ -28,9 +24,7 @@ class VerdictSection:
     """What the template shows. evidence: (name, figure, grade, cause, mend); seams: (left, right, how far the
     ground jumps, easting, northing), worst first; patterns: images with their captions."""
 
-    grade: str
-    lead: str
-    mend: str
+    judged: Judged
     evidence: list[tuple[str, str, str, str, str]]
     seams: list[tuple[str, str, str, str, str]]
     measured: str
@@ -40,29 +34,31 @@ class VerdictSection:
 def verdict_section(survey: Survey, verdict: Verdict | None) -> VerdictSection:
     """Of a run without a verdict it says that there is none."""
     if verdict is None:
-        return VerdictSection("", _NOT_JUDGED, "", [], [], "", [])
+        return VerdictSection(Judged("", _NOT_JUDGED), [], [], "", [])
     seams, length = verdict.seams, verdict.seams.length_px
     worst = [i for i in np.argsort(-np.nan_to_num(length)) if np.isfinite(length[i])][:_WORST_SEAMS]
     names = [f.name for f in survey.frames]
-    cause = f" {verdict.cause}." if verdict.cause else ""
+    cause = f"{_sentence(verdict.cause)} " if verdict.cause else _GOOD * (verdict.grade == "good") + " "
     return VerdictSection(
-        grade=verdict.grade,
-        lead=f"{_LEADS[verdict.grade]}{cause} {verdict.text[:1].upper()}{verdict.text[1:]}.",
-        mend=verdict.mend,
+        judged=Judged(verdict.grade, f"{cause}{_sentence(verdict.text)}", _sentence(verdict.mend)),
         evidence=[(e.name, e.figure, e.grade, e.cause, e.mend) for e in verdict.evidence],
         seams=[
             (
                 names[seams.left[i]],
                 names[seams.right[i]],
                 short(float(length[i]), "px"),
-                f"{seams.at_m[i, 0]:.1f}",
-                f"{seams.at_m[i, 1]:.1f}",
+                map_metres(float(seams.at_m[i, 0])),
+                map_metres(float(seams.at_m[i, 1])),
             )
             for i in worst
         ],
         measured=f"{int(np.isfinite(length).sum())} of {len(length)}",
         patterns=[_pattern(survey, p) for p in verdict.patterns],
     )
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}." if words else ""
 
 
 def _pattern(survey: Survey, pattern: ResidualPattern) -> tuple[str, Markup]:

@@ -27,7 +27,7 @@ class QualityCompare(Stage):
     id = "quality.compare"
     display_name = "Compare with a reference"
     group = "Quality"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     optional_inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "adjusted": Adjusted,
@@ -76,6 +76,8 @@ class QualityCompare(Stage):
         for name, value in {**figures, "overlap_share": comparison.overlap_share}.items():
             context.metric(f"quality.{name}", value)
         context.metric("quality.ssim", asdict(comparison.ssim))
+        if comparison.ssim_registered is not None:
+            context.metric("quality.ssim_registered", asdict(comparison.ssim_registered))
         if comparison.figures.share_measured < _LITTLE:
             context.warn(
                 "little-measured",

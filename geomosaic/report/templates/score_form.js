@@ -10,7 +10,9 @@
     }
     const report = {
       scale: "CCIR 500-1, five levels, 5 is best",
+      run: form.dataset.run,
       mosaic: form.dataset.mosaic,
+      verdict: form.dataset.grade,
       viewer: String(data.get("viewer")),
       date: new Date().toISOString(),
       scores: scores,
@@ -18,7 +20,7 @@
     };
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([JSON.stringify(report, null, 2)], { type: "application/json" }));
-    link.download = "scores-" + (report.viewer.replace(/[^A-Za-z0-9]+/g, "-") || "viewer") + ".json";
+    link.download = ["scores", report.run, report.viewer].map((w) => w.replace(/[^\p{L}\p{N}]+/gu, "-")).join("-") + ".json";
     link.click();
     URL.revokeObjectURL(link.href);
     document.getElementById("saved").textContent = "Saved as " + link.download + ".";

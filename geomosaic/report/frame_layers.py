@@ -1,0 +1,241 @@
+"""The map of a run of frames: footprints, moves, residuals, seams, ellipses, and what a reference says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.export.ellipses import error_ellipses, exaggeration
+from geomosaic.export.on_map import map_from_work
+from geomosaic.export.orientation import Orientations
+from geomosaic.matching.model import TiePoints
+from geomosaic.mosaic.model import Mosaic
+from geomosaic.placement.model import Placement
+from geomosaic.projection.footprint import footprint, ground_from_images
+from geomosaic.quality.compare import Comparison
+from geomosaic.quality.seam_check import SeamCheck
+from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
+from geomosaic.report.layers import Layer, arrows, flat, labels_of, outlines, thinned, told_thinned
+from geomosaic.report.numbers import short, whole
+from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
+_MOST_ARROWS: Final = 2500
+_MOST_TIES: Final = 8000
+_MOST_CORNERS: Final = 40_000
+"""Of all seams together."""
+_FINE_OUTLINES: Final = 400
+_ARROWS_OF_SPACING: Final = 0.05
+"""How long the typical residual is drawn, of the way to the next frame."""
+_LONGEST: Final = 6.0
+"""How many times longer than the median one a residual is drawn at most."""
+_JUMPS_PX: Final = 3.0
+"""From here on a seam is called bad: `quality.verdict`'s limit."""
+
+
+def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
+    """The frames' outlines on the map, (k, 2) each, without points whose ray misses the ground."""
+    per_side = 4 if len(survey.frames) <= _FINE_OUTLINES else 1
+    out = []
+    for i, camera in enumerate(adjusted.cameras):
+        outline = footprint(adjusted.poses[i], camera, adjusted.ground, per_side)
+        seen = outline[np.isfinite(outline).all(axis=1)]
+        out.append(map_from_work(survey, seen) if len(seen) else np.empty((0, 2)))
+    return out
+
+
+@dataclass(frozen=True)
+class FrameLayers:
+    """Makes the layers of a run; origin: what the map counts from; pixel_m: of the reduced mosaic."""
+
+    survey: Survey
+    placement: Placement
+    ties: TiePoints
+    adjusted: Adjusted
+    orientation: Orientations
+    footprints_m: Sequence[Floats]
+    origin: Floats
+    pixel_m: float
+
+    def all(self, mosaic: Mosaic, seams: SeamCheck | None, comparison: Comparison | None) -> list[Layer]:
+        """From below to above, empty ones too."""
+        return [
+            self._footprints(),
+            self._seams(mosaic),
+            *self._ties(),
+            self._lines(),
+            self._residuals(),
+            *self._displacements(comparison),
+            self._ellipses(),
+            self._moves(),
+            self._holes(mosaic),
+            self._jumps(seams),
+            self._frames(),
+        ]
+
+    @property
+    def _at_m(self) -> Floats:
+        return self.orientation.map_m
+
+    @property
+    def _odd(self) -> list[int]:
+        return [i for i, status in enumerate(self.adjusted.status) if status != "tied"]
+
+    def _footprints(self) -> Layer:
+        return Layer(
+            "footprints", "Footprints", "#00b4d8", areas=outlines(self.footprints_m, self.origin),
+            rows=list(range(len(self.survey.frames))), odd=self._odd, weight=1.2, shown=True,
+        )  # fmt: skip
+
+    def _frames(self) -> Layer:
+        status = ["" if s == "tied" else s for s in self.adjusted.status]
+        known = np.atleast_1d(np.isfinite(self._at_m).all(axis=1))
+        return Layer(
+            "frames", "Frames", "#ffffff",
+            points=[flat(p, self.origin) if k else [] for p, k in zip(self._at_m, known, strict=True)],
+            rows=list(range(len(known))), odd=self._odd, shown=True,
+            labels=labels_of([f.name for f in self.survey.frames], status), note="orange: not tied",
+        )  # fmt: skip
+
+    def _lines(self) -> Layer:
+        lines = []
+        for line in sorted(set(self.placement.lines)):
+            part = self._at_m[[i for i in self.placement.sequence if self.placement.lines[i] == line]]
+            part = part[np.isfinite(part).all(axis=1)]
+            if len(part) > 1:
+                lines.append(flat(part, self.origin))
+        return Layer("flight", "Flight lines", "#ffffff", lines=lines, weight=1.0, dash="6 5")
+
+    def _ties(self) -> list[Layer]:
+        by_number = sorted(self.ties.pairs, key=len, reverse=True)[:_MOST_TIES]
+        note = "; ".join(
+            f"{short(float(np.quantile([len(p) for p in self.ties.pairs], q)))} tie points {words}"
+            for q, words in ((0.5, "in the median pair"), (0.05, "or fewer in 5 %"))
+            if self.ties.pairs
+        )
+        drawn = [flat(self._at_m[[p.left, p.right]], self.origin) for p in by_number]
+        vain = [flat(self._at_m[list(p)], self.origin) for p in self.ties.untied[:_MOST_TIES]]
+        return [
+            Layer("ties", "Tied pairs", "#7ae582", lines=drawn, weight=1.2, note=note),
+            Layer("untied", "Pairs tried in vain", "#ff7043", lines=vain, weight=1.0, dash="3 5"),
+        ]
+
+    def _moves(self) -> Layer:
+        before = map_from_work(self.survey, self.placement.poses.positions_m)
+        vectors = map_from_work(self.survey, self.adjusted.poses.positions_m) - before
+        factor = exaggeration(np.linalg.norm(vectors, axis=1), before)
+        note = f"from the given position to the adjusted one, {_larger(factor)}"
+        lines = arrows(before, vectors, factor, self.origin)
+        return Layer("moves", "POS to adjusted", "#e0218a", lines=lines, weight=2.2, note=note)
+
+    def _residuals(self) -> Layer:
+        """Where the left frame of a tie point puts it, to where the right one does."""
+        nothing = np.zeros((0, 2))
+        left = np.repeat([p.left for p in self.ties.pairs], [len(p) for p in self.ties.pairs]).astype(np.intp)
+        px = np.concatenate([nothing, *(p.left_px for p in self.ties.pairs)])
+        shift = np.concatenate([nothing, *self.adjusted.residuals_m])
+        weights = tie_weights(self.ties, self.adjusted.image_residuals)
+        trusted = ~(np.concatenate([np.zeros(0), *weights]) < DOWN_WEIGHTED)
+        told = np.flatnonzero(trusted) if len(shift) == len(left) else np.zeros(0, np.int64)
+        taken = told[thinned(len(told), _MOST_ARROWS)]
+        a = self.adjusted
+        at = ground_from_images(left[taken], px[taken], a.poses, a.cameras, a.ground)
+        start = map_from_work(self.survey, at)
+        vectors = map_from_work(self.survey, at + np.pad(shift[taken], ((0, 0), (0, 1)))) - start
+        length = np.linalg.norm(vectors, axis=1)
+        longest = _LONGEST * float(np.nanmedian(length)) if np.isfinite(length).any() else 1.0
+        vectors *= np.minimum(1.0, longest / np.maximum(length, 1e-9))[:, None]
+        factor = exaggeration(length, self._at_m, _ARROWS_OF_SPACING)
+        thin = told_thinned(len(taken), len(told))
+        cut = f", cut at {short(longest, 'm')}" if np.nanmax(length, initial=0.0) > longest else ""
+        note = f"of tie points that count, left to right frame, {_larger(factor)}{cut}{thin}"
+        lines = arrows(start, vectors, factor, self.origin)
+        return Layer("residuals", "Residuals", "#ff6b6b", lines=lines, weight=1.1, note=note)
+
+    def _seams(self, mosaic: Mosaic) -> Layer:
+        rings = [np.asarray(ring) for line in mosaic.seamlines for p in line.polygons for ring in p]
+        finest = self.pixel_m
+        while rings:
+            simple = [np.asarray(shapely.LinearRing(r).simplify(finest).coords) for r in rings]
+            if sum(map(len, simple)) <= _MOST_CORNERS:
+                break
+            finest *= 2.0
+        drawn = [flat(r, self.origin, 1) for r in simple] if rings else []
+        return Layer("seams", "Seams", "#ffe100", lines=drawn, weight=1.4)
+
+    def _jumps(self, seams: SeamCheck | None) -> Layer:
+        """Places on the seams where the ground was compared in the pixels."""
+        if seams is None:
+            return Layer("jumps", "", "")
+        known = np.flatnonzero(np.isfinite(seams.length_px))
+        names = [f.name for f in self.survey.frames]
+        return Layer(
+            "jumps", "Checked places on seams", "#38b000",
+            points=[flat(seams.at_m[i], self.origin) for i in known],
+            odd=[k for k, i in enumerate(known) if seams.length_px[i] > _JUMPS_PX],
+            labels=[
+                f"{names[seams.left[i]]} / {names[seams.right[i]]}: {short(float(seams.length_px[i]), 'px')}"
+                for i in known
+            ],
+            note=f"orange: the ground jumps by more than {_JUMPS_PX:g} px",
+        )  # fmt: skip
+
+    def _ellipses(self) -> Layer:
+        if self.adjusted.pose_covariance is None:
+            return Layer("ellipses", "", "")
+        ellipses = error_ellipses(self.orientation.covariance_m2[:, :2, :2])
+        factor = exaggeration(ellipses.semi_major_m, self._at_m)
+        rings = ellipses.outlines_m(self._at_m, factor)[:, ::2]
+        usual = short(float(np.nanmedian(ellipses.semi_major_m)), "m")
+        note = f"of 1 σ, {_larger(factor)}; median semi-axis {usual}"
+        return Layer(
+            "ellipses", "Error ellipses", "#b388ff", areas=outlines(rings, self.origin),
+            rows=list(range(len(rings))), weight=1.4, fill=0.18, odd=self._odd, note=note,
+        )  # fmt: skip
+
+    def _displacements(self, comparison: Comparison | None) -> list[Layer]:
+        """The mosaic against the reference, as measured, and as the best similarity leaves it."""
+        if comparison is None or not len(comparison.vectors_m):
+            return []
+        out, (at, vectors) = [], np.hsplit(comparison.vectors_m, 2)
+        taken = thinned(len(at), _MOST_ARROWS)
+        for name, title, left in (
+            ("displaced", "Displacement", vectors),
+            ("left", "Displacement after similarity", after_similarity(comparison)),
+        ):
+            if not np.isfinite(left).any():
+                continue
+            factor = exaggeration(np.linalg.norm(left, axis=1), self._at_m, 2.0 * _ARROWS_OF_SPACING)
+            note = f"mosaic minus reference, {_larger(factor)}{told_thinned(len(taken), len(at))}"
+            lines = arrows(at[taken], left[taken], factor, self.origin)
+            out.append(Layer(name, title, "#ff6b6b", lines=lines, weight=1.3, note=note))
+        return out
+
+    def _holes(self, mosaic: Mosaic) -> Layer:
+        holes = mosaic.holes.largest
+        return Layer(
+            "holes", "Holes", "#ff1744",
+            points=[flat(np.array([h.easting_m, h.northing_m]), self.origin) for h in holes],
+            labels=[f"no frame shows {short(h.area_m2, 'm²')} here" for h in holes], shown=True,
+        )  # fmt: skip
+
+
+def after_similarity(comparison: Comparison) -> Floats:
+    """What the best shift, turn and scale leave of the displacements, (n, 2); NaN where there is none."""
+    at, vectors = np.hsplit(comparison.vectors_m, 2)
+    s = comparison.figures.similarity
+    about = (at - [s.centre_east_m, s.centre_north_m]) @ [1.0, 1.0j]
+    turned = (s.scale * np.exp(1j * s.rotation_rad) - 1.0) * about
+    return np.asarray(
+        vectors - np.stack([turned.real, turned.imag], axis=-1) - [s.shift_east_m, s.shift_north_m]
+    )
+
+
+def _larger(factor: float) -> str:
+    return "true to scale" if factor == 1.0 else f"drawn {whole(factor)} times larger"

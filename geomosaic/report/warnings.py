@@ -1,0 +1,75 @@
+"""A run's warnings as people read them: by how much they matter, equal ones once, with their number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+_MOST_NAMES: Final = 500
+_SEVERE: Final = frozenset(
+    (
+        "bundle-failed", "ccd-missing", "frame-damaged", "frame-flung", "looks-past-ground",
+        "mosaic-stretched", "not-placed", "pose-not-determined", "positions-all-alike",
+        "scale-doubtful", "scene-misplaced", "separate-part",
+    )
+)  # fmt: skip
+_ROUTINE: Final = frozenset(
+    (
+        "attitude-convention", "attitude-of-aircraft", "bands-left-out", "camera-assumed", "camera-scaled",
+        "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-take-off",
+        "frame-turned", "geoid-assumed", "height-above-take-off", "height-by-neighbours",
+        "height-datum-assumed", "height-datum-unknown", "height-estimated", "image-edited", "model-chosen",
+        "order-by-name",
+        "pos-attitude-convention", "pos-columns-ignored", "pos-header-assumed", "readout-by-model",
+        "readout-by-tag", "reference-datum-assumed", "surface-coarse", "yaw-wrong",
+    )
+)  # fmt: skip
+"""What was assumed, or mended by the run itself, and told for the record."""
+_TOLD: Final = frozenset(("verdict-good", "verdict-doubtful", "verdict-bad"))
+"""The page begins with it."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """One text: its code in words, how often it was said, of which frames (the first of them)."""
+
+    code: str
+    text: str
+    count: int
+    frames: list[str]
+
+
+@dataclass(frozen=True)
+class Warnings:
+    """severe: what the map suffers from; look: what may matter; routine: for the record. frames: how often
+    each is named in the first two."""
+
+    severe: list[Told]
+    look: list[Told]
+    routine: list[Told]
+    frames: Mapping[str, int]
+
+    @property
+    def number(self) -> int:
+        """Of the warnings, equal ones counted each, without routine."""
+        return sum(told.count for told in (*self.severe, *self.look))
+
+
+def warnings_of(summary: Mapping[str, Any]) -> Warnings:
+    """Those of run.json, the most frequent last within each group, so that none hides another."""
+    given: Sequence[Mapping[str, Any]] = summary.get("warnings", [])
+    equal: dict[tuple[str, str], list[str]] = {}
+    frames: dict[str, int] = {}
+    for warning in given:
+        code, text, frame = (str(warning.get(k) or "") for k in ("code", "text", "frame"))
+        if code not in _TOLD:
+            equal.setdefault((code, text), []).append(frame)
+            if frame and code not in _ROUTINE:
+                frames[frame] = frames.get(frame, 0) + 1
+    groups: dict[str, list[Told]] = {"severe": [], "look": [], "routine": []}
+    for (code, text), of in sorted(equal.items(), key=lambda item: len(item[1])):
+        group = "severe" if code in _SEVERE else "routine" if code in _ROUTINE else "look"
+        names = [name for name in of if name]
+        groups[group].append(Told(code.replace("-", " "), text, len(of), names[:_MOST_NAMES]))
+    return Warnings(**groups, frames=frames)
