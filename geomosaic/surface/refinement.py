@@ -169,11 +169,15 @@ def _correlations(
         if k in hidden_below_m:
             sees &= height_m >= hidden_below_m[k][at]
         seen.append(sees)
-    of_first = np.argmax(np.stack(seen), axis=0)
-    first = np.take_along_axis(np.stack(shown), of_first[None], axis=0)[0]
-    mean, spread = _mean_and_spread(first)
     found = []
+    all_by_one = bool(seen[0].all())
+    of_first = np.zeros((1, 1), dtype=np.intp) if all_by_one else np.argmax(np.stack(seen), axis=0)
+    first = shown[0] if all_by_one else np.take_along_axis(np.stack(shown), of_first[None], axis=0)[0]
+    mean, spread = _mean_and_spread(first)
     for k, (picture, sees) in enumerate(zip(shown, seen, strict=True)):
+        if all_by_one and k == 0:
+            found.append(np.full_like(first, -np.inf))
+            continue
         own_mean, own_spread = _mean_and_spread(picture)
         alike = (_mean(first * picture) - mean * own_mean) / np.sqrt(spread * own_spread)
         found.append(np.where(sees & (of_first != k), alike, np.float32(-np.inf)))

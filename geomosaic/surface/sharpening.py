@@ -165,10 +165,12 @@ class _Finer:
         shown, seen = [], []
         for k in frames:
             col, row = (a.reshape(-1, size[0]) for a in self._verticals.places(k, bent, (rows, cols)))
-            down, across = self._pictures[k].shape
-            sees = (col >= 0.0) & (col < across - 1.0) & (row >= 0.0) & (row < down - 1.0)
-            low_m = cv2.resize(hidden_m[k][at], size, interpolation=cv2.INTER_NEAREST)
-            sees &= (dense_m >= low_m).reshape(sees.shape)
+            low_m = hidden_m[k][at]
+            sees = _inside(col, row, self._pictures[k].shape)
+            if not low_m.max() <= dense_m.min():
+                dense_low_m = cv2.resize(low_m, size, interpolation=cv2.INTER_NEAREST)
+                unhidden = (dense_m >= dense_low_m).reshape(col.shape)
+                sees = unhidden if sees is None else sees & unhidden
             border = cv2.BORDER_REPLICATE
             grey = cv2.remap(self._pictures[k], col, row, cv2.INTER_LINEAR, borderMode=border)
             shown.append(np.asarray(grey, dtype=np.uint8))
@@ -180,28 +182,37 @@ class _Finer:
             found = cv2.blur(found, (3, 3))
         return np.asarray(found.reshape(len(offered_m), size[1] // 2, size[0] // 2), dtype=np.float32)
 
-    def _two_most_alike(self, shown: Sequence[Bytes], seen: Sequence[NDArray[np.bool_]]) -> Bytes:
-        """The sum of the two least differences with the first frame that sees a place; several heights lie
-        one below the other, and are mixed at their rims, which nobody looks at."""
-        first, lacking = shown[0].copy(), ~seen[0]
-        others = []
-        for grey, sees in zip(shown[1:], seen[1:], strict=True):
-            other = sees
-            if lacking.any():
-                own = lacking & sees
-                np.copyto(first, grey, where=own)
-                lacking &= ~sees
-                other = sees & ~own
-            others.append(other)
+    def _two_most_alike(self, shown: Sequence[Bytes], seen: Sequence[NDArray[np.bool_] | None]) -> Bytes:
+        """The sum of the two least differences with the first frame that sees a place (seen: None where all
+        are); several heights lie one below the other, and are mixed at their rims, which nobody looks at."""
+        first, others = shown[0], list(seen[1:])
+        if seen[0] is not None:
+            first, lacking = first.copy(), ~seen[0]
+            for k, grey in enumerate(shown[1:]):
+                if lacking.any():
+                    sees = others[k]
+                    own = lacking.copy() if sees is None else lacking & sees
+                    np.copyto(first, grey, where=own)
+                    lacking &= ~own
+                    others[k] = ~own if sees is None else sees & ~own
         least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
         for grey, other in zip(shown[1:], others, strict=True):
-            mask = other.view(np.uint8)
+            mask = None if other is None else other.view(np.uint8)
             mean, own_mean = cv2.mean(first, mask)[0], cv2.mean(grey, mask)[0]
             if own_mean <= 0.0:
                 continue
             apart = cv2.absdiff(first, cv2.convertScaleAbs(grey, alpha=mean / own_mean))
             apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW))
-            np.copyto(apart, np.uint8(_MOST_GREY), where=~other)
+            if other is not None:
+                np.copyto(apart, np.uint8(_MOST_GREY), where=~other)
             np.minimum(second, np.maximum(least, apart), out=second)
             np.minimum(least, apart, out=least)
         return np.asarray(least + second, dtype=np.uint8)
+
+
+def _inside(col: Floats32, row: Floats32, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    """Which places lie in a picture; None where all do."""
+    down, across = shape
+    if col.min() >= 0.0 and col.max() < across - 1.0 and row.min() >= 0.0 and row.max() < down - 1.0:
+        return None
+    return np.asarray((col >= 0.0) & (col < across - 1.0) & (row >= 0.0) & (row < down - 1.0))
