@@ -15,8 +15,15 @@ import pytest
 from recorded_survey import bad_survey
 
 from geomosaic.cli.main import main
+from geomosaic.errors import CancelledError
+from geomosaic.pipeline.recipe import parse_recipe
+from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.pipeline.registry import installed
-from geomosaic.recording import read_recording
+from geomosaic.pipeline.runner import run
+from geomosaic.recording import Recorder, read_recording
+from geomosaic.recording.heartbeat import EVERY_S
+from geomosaic.recording.inspection import Inspection
+from geomosaic.recording.messages import ChipTies
 
 KILLED = (("Place frames by POS", "matching.sift", 1.2), ("Match frames with SIFT", "adjustment.solve", 0.2))
 """Behind which line of progress, in which stage, after how many seconds."""
@@ -69,3 +76,47 @@ def test_a_killed_run_says_where_it_was(
     assert main(["inspect", str(tmp_path / "run"), "--repair", str(tmp_path / "whole.mcap")]) == 0
     whole = read_recording(tmp_path / "whole.mcap")
     assert whole.whole and [s.stage_id for s in whole.stages if not s.finished] == [stage]
+
+
+def test_a_run_that_ends_while_inputs_are_read_leaves_its_recipe(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    frames = bad_survey(tmp_path_factory) / "frames"
+    recipe = parse_recipe(
+        "name: x\nstages: [survey.read]\n", installed(), [f"survey.read.frames={frames}"], file="x"
+    )
+    with pytest.raises(CancelledError):
+        run(recipe, tmp_path / "run", cancelled=lambda: True)
+    left = read_recording(tmp_path / "run" / "run.mcap")
+    assert str(frames) in left.recipe_yaml and left.environment["geomosaic"] and not left.stages
+
+
+def test_how_far_the_reading_of_inputs_was_is_told(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", memory_bytes=lambda: 7_000_000)
+    recorder.begin_run("name: x\n", {})
+    recorder.progress(3, 20, "reading inputs")
+    time.sleep(EVERY_S + 0.3)
+    ended = Inspection(read_recording(tmp_path / "run.mcap"), None).ended()
+    assert ended["text"].startswith("before its first stage, at 3 of 20 reading inputs, ")
+    assert (ended["finished"], ended["in_stage"], ended["memory_mb"]) == (False, None, 7.0)
+    recorder.inputs({"survey.read.frames": {}})
+    recorder.stage_started("survey.read", 1, {}, {})
+    recorder.flush()
+    assert Inspection(read_recording(tmp_path / "run.mcap"), None).ended()["text"] == "in survey.read"
+    recorder.close()
+
+
+def test_what_a_cached_stage_has_not_made_is_told(tmp_path: Path) -> None:
+    """Its cache was filled when images weren't recorded, now they are."""
+    with Recorder(tmp_path / "first.mcap", level="summary") as recorder:
+        recorder.stage_started("quality.verdict", 1, {}, {})
+        stage = StageRecorder(recorder, tmp_path / "calls", "quality.verdict")
+        assert not stage.wants(ChipTies)
+        stage.close()
+    for level, told in (("normal", 1), ("summary", 0)):
+        with Recorder(tmp_path / f"{level}.mcap", level=level) as recorder:
+            recorder.stage_started("quality.verdict", 1, {}, {})
+            record_again(tmp_path / "calls", recorder)
+        log = read_recording(tmp_path / f"{level}.mcap").log
+        assert len(log) == told and all("no ChipTies" in line.text for line in log)
+    assert not read_recording(tmp_path / "first.mcap").log

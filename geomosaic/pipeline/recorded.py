@@ -48,7 +48,10 @@ class StageRecorder:
 
     def wants(self, kind: Any) -> bool:
         """Whether messages of a class are recorded: what costs time needn't be made if not."""
-        return self._target is not None and self._target.wants(kind)
+        wanted = self._target is not None and self._target.wants(kind)
+        if not wanted:
+            self._call("left_out", schema=kind.DESCRIPTOR.full_name)
+        return wanted
 
     def __getattr__(self, method: str) -> Callable[..., None]:
         if method not in STAGE_CALLS:

@@ -195,6 +195,10 @@ class _Run:
         give_back()
 
     def _begin(self, given: Mapping[int, Given]) -> None:
+        environment = {**versions(), "commit": commit()}
+        if not self._fixed_time:
+            environment |= surroundings(private=self._privacy is not None)
+        self._recorder.begin_run(self._recipe.yaml(), environment)
         manifest: dict[str, Any] = {}
         for i, step in enumerate(self._recipe.steps):
             if i in given:
@@ -222,10 +226,7 @@ class _Run:
             "recorded_stages": [],
             "artefacts": {},
         }
-        environment = {**self._summary["versions"], "commit": commit()}
-        if not self._fixed_time:
-            environment |= surroundings(private=self._privacy is not None)
-        self._recorder.begin_run(self._recipe.yaml(), environment, manifest)
+        self._recorder.inputs(manifest)
 
     def _check_recorded(self, given: Given) -> None:
         """What a recorded stage found holds for the files it read, and only for them."""
@@ -248,6 +249,7 @@ class _Run:
     def _hashing(self, done: int, total: int) -> None:
         if self._cancelled is not None and self._cancelled():
             raise CancelledError
+        self._recorder.progress(done, total, "reading inputs")
         self._reporter.progress(done, total, "reading inputs")
 
     def _inputs(self, stage: type[Stage]) -> dict[str, Held]:

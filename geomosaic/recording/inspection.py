@@ -48,13 +48,12 @@ class Inspection:
         if out["finished"] and self.recording.whole:
             return out
         out["finished"] = False
-        if last is None:
-            return out | {"in_stage": None, "text": "before its first stage"}
-        out["in_stage"] = last.stage_id
-        if last.finished:
-            out |= {"in_stage": None, "after_stage": last.stage_id}
+        in_stage = "" if last is None else last.stage_id
+        out["in_stage"] = in_stage or None
+        if last is not None and last.finished:
+            out |= {"in_stage": None, "after_stage": in_stage}
         progress = self.recording.progress
-        if progress is not None and progress.stage_index == last.index and not last.finished:
+        if progress is not None and progress.stage_id == in_stage and not (last and last.finished):
             out |= {
                 "done": progress.done,
                 "total": progress.total,
@@ -170,15 +169,14 @@ def _tried(recording: Recording) -> list[Any]:
 
 
 def _ended_text(ended: dict[str, Any]) -> str:
-    if ended["in_stage"] is None:
+    where = f"in {ended['in_stage']}" if ended["in_stage"] else "before its first stage"
+    if "after_stage" in ended:
         where = f"after {ended['after_stage']}"
-    else:
-        where = f"in {ended['in_stage']}"
-        if ended.get("total"):
-            doing = f" {ended['doing']}" if ended["doing"] else ""
-            where += f", at {ended['done']} of {ended['total']}{doing}"
-        if ended.get("seconds") is not None:
-            where += f", {ended['seconds']:.0f} s after it began"
+    if ended.get("total"):
+        doing = f" {ended['doing']}" if ended["doing"] else ""
+        where += f", at {ended['done']} of {ended['total']}{doing}"
+    if ended.get("seconds") is not None:
+        where += f", {ended['seconds']:.0f} s after it began"
     return where + (f": {ended['error']}" if ended["error"] else "")
 
 

@@ -62,13 +62,13 @@ class MessageFile:
 
     def describe(self, name: str, values: Mapping[str, str]) -> None:
         """A metadata record."""
-        with self._writing():
+        with self._lock, self._writing():
             self._writer.add_metadata(name, dict(values))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """An attachment."""
-        now = self._now_ns()
-        with self._writing():
+        with self._lock, self._writing():
+            now = self._now_ns()
             self._writer.add_attachment(
                 create_time=now, log_time=now, name=name, media_type=media_type, data=data
             )

@@ -53,7 +53,7 @@ ARTEFACT_PART_BYTES = 1024 * 1024
 
 STAGE_CALLS = (
     *("log", "image", "location", "geojson", "offsets", "tie_points", "metric", "table", "outlines"),
-    *("iteration", "chip", "strip_offsets", "strip_residuals", "jitter", "camera"),
+    *("iteration", "chip", "left_out", "strip_offsets", "strip_residuals", "jitter", "camera"),
 )
 """What a stage may record; the other calls are the runner's."""
 
@@ -105,20 +105,34 @@ class Recorder(StageCalls, StripCalls):
         return wanted(kind.DESCRIPTOR.full_name, self.level)
 
     def begin_run(
-        self, recipe_yaml: str, environment: Mapping[str, Any], manifest: Mapping[str, Any]
+        self,
+        recipe_yaml: str,
+        environment: Mapping[str, Any],
+        manifest: Mapping[str, Any] | None = None,
     ) -> None:
-        """What the run was given and where it ran, written first and put on the disk at once.
+        """What the run does and where, written first and put on the disk at once.
 
-        `environment` holds versions and the machine, `manifest` the inputs with their hashes; both of
-        values that JSON knows.
+        `environment` holds versions and the machine, of values that JSON knows. manifest: see `inputs`; None
+        if it comes later.
         """
         described = {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()}
         self._file.describe(PROFILE, described)
         if self._privacy is not None:
             recipe_yaml = self._privacy.yaml(recipe_yaml)
-            environment, manifest = self._privacy.value(environment), self._privacy.value(manifest)
+            environment = self._privacy.value(environment)
         self._file.attach(RECIPE, "application/yaml", recipe_yaml.encode())
         self._file.attach(ENVIRONMENT, "application/json", json_text(environment).encode())
+        self.flush()
+        if manifest is not None:
+            self.inputs(manifest)
+        elif not self._fixed_time:
+            self._heartbeat.begin("")
+
+    def inputs(self, manifest: Mapping[str, Any]) -> None:
+        """The inputs with their hashes, of values that JSON knows: once, before the first stage."""
+        self._heartbeat.rest()
+        if self._privacy is not None:
+            manifest = self._privacy.value(manifest)
         self._file.attach(MANIFEST, "application/json", json_text(manifest).encode())
         self.flush()
 
@@ -148,6 +162,16 @@ class Recorder(StageCalls, StripCalls):
     def progress(self, done: int, total: int, text: str = "") -> None:
         """How far the stage is; the heartbeat tells it within a second."""
         self._heartbeat.progress(done, total, text)
+
+    def left_out(self, schema: str) -> None:
+        """A stage made no messages of a schema, since they weren't recorded; where they are now, as when its
+        result comes from the cache, the log says so."""
+        if wanted(schema, self.level):
+            what = schema.rpartition(".")[2]
+            text = (
+                f"no {what}: they weren't recorded when this was worked out; a run into a new folder has them"
+            )
+            self.log("info", text, stage=self._stage)
 
     def _beat(self, beat: Beat) -> None:
         message = Progress(
