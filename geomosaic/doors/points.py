@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import laspy
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
@@ -77,6 +76,8 @@ def open_points(path: Path) -> Iterator[PointCloud]:
 
     Raises: `FileError` for what is missing, no regular file, no LAS or LAZ, or asks for more than its size.
     """
+    import laspy  # which brings a client of the web; hardly a run opens a cloud
+
     check_regular(path, _MEND)
     _check_head(path)
     with path.open("rb") as file:

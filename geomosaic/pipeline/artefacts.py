@@ -43,7 +43,8 @@ _TIMELESS = (1980, 1, 1, 0, 0, 0)
 _KINDS = "biufcSU"
 _NAME_AT = 26
 """Where a member's own header in a zip has the lengths of its name and of what follows; then its bytes."""
-_MOST_HEADER_BYTES = 1 << 16
+_NPY_LENGTH_AT = 8
+"""Where the two bytes of a `.npy` header's length are, in its first version."""
 
 
 def fingerprint_of_file(file: BinaryIO) -> str:
@@ -361,11 +362,21 @@ def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
 
 
 def _array(data: bytes | memoryview) -> np.ndarray[Any, Any]:
-    stream = io.BytesIO(data[:_MOST_HEADER_BYTES])
+    length = int.from_bytes(data[_NPY_LENGTH_AT : _NPY_LENGTH_AT + 2], "little")
+    shape, dtype, start = _header(bytes(data[: _NPY_LENGTH_AT + 2 + length]))
+    if math.prod(shape) * dtype.itemsize != len(data) - start:
+        raise ValueError("an array whose size disagrees with its header")
+    array = np.frombuffer(data, dtype, offset=start).reshape(shape)
+    return array if isinstance(data, memoryview) else array.copy()
+
+
+@functools.lru_cache(maxsize=128)
+def _header(data: bytes) -> tuple[tuple[int, ...], np.dtype[Any], int]:
+    """Shape, type and length of an array's header; arrays of an artefact are mostly alike."""
+    stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError("an array of another format version")
     shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    if dtype.kind not in _KINDS or fortran or math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
-        raise ValueError("an array whose size disagrees with its header")
-    array = np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
-    return array if isinstance(data, memoryview) else array.copy()
+    if dtype.kind not in _KINDS or fortran:
+        raise ValueError("an array of another order or kind")
+    return shape, dtype, stream.tell()
