@@ -31,18 +31,24 @@ class Page:
         self.requests: list[str] = []
         self.errors: list[str] = []
 
-    def open(self, address: str, width: int = 1000, height: int = 700) -> None:
+    def open(self, address: str, width: int = 1000, height: int = 700, dark: bool = False) -> None:
         """Shows an address in a new window of this size, when it is loaded."""
         self._session = ""
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for part in ("Page", "Runtime", "Network", "Log"):
             self.send(f"{part}.enable")
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.send("Emulation.setDeviceMetricsOverride", **size)
+        self.look(width, height, dark)
         self.requests, self.errors = [], []
         self.send("Page.navigate", url=address)
         self.until("document.readyState === 'complete' && location.href !== 'about:blank'")
+
+    def look(self, width: int, height: int, dark: bool = False, media: str = "") -> None:
+        """The window's size, its colours, and whether it is a screen's or, as `print`, paper's."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.send("Emulation.setDeviceMetricsOverride", **size)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.send("Emulation.setEmulatedMedia", media=media, features=[scheme])
 
     def send(self, method: str, **params: Any) -> Any:
         """A command of the protocol, and its answer."""
@@ -77,6 +83,12 @@ class Page:
         at = {"x": left + part * width, "y": top + height / 2.0, "button": "left", "clickCount": 1}
         for kind in ("mousePressed", "mouseReleased"):
             self.send("Input.dispatchMouseEvent", type=kind, **at)
+
+    def drag(self, *places: tuple[float, float]) -> None:
+        """The mouse pressed at the first place, moved through the others, let go at the last."""
+        kinds = ["mousePressed", *["mouseMoved"] * (len(places) - 1), "mouseReleased"]
+        for kind, (x, y) in zip(kinds, (*places, places[-1]), strict=True):
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def _message(self) -> dict[str, Any]:
         while b"\0" not in self._left:
