@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from geomosaic.cli.options import AsJson, Overwrite, Quiet, Seed, Sets, Workers, cores
-from geomosaic.errors import FileError
+from geomosaic.errors import FileError, InputError
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.context import Notes
@@ -121,12 +122,49 @@ def _run(
 
 
 def evaluate(
-    target: Annotated[Path, typer.Argument(help="a run's folder, or a mosaic", metavar="RUN|TIF")],
-    reference: Annotated[Path, typer.Option(help="the true ortho or a satellite image", metavar="TIF")],
+    targets: Annotated[
+        list[Path],
+        typer.Argument(help="a run's folder, or a mosaic; files of scores", metavar="RUN|TIF|FILES"),
+    ],
+    reference: Annotated[
+        Path | None, typer.Option(help="the true ortho or a satellite image", metavar="TIF")
+    ] = None,
+    scores: Annotated[
+        bool, typer.Option("--scores", help="gather what viewers saved from reports' score forms")
+    ] = False,
     set: Sets = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a mosaic with a reference: displacement, jumps, SSIM."""
+    """Compare a mosaic with a reference: displacement, jumps, SSIM; or gather viewers' scores."""
+    if scores == (reference is not None):
+        raise InputError("evaluate takes either --reference TIF or --scores", mend="see evaluate --help")
+    if scores:
+        _scores(targets, as_json)
+    elif len(targets) > 1:
+        raise InputError("evaluate compares one mosaic at a time", mend="see evaluate --help")
+    else:
+        _compare(targets[0], reference, set, as_json)
+
+
+def _scores(files: list[Path], as_json: bool) -> None:
+    """A table of runs with their viewers' mean opinions."""
+    from geomosaic.quality.scores import CRITERIA, gathered, read_opinion
+
+    runs = gathered([read_opinion(file) for file in files])
+    if as_json:
+        print(json.dumps([asdict(run) for run in runs], indent=2))
+        return
+    width = max(len("run"), *(len(run.run) for run in runs))
+    print(" ".join([f"{'run':<{width}}", "viewers", *(f"{c.key:>8}" for c in CRITERIA)]))
+    for run in runs:
+        print(
+            " ".join(
+                [f"{run.run:<{width}}", f"{run.viewers:>7}", *(f"{run.mean[c.key]:>8.2f}" for c in CRITERIA)]
+            )
+        )
+
+
+def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> None:
     from geomosaic.pipeline.context import Context
     from geomosaic.pipeline.recipe import recipe_from
     from geomosaic.pipeline.registry import installed

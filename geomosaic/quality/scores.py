@@ -1,11 +1,17 @@
-"""People's scores: the five levels of CCIR Recommendation 500-1, as table 1 of Yue et al. 2021 uses them."""
+"""People's scores: the five levels of CCIR Recommendation 500-1, as table 1 of Yue et al. 2021 uses them, and
+what several viewers made of several runs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 from geomosaic.constants import Because
+from geomosaic.doors.files import printable
+from geomosaic.doors.plain import read_json
+from geomosaic.errors import FileError
 
 
 @dataclass(frozen=True)
@@ -47,3 +53,57 @@ CRITERIA = (
     Criterion("detail", "Detail is sharp, without ghosts or smear"),
     Criterion("overall", "The mosaic as a whole"),
 )
+
+_MOST_BYTES: Final = 64_000
+_MOST_LETTERS: Final = 200
+_MEND: Final = "give files that a report's score form saved"
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What one viewer scored of one run, by the criteria's keys, and when it was saved."""
+
+    run: str
+    viewer: str
+    date: str
+    scores: dict[str, int]
+
+
+@dataclass(frozen=True)
+class RunScores:
+    """Of one run: how many viewers, and the mean of their scores by the criteria's keys."""
+
+    run: str
+    viewers: int
+    mean: dict[str, float]
+
+
+def read_opinion(path: Path) -> Opinion:
+    """A file of a report's form. Raises: `FileError` where it is anything else."""
+    told = read_json(path, _MOST_BYTES, "scores", _MEND)
+    given = told.get("scores") if isinstance(told, dict) else None
+    if not isinstance(given, dict):
+        raise FileError("holds no scores", file=path, mend=_MEND)
+    levels, scores = {level.score for level in CCIR_500_1}, {}
+    for criterion in CRITERIA:
+        score: Any = given.get(criterion.key)
+        if type(score) is not int or score not in levels:
+            raise FileError(f"has no score of 1 to 5 for {criterion.key!r}", file=path, mend=_MEND)
+        scores[criterion.key] = score
+    run, viewer, date = (printable(str(told.get(k) or ""))[:_MOST_LETTERS] for k in ("run", "viewer", "date"))
+    return Opinion(run or printable(path.stem), viewer, date, scores)
+
+
+def gathered(opinions: Sequence[Opinion]) -> list[RunScores]:
+    """By run, the best overall first; of a viewer who scored a run twice, the later saving counts."""
+    latest: dict[tuple[str, str], Opinion] = {}
+    for opinion in sorted(opinions, key=lambda o: o.date):
+        latest[opinion.run, opinion.viewer] = opinion
+    runs: dict[str, list[Opinion]] = {}
+    for opinion in latest.values():
+        runs.setdefault(opinion.run, []).append(opinion)
+    out = [
+        RunScores(run, len(of), {c.key: sum(o.scores[c.key] for o in of) / len(of) for c in CRITERIA})
+        for run, of in runs.items()
+    ]
+    return sorted(out, key=lambda r: (-r.mean["overall"], r.run))
