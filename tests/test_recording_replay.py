@@ -269,3 +269,19 @@ def test_until_ends_the_replay_there(recorded: Path, capsys: pytest.CaptureFixtu
     assert "replayed.read" not in again.recipe_yaml
     assert replay(recorded, "--until", "replayed.rais")[0] == 2
     assert "did you mean 'replayed.raise'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("level", "holds"), [("off", None), ("summary", 0), ("normal", 3)])
+def test_a_replay_records_as_much_as_is_asked(recorded: Path, level: str, holds: int | None) -> None:
+    code, out = replay(recorded, "--from", "replayed.raise", "--record", level)
+    assert code == 0 and (out / "sum.txt").read_text() == "71.5\n"
+    if holds is None:
+        assert not (out / "run.mcap").exists()
+    else:
+        again = read_recording(out / "run.mcap")
+        assert len(again.artefacts) == holds and [s.finished for s in again.stages] == [True] * 3
+
+
+def test_a_replay_knows_its_levels(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(recorded, "--record", "summry")[0] == 2
+    assert "did you mean 'summary'?" in capsys.readouterr().err

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geomosaic.cli.inspection import RecordingFile, recording_file
-from geomosaic.cli.options import Dask, FixedTime, Overwrite, Quiet, RunFolder, Sets, Workers
+from geomosaic.cli.options import (
+    Dask,
+    FixedTime,
+    Overwrite,
+    Quiet,
+    Record,
+    RunFolder,
+    Sets,
+    Workers,
+    record_options,
+)
 from geomosaic.errors import FileError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -43,6 +53,7 @@ def replay(
         ),
     ] = None,
     quiet: Quiet = False,
+    record: Record = "normal",
 ) -> None:
     """Run a recorded recipe again from any stage on, taking what comes before from the recording.
 
@@ -55,7 +66,7 @@ def replay(
     from geomosaic.pipeline.given import given_stage, missing_inputs
     from geomosaic.recording import read_recording
 
-    path = recording_file(recording)
+    path, recorded_as = recording_file(recording), record_options(record, False, False, False)
     recorded = read_recording(path)
     if path.absolute().parent == output.absolute():
         raise InputError("this is the run to be replayed", file=output, mend="give another folder with -o")
@@ -70,7 +81,7 @@ def replay(
         given = at_places(given, places)
     recipe, given = _on_thumbnails(recorded, recipe, given, sets, output)
     try:
-        execute(recipe, output, workers, dask, fixed_time, overwrite, given, quiet=quiet)
+        execute(recipe, output, workers, dask, fixed_time, overwrite, given, quiet=quiet, record=recorded_as)
     except FileError as error:
         for path in missing_inputs(given.values()):
             mend = "put it back there, name its folder with --frames, or replay from a later stage"
