@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.walk import first_drops
 
 Floats = NDArray[np.float64]
+Grid = NDArray[np.floating[Any]]
 MOST_NODES: Annotated[
     int,
     Because(
@@ -73,15 +74,15 @@ class GroundSurface:
     `up_m[i, j]` is the height at east `east_0_m + j * spacing_m`, north `north_0_m + i * spacing_m`.
     Outside the grid the nearest edge goes on. `kind` is `flat`, `dem`, `tie_surface`, `dense` (matched, with
     all that stands on the ground) or `terrain` (the ground below that). `sd_m`, of the shape
-    of `up_m`: deviations of the heights, where they are known.
+    of `up_m`: deviations of the heights, where they are known. Of many nodes both may have 32 bits.
     """
 
     kind: str
     east_0_m: float
     north_0_m: float
     spacing_m: float
-    up_m: Floats
-    sd_m: Floats | None = None
+    up_m: Grid
+    sd_m: Grid | None = None
 
     @property
     def has_walls(self) -> bool:
@@ -104,7 +105,7 @@ class GroundSurface:
         sd_m = np.full((1, 1), np.nan) if self.sd_m is None else self.sd_m
         return self._between_nodes(sd_m, east_m, north_m)
 
-    def _between_nodes(self, values: Floats, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
+    def _between_nodes(self, values: Grid, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
         east = np.asarray(east_m, dtype=np.float64)
         north = np.asarray(north_m, dtype=np.float64)
         if values.size == 1:

@@ -29,11 +29,4 @@ class DenseSurface:
     def ground(self) -> GroundSurface:
         """As what rays are projected on: a node in each cell's middle."""
         east, north = self.cells.axes_m()
-        return GroundSurface(
-            DENSE,
-            float(east[0]),
-            float(north[0]),
-            self.cells.cell_m,
-            self.up_m.astype(np.float64),
-            self.sd_m.astype(np.float64),
-        )
+        return GroundSurface(DENSE, float(east[0]), float(north[0]), self.cells.cell_m, self.up_m, self.sd_m)
