@@ -71,8 +71,10 @@ def residual_patterns(image: ImageResiduals, cameras: Sequence[Camera]) -> tuple
     size = np.array([[c.width_px, c.height_px] for c in cameras], dtype=np.float64)
     cell = (image.image_px / size[image.frame] * CELLS).astype(np.intp)
     cell = np.clip(cell, 0, np.array(CELLS) - 1)
-    taken_by = np.array(names)[image.frame]
-    return tuple(_pattern(name, cell, image, heard & (taken_by == name)) for name in dict.fromkeys(names))
+    return tuple(
+        _pattern(name, cell, image, heard & np.array([n == name for n in names])[image.frame])
+        for name in dict.fromkeys(names)
+    )
 
 
 def _pattern(

@@ -9,11 +9,12 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.adjustment.tracks import frame_by_frame
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
 from geomosaic.export.geopackage import GeoPackage
 from geomosaic.export.on_map import grid_from_work, map_from_work
-from geomosaic.matching.model import TiePoints
+from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
@@ -44,14 +45,24 @@ class _ResidualLayers:
         self.names = np.array([f.name for f in survey.frames])
 
     def tie_points(self, ties: TiePoints, gsd_m: Floats) -> None:
-        left, right, left_px, right_px, shift = _joined(ties, self.adjusted)
-        left_m = self._ground(left, left_px)
-        hit = np.isfinite(left_m).all(axis=1) & np.isfinite(shift).all(axis=1)
+        pairs, residuals_m = TiePairs.of(ties.pairs), self.adjusted.residuals_m
+        left_m = self._ground(pairs.frame[pairs.keypoints[0]], pairs.image_px, pairs.keypoints[0])
+        hit = np.isfinite(left_m).all(axis=1)
+        hit &= np.concatenate([np.zeros(0, dtype=bool), *(np.isfinite(r).all(axis=1) for r in residuals_m)])
         shown = _evenly(np.flatnonzero(hit), MOST_POINTS)
         thinned = _thinned(len(shown), int(hit.sum()))
-        left, right, left_px, right_px = left[shown], right[shown], left_px[shown], right_px[shown]
+        (left, right), (left_px, right_px) = (
+            of[pairs.keypoints[:, shown]] for of in (pairs.frame, pairs.image_px)
+        )
+        of_pairs = np.split(shown, np.searchsorted(shown, pairs.first[1:-1]))
+        shift = np.concatenate(
+            [
+                np.zeros((0, 2)),
+                *(r[k - a] for r, k, a in zip(residuals_m, of_pairs, pairs.first, strict=False)),
+            ]
+        )
         left_map = map_from_work(self.survey, left_m[shown])
-        right_map = map_from_work(self.survey, left_m[shown] + np.pad(shift[shown], ((0, 0), (0, 1))))
+        right_map = map_from_work(self.survey, left_m[shown] + np.pad(shift, ((0, 0), (0, 1))))
         residual = right_map - left_map
         length = np.linalg.norm(residual, axis=1)
         fields = {
@@ -84,7 +95,7 @@ class _ResidualLayers:
         known = np.flatnonzero(np.isfinite(residual_px).all(axis=1))
         shown = _evenly(known, MOST_POINTS)
         thinned = _thinned(len(shown), len(known))
-        at = self._ground(frame[shown], image_px[shown])
+        at = self._ground(frame[shown], image_px, shown)
         hit = np.isfinite(at).all(axis=1)
         shown = shown[hit]
         fields = {
@@ -145,29 +156,13 @@ class _ResidualLayers:
             looks.control_residuals(exaggeration(fields["residual_m"], self.frames_m)),
         )
 
-    def _ground(self, frame: NDArray[Any], image_px: Floats) -> Floats:
-        """Where frames (k,) put image coordinates (k, 2) on the ground, (k, 3)."""
+    def _ground(self, frame: NDArray[Any], image_px: Floats, which: NDArray[Any]) -> Floats:
+        """Where frames (k,) put some of the image coordinates, (k,) of all, on the ground, (k, 3)."""
         out = np.full((len(frame), 3), np.nan)
         a = self.adjusted
-        for i in np.unique(frame):
-            mine = frame == i
-            out[mine] = ground_from_image(a.poses[i], a.cameras[i], a.ground, image_px[mine])
+        for i, mine in frame_by_frame(frame):
+            out[mine] = ground_from_image(a.poses[i], a.cameras[i], a.ground, image_px[which[mine]])
         return out
-
-
-def _joined(ties: TiePoints, adjusted: Adjusted) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-    """All pairs in one: left and right frame, their pixels, and right minus left on the ground."""
-    counts = [len(p) for p in ties.pairs]
-    left = np.repeat(np.array([p.left for p in ties.pairs], dtype=np.int64), counts)
-    right = np.repeat(np.array([p.right for p in ties.pairs], dtype=np.int64), counts)
-    nothing = np.zeros((0, 2))
-    return (
-        left,
-        right,
-        np.concatenate([nothing, *(p.left_px for p in ties.pairs)]),
-        np.concatenate([nothing, *(p.right_px for p in ties.pairs)]),
-        np.concatenate([nothing, *adjusted.residuals_m]),
-    )
 
 
 def _column(residuals: list[ControlResidual | None], name: str) -> Floats:
