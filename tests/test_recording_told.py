@@ -18,7 +18,7 @@ from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.quality.solved_tables import pair_columns, tie_weights, worst_pairs
 from geomosaic.recording import Recorder, messages
-from geomosaic.recording.chips import SIDE_PX, Cut, chip, cuts
+from geomosaic.recording.chips import SIDE_PX, Cut, chip, cuts, shown
 from geomosaic.recording.messages import Iteration
 from geomosaic.stages.reporting import record_steps
 
@@ -135,3 +135,13 @@ def test_beyond_a_frames_edge_a_chip_is_black() -> None:
     part = Cut((-100, 900)).pixels(np.full((1000, 1000, 3), 7, np.uint8))
     assert part.shape == (SIDE_PX, SIDE_PX, 3)
     assert part[50, 150].tolist() == [7, 7, 7] and not part[:, :100].any() and not part[100:].any()
+
+
+def test_a_chip_shows_eight_bits_as_they_are() -> None:
+    colour = np.arange(4 * 5 * 4, dtype=np.uint8).reshape(4, 5, 4)
+    np.testing.assert_array_equal(
+        shown(colour), colour[..., [2, 1, 0]], "red, green, blue, and one more band"
+    )
+    np.testing.assert_array_equal(shown(colour[..., :1]), np.repeat(colour[..., :1], 3, axis=2))
+    deep = shown(np.linspace(0, 60000, 400, dtype=np.uint16).reshape(20, 20, 1))
+    assert deep.dtype == np.uint8 and deep.shape == (20, 20, 3) and deep[0, 0, 0] < 9 < 240 < deep[-1, -1, 0]

@@ -57,14 +57,15 @@ def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, 
     if image is None or not len(image.frame):
         return tuple(np.full(len(t), np.nan) for t in ties.pairs)
     marks = _marks(image.frame, image.image_px)
-    order = np.argsort(marks, kind="stable")
-    marks, weights = marks[order], image.weight[order]
+    order = np.lexsort((marks, image.frame))
+    frames, marks, weights = image.frame[order], marks[order], image.weight[order]
     out = []
     for t in ties.pairs:
         sides = []
         for frame, px in ((t.left, t.left_px), (t.right, t.right_px)):
+            first, end = np.searchsorted(frames, (frame, frame + 1))
             mine = _marks(np.full(len(px), frame), px)
-            at = np.minimum(np.searchsorted(marks, mine), len(marks) - 1)
+            at = np.minimum(first + np.searchsorted(marks[first:end], mine), len(marks) - 1)
             sides.append(np.where(marks[at] == mine, weights[at], np.nan))
         out.append(np.fmin(*sides))
     return tuple(out)

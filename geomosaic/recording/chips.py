@@ -90,6 +90,8 @@ def cuts(left_px: Floats, right_px: Floats, residual_m: Floats) -> tuple[Cut, Cu
 
 def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Pixels (rows, cols, bands) as three bands of eight bits, blue first, as `thumbnail` would show them."""
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image[..., 2::-1] if image.shape[2] > 2 else image[..., [0, 0, 0]])
     small = cv2.imdecode(
         np.frombuffer(thumbnail(image, max(image.shape[:2]), 100), np.uint8), cv2.IMREAD_COLOR
     )
