@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.mosaic.shadows import settled
 from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.horizon import hidden_m
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import ground_window
 from geomosaic.spread import Spread
@@ -162,7 +164,7 @@ def _apart_m(land: _Land, corner_m: Floats, step_px: int = 1) -> Floats32:
 
 
 def _looked(land: _Land, look: _Look) -> list[list[Floats32]]:
-    """Of each place, how the frame shows it on each ground, NaN where it doesn't."""
+    """Of each place, how the frame shows it on each ground, NaN where it doesn't or something hides it."""
     pixels, mask = read_pixels(look.frame, luma=True)
     grey = pixels[..., 0].astype(np.float32) if pixels.ndim == 3 else pixels.astype(np.float32)
     found = []
@@ -174,6 +176,9 @@ def _looked(land: _Land, look: _Look) -> list[list[Floats32]]:
                 land.crs, land.work_frame, ground, west_m, north_m, land.gsd_m, _PLACE_PX, _PLACE_PX
             )
             image, valid = seen_on(window, look.view.pose, look.view.camera, grey, mask)
+            if ground.has_walls:
+                below_m = hidden_m(ground, look.view.pose.position_m, window.points_m())
+                valid &= ~settled(below_m, land.gsd_m)
             shown.append(np.where(valid, image, np.float32(np.nan)))
         found.append(shown)
     return found

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.calmed import calmed
 from geomosaic.mosaic.choice import agreement
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
@@ -23,7 +24,7 @@ class MosaicGround(Stage):
     id = "mosaic.ground"
     display_name = "Choose the mosaic's ground"
     group = "Mosaic"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "adjusted": Adjusted,
@@ -58,7 +59,7 @@ class MosaicGround(Stage):
         """Compares how frames show places where both grounds differ, if nobody has chosen."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
-        grounds = inputs["ground"], inputs["terrain"].ground()
+        grounds = calmed(inputs["ground"]), inputs["terrain"].ground()
         chosen = params.ortho
         if chosen == AUTO:
             used = [s != "rejected" for s in adjusted.status]
