@@ -25,6 +25,20 @@ def read_cloud(path: Path) -> Floats | None:
     return np.column_stack([cloud.x, cloud.y, cloud.z])
 
 
+def write_bare_ground(cloud: Floats, reach_m: float, crs: str, path: Path) -> None:
+    """A LAZ file of the points on bare ground."""
+    import laspy
+    from pyproj import CRS
+
+    points = cloud[bare_ground(cloud, cloud[:, :2], reach_m)]
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.offsets, header.scales = np.floor(points.min(axis=0)), np.full(3, 0.001)
+    header.add_crs(CRS(crs))
+    bare = laspy.LasData(header)
+    bare.x, bare.y, bare.z = points.T
+    bare.write(path)
+
+
 def bare_ground(cloud: Floats, places: Floats, reach_m: float) -> NDArray[np.bool_]:
     """Which places (n, 2) lie on bare ground: for `reach_m` around, points everywhere, none standing up.
 
