@@ -25,12 +25,16 @@ class Rate:
     source: str
 
 
-_HERE: Final = "18 frames of 9 MP on two cores, by their processor time; widened for what other surveys took"
-KEYPOINTS: Final = Rate(0.4, 1.2, "core s/MP", "SIFT; frames of over 3000 px are halved first", _HERE)
-PAIRS: Final = Rate(0.15, 0.7, "core s/pair", "descriptors compared and checked, up to 6000 a frame", _HERE)
-SOLVE: Final = Rate(0.2, 2.0, "s/frame", "bundle, by how many points and rounds it takes", _HERE)
-COMPOSE: Final = Rate(0.15, 0.8, "core s/MP filled", "every frame that sees a pixel is resampled", _HERE)
-WRITE: Final = Rate(0.08, 0.3, "core s/MP filled", "compression and overviews", _HERE)
+_HERE: Final = "18 frames of 9 MP, 128 pairs, 44 MP filled, by processor time of one process; widened"
+KEYPOINTS: Final = Rate(
+    0.2, 0.6, "core s/MP", "SIFT, places in the pixels: 0.25; frames over 3000 px are halved", _HERE
+)
+PAIRS: Final = Rate(0.015, 0.1, "core s/pair", "descriptors compared and checked: 0.02", _HERE)
+SOLVE: Final = Rate(0.2, 2.0, "s/frame", "bundle, by how many points and rounds it takes: 0.5", _HERE)
+COMPOSE: Final = Rate(
+    0.2, 0.8, "core s/MP filled", "tones, seams, each frame that sees a pixel resampled, packing: 0.3", _HERE
+)
+WRITE: Final = Rate(0.01, 0.1, "core s/MP filled", "the packed tiles are copied: 0.015", _HERE)
 _SCENE: Final = "8 strips of 4,096 x 35,000 lines on two cores by joint: 0.074 s/MP, 0.91 GB; widened"
 STRIPS: Final = Rate(0.05, 0.5, "s/MP", "offsets to overviews; SIFT chains take several times joint", _SCENE)
 SCENE_MEMORY: Final = Rate(8e3, 30e3, "bytes/column", "blocks of rows at work, windows of offsets", _SCENE)
