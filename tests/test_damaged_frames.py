@@ -181,6 +181,28 @@ def test_the_rest_is_mosaicked_and_the_damaged_are_named(
     assert len(read_poses(run / "positions.csv", [f.name for f in again.frames], again.work_frame)) == 3
 
 
+def test_a_frame_whose_mask_is_spoiled_is_left_out_and_named(line: SimulatedSurvey, frames: Path) -> None:
+    """What of it is valid is unknown; the others keep theirs."""
+    given = {"pos": line.pos, "camera": line.camera}
+    for name in ("F0001", "F0002", "F0004"):
+        cv2.imwrite(
+            str(frames / f"{name}_mask.png"), np.full(cv2.imread(str(frames / f"{name}.jpg")).shape[:2], 255)
+        )
+    assert all(read_survey(frames, **given).frames[i].valid_mask for i in (0, 1, 3))
+    mask = frames / "F0002_mask.png"
+    mask.write_bytes(mask.read_bytes()[:-12])
+    cv2.imwrite(str(frames / "F0004_mask.png"), np.ones((30, 41), np.uint8))
+    survey = read_survey(frames, **given)
+    assert [f.name for f in survey.frames] == ["F0001.jpg", "F0003.jpg", "F0005.jpg"]
+    assert survey.frames[0].valid_mask == str(frames / "F0001_mask.png")
+    told = {out.name: out.reason for out in survey.left_out}
+    assert told.keys() == {"F0002.jpg", "F0004.jpg"}
+    assert told["F0002.jpg"].startswith("the mask is damaged") and "(F0002_mask.png)" in told["F0002.jpg"]
+    assert told["F0004.jpg"].startswith("the mask has 41 x 30 pixels, its frame ")
+    with pytest.raises(FileError, match=r"F0002_mask\.png: the mask is damaged"):
+        read_survey(frames, **given, strict=True)
+
+
 def test_the_part_above_the_damage_is_used_if_asked(line: SimulatedSurvey, frames: Path) -> None:
     third = frames / "F0003.jpg"
     third.write_bytes(zeroed(third.read_bytes(), 0.7))

@@ -160,23 +160,25 @@ def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
     return called
 
 
-def masks(headers: list[FrameHeader]) -> dict[str, str]:
-    """Frame name -> path of its mask, for the frames that have one beside them.
-
-    Raises: `FileError` for a mask that can't be read, is damaged or isn't of its frame's size.
-    """
+def masks(headers: list[FrameHeader]) -> tuple[dict[str, str], dict[str, InputError]]:
+    """Frame name -> path of its mask, for the frames that have one beside them; and frame name -> what is
+    wrong with it, where it can't be read, is damaged or isn't of its frame's size."""
     folders = {header.path.parent for header in headers}
     by_name = {(f, p.name.casefold()): p for f in folders for p in f.iterdir()}
-    found = {}
+    found: dict[str, str] = {}
+    spoiled: dict[str, InputError] = {}
     for header in headers:
         stem = header.path.stem.casefold()
         names = (f"{stem}{ending}{suffix}" for ending in _MASK_ENDINGS for suffix in sorted(_MASK_SUFFIXES))
         folder = header.path.parent
         mask = next((by_name[folder, n] for n in names if (folder, n) in by_name), None)
         if mask is not None:
-            _check_size(mask, header)
-            found[header.name] = str(mask)
-    return found
+            try:
+                _check_size(mask, header)
+                found[header.name] = str(mask)
+            except InputError as error:
+                spoiled[header.name] = error
+    return found, spoiled
 
 
 def _check_size(mask: Path, header: FrameHeader) -> None:

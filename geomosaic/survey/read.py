@@ -18,7 +18,7 @@ from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import CameraChoice, cameras_from_file, cameras_from_headers
 from geomosaic.survey.control import LEAST_POINTS, check_control, lonlat_of_control, read_control
 from geomosaic.survey.elevation import check_dem, read_elevation
-from geomosaic.survey.folder import frame_files, masks, unused_folders
+from geomosaic.survey.folder import frame_files, unused_folders
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
@@ -159,7 +159,6 @@ def read_survey(
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
     work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, control, heights))
     outside = [] if wanted_crs is None else check_area(wanted_crs, lon, work_frame.lat_deg, "the frames")
-    sidecars = masks(headers)
     frames = tuple(
         Frame(
             name=h.name,
@@ -172,7 +171,7 @@ def read_survey(
             position=position,
             attitude=attitude,
             time_s=h.exif.time_s,
-            valid_mask=sidecars.get(h.name),
+            valid_mask=found.masks.get(h.name),
             nodata=h.nodata,
             velocity_m_per_s=velocity_of(h),
             turns=turns_of(h),

@@ -11,6 +11,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.damage import Look, Wholeness, wholeness
+from geomosaic.survey.folder import masks
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic.survey.model import LeftOut, Warn
 
@@ -28,12 +29,13 @@ _LEAST_WHOLE: Annotated[
 
 @dataclass(frozen=True)
 class Usable:
-    """headers of the frames that are used; whole_rows of those among them whose lower part is masked; looks
-    by the frames' names."""
+    """headers of the frames that are used; whole_rows of those among them whose lower part is masked; looks,
+    and paths of the masks beside them, by the frames' names."""
 
     headers: list[FrameHeader]
     whole_rows: dict[str, int]
     looks: dict[str, Look | None]
+    masks: dict[str, str]
     left_out: tuple[LeftOut, ...]
     warnings: tuple[Warn, ...]
 
@@ -52,6 +54,7 @@ def usable(
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Usable:
     """The frames that can be read whole; of damaged ones the whole part, if asked for and if that is known.
+    A frame whose mask is spoiled isn't used: what of it is valid is unknown.
 
     Args: files: what frames are called, by their files. Raises: `InputError` of the first that can't be used,
     if none can or if strict.
@@ -66,6 +69,9 @@ def usable(
             unreadable[name] = error
         if progress is not None:
             progress(i + 1, len(files), "reading headers")
+    beside, spoiled = masks(headers)
+    unreadable |= spoiled
+    headers = [header for header in headers if header.name not in spoiled]
     used, whole_rows, looks, warnings = [], {}, {}, []
     for header, found in zip(headers, inspect([str(h.path) for h in headers]), strict=True):
         name, rows = header.name, found.whole_rows
@@ -86,6 +92,11 @@ def usable(
     lost = [name for name in files.values() if name in unreadable]
     if lost and (strict or not used):
         raise unreadable[lost[0]]
-    left_out = tuple(LeftOut(name, unreadable[name].problem) for name in lost)
+    left_out = tuple(LeftOut(name, _reason(unreadable[name], spoiled.get(name))) for name in lost)
     warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
-    return Usable(used, whole_rows, looks, left_out, tuple(warnings))
+    return Usable(used, whole_rows, looks, beside, left_out, tuple(warnings))
+
+
+def _reason(error: InputError, of_mask: InputError | None) -> str:
+    """What is wrong; of a mask with its name."""
+    return error.problem if of_mask is None else f"{error.problem} ({Path(str(error.file)).name})"
