@@ -110,6 +110,21 @@ def test_errors_and_codes_are_those_of_the_source() -> None:
             assert quoted in text, quoted
 
 
+def test_the_equations_name_modules_and_functions_that_are_there() -> None:
+    text = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
+    modules = re.findall(r"`([a-z_]+/[a-z_]+\.py)`", text)
+    assert len(set(modules)) > 25
+    for module in modules:
+        assert (ROOT / "geomosaic" / module).is_file(), module
+    for name, module in (
+        ("share_shown", "adjustment/bundle_equations"), ("lie_weight", "adjustment/robust"),
+        ("stepped", "adjustment/bundle_model"), ("common_error", "adjustment/variance"),
+        ("Readout", "adjustment/collinearity"),
+    ):  # fmt: skip
+        assert f"`{name}`" in text
+        assert re.search(rf"^(?:def|class) {name}\b", (ROOT / f"geomosaic/{module}.py").read_text(), re.M)
+
+
 def test_the_site_builds(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
     command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet", "-d", tmp_path]
