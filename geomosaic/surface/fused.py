@@ -76,11 +76,12 @@ _SUPPORT: Annotated[
     Because(
         "share",
         "of the cells around that were matched surely, below which a cell is held: water and blank roofs, "
-        "where some match by chance; with more, walls and crowns are given up, whose heights are better than "
-        "what lies around",
-        CHOSEN,
+        "where some match by chance; with more, crowns are given up, whose heights are better than what lies "
+        "around",
+        "computed: two simulated lakes reach 0.05; groves at a town's rim (seed 11), seen aslant by three "
+        "and four, are off by more than 1 m 45 % with 0.25, 39 % with 0.12; 82 % within a deviation, not 70",
     ),
-] = 0.25
+] = 0.12
 _SUPPORT_OF_TWO: Annotated[
     float,
     Because(
