@@ -141,7 +141,7 @@ def test_what_it_says(page: str, scene: ComposedScene) -> None:
     assert layers["misplaced"]["rows"] == [1] and layers["misplaced"]["labels"][0].startswith(
         "lines 3072 to 3583"
     )
-    assert layers["ccds"]["odd"] == [3] and layers["ccds"]["labels"] == ["1", "2", "3", "4, dead"]
+    assert layers["ccds"]["odd"] == [3] and layers["ccds"]["labels"] == ["1", "2", "3", "4"]
     assert '<tr data-row="1" data-kind="misplaced"' in page
 
 

@@ -222,6 +222,7 @@ class _Run:
             "warnings": [],
             "metrics": {},
             "timings_s": {},
+            "memory_mb": {},
             "cached_stages": [],
             "recorded_stages": [],
             "artefacts": {},
@@ -333,7 +334,7 @@ class _Run:
 
     def _timeless_summary(self) -> dict[str, Any]:
         """The summary without what differs between equal runs."""
-        clock = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages")
+        clock = ("timings_s", "memory_mb", "peak_memory_mb", "cached_stages", "recorded_stages")
         return {name: value for name, value in self._summary.items() if name not in clock}
 
     def _warn(self, warnings: Sequence[Mapping[str, str]]) -> None:
@@ -355,6 +356,7 @@ class _Run:
             seconds + self._summary["timings_s"].get(stage.id, 0.0), 3
         )
         self._summary["peak_memory_mb"] = peak_mb = round(self._peak_memory_mb(), 1)
+        self._summary["memory_mb"][stage.id] = peak_mb
         if source != "work":
             self._summary["cached_stages" if source == "cache" else "recorded_stages"].append(stage.id)
         marks = {name: self._mark(held) for name, held in finished.outputs.items()}

@@ -90,7 +90,7 @@ def scene_layers(
         Layer(
             "ccds", "CCDs", "#ffffff", points=[[x, -0.02 * high_px] for x in middles], odd=dead,
             permanent=True,
-            labels=[f"{k + 1}{', dead' if k in dead else ''}" for k in range(len(middles))], shown=True,
+            labels=[str(k + 1) for k in range(len(middles))], shown=True, note="orange: dead",
         ),
     ]  # fmt: skip
 

@@ -48,11 +48,11 @@
       const row = layer.rows.length ? layer.rows[k] : undefined, colour = odd.has(k) ? ODD : layer.colour;
       const style = layer.areas.length
         ? { color: colour, weight: layer.weight, opacity: 1, fill: true, fillColor: colour, fillOpacity: layer.fill, dashArray: layer.dash || null }
-        : { color: "#111", weight: 1, opacity: 1, fill: true, fillColor: colour, fillOpacity: 1, radius: 4.5 };
+        : { color: "#111", weight: 1, opacity: 1, fill: true, fillColor: colour, fillOpacity: 1, radius: layer.permanent ? 2.5 : 4.5 };
       const shape = (layer.areas.length ? L.polygon(path(place), style) : L.circleMarker(path(place)[0], style)).addTo(group);
       if (layer.labels.length) {
         const words = () => element("span", { textContent: layer.labels[k] });
-        shape.bindTooltip(words, layer.permanent ? { permanent: true, direction: "center", className: "fixed" } : { sticky: true });
+        shape.bindTooltip(words, layer.permanent ? { permanent: true, direction: "top", offset: [0, -2], className: "fixed" } : { sticky: true });
       }
       if (row === undefined) return;
       shape.on("click", () => choose(row, true));
