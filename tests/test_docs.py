@@ -15,6 +15,7 @@ import click
 import pytest
 import typer
 
+import geomosaic as gm
 from geomosaic.cli.app import build_app
 from geomosaic.cli.main import main
 
@@ -72,6 +73,24 @@ def test_every_command_is_one(page: Path) -> None:
                 pass
             except click.UsageError as error:
                 raise AssertionError(f"{line}: {error.format_message()}") from error
+
+
+def test_what_commands_name_is_there() -> None:
+    """Targets of make, the tools, recipes by name, and parameters of stages that --set and tables name."""
+    targets = set(re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
+    known = {f"{id}.{p['name']}" for id, stage in gm.stages().items() for p in stage["params"]}
+    recipes = {path.stem.replace("_", "-") for path in (ROOT / "geomosaic" / "recipes").glob("*.yaml")}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r"(?:^ *|`)make ((?!-)[a-z][a-z-]*)(?=[`\s])", text, re.M):
+            assert target in targets, f"{page.name}: make {target}"
+        for tool in re.findall(r"\b(tools/\w+\.(?:py|sh))\b", text):
+            assert (ROOT / tool).is_file(), f"{page.name}: {tool}"
+        for name in re.findall(r"--set ([a-z_]+\.[a-z_0-9]+\.[a-z_0-9]+)=", text):
+            example = ROOT / "examples" in page.parents  # stages of its own, which its own tests know
+            assert name in known or example, f"{page.name}: --set {name}"
+        for name in re.findall(r"geomosaic run ([a-z][a-z-]*)(?=[ `\n])", text):
+            assert name in recipes, f"{page.name}: geomosaic run {name}"
 
 
 @pytest.fixture(scope="module")
