@@ -20,6 +20,7 @@ from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.pipeline.work import ready
+from geomosaic.recording.reader import read_recording
 
 PATIENCE_S = 20.0
 RECIPE = """
@@ -158,6 +159,20 @@ def test_it_ends_with_a_run_that_fails_before_its_turn(tmp_path: Path, log: Path
         run_two(tmp_path / "run", "toy.wait.fail=true", "toy.beside.manner=endless", workers=2)
     assert "seen" in log.read_text().split("\n")
     assert not list((tmp_path / "run" / "work" / "toy.beside").glob("calls*"))
+
+
+def test_what_it_recorded_is_there_once_where_an_input_has_changed_meanwhile(
+    tmp_path: Path,
+) -> None:
+    class Edited(Heard):
+        def stage_started(self, index: int, total: int, name: str) -> None:
+            if name == "Beside":
+                tmp_path.joinpath("numbers.txt").write_text("1 2 3 4")
+
+    with pytest.raises(GeomosaicError, match="changed"):
+        run_two(tmp_path / "run", workers=2, reporter=Edited())
+    logged = read_recording(tmp_path / "run" / "run.mcap").topics["/log"]
+    assert logged.messages == 2 + 1  # what both warn of, and the end
 
 
 def test_the_next_run_finds_it(tmp_path: Path) -> None:

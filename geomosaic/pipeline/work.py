@@ -76,9 +76,10 @@ class Voice:
         self._ended = True
 
     def close(self) -> None:
-        """Nothing comes any more: what a stage recorded before its turn goes into the recording now."""
+        """Nothing comes any more: what a stage recorded before its turn goes into the recording now, once."""
         self.calls.close()
         if self._early and self._heard:
+            self._early = False
             record_again(self.spool, self._recorder)
 
 
