@@ -13,6 +13,8 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.doubts import doubts
 from geomosaic.surface.fused import fused
+from geomosaic.surface.levels import levels
+from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.refinement import UNSEEN
 from geomosaic.surface.tile import Heights
 
@@ -93,6 +95,41 @@ def test_two_frames_have_to_look_alike_where_three_need_not(seeing: int, alike: 
     inner = slice(10, -10), slice(10, -10)
     assert ((surface.views[inner] > 0) == kept).all()
     assert np.allclose(surface.up_m[inner], 20.0 if kept else 0.0)
+
+
+@pytest.mark.parametrize(("every", "kept"), [(25, False), (6, True)])
+def test_groves_with_some_sure_cells_stay_where_water_with_fewer_is_held(every: int, kept: bool) -> None:
+    """A sixth of a grove's cells is sure where frames see it aslant, of water's a twenty-fifth by chance."""
+    flat, shape = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1))), (40, 40)
+    alike = np.full(shape, 0.2, dtype=np.float32)
+    alike.ravel()[::every] = 0.9
+    views = np.where(alike > 0.6, 3, 0).astype(np.uint8)
+    heights = Heights(
+        np.full(shape, 8.0, dtype=np.float32),
+        alike,
+        views,
+        np.full(shape, 3, dtype=np.uint8),
+        np.full(shape, 2.5, dtype=np.float32),
+    )
+    surface = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat)
+    inner = slice(10, -10), slice(10, -10)
+    assert np.allclose(surface.up_m[inner], 8.0 if kept else 0.0)
+    assert surface.ground().up_m.dtype == np.float32
+
+
+def test_tiles_end_where_two_frames_do(town: Scene) -> None:
+    """What one frame sees, and a margin about it, is not worked on, and hardly anything that two see is left out."""
+    cells = town.cells(160.0)
+    level = levels(cells, town.flying_m)[-1]
+    flat = np.zeros((cells.rows, cells.cols), dtype=np.float32)
+    nothing = DenseSurface(cells, flat + np.float32(town.base.up_m.item()), flat, flat.astype(np.uint8))
+    seeing = town.frames_seeing(nothing)
+    worked_on = np.zeros(seeing.shape, dtype=int)
+    for task in level.tasks(town.sighted, town.base, flat[::2, ::2]):
+        worked_on[task.tile.at] += 1
+    assert worked_on.max() == 1
+    assert float(np.mean(worked_on[seeing > 1] == 0)) < 0.01  # slivers between the places that are asked
+    assert worked_on.mean() < 0.75
 
 
 def test_tiles_in_any_order_give_the_same_bytes(town: Scene, found) -> None:
