@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import re
 import shlex
 import subprocess
@@ -91,6 +92,19 @@ def test_what_commands_name_is_there() -> None:
             assert name in known or example, f"{page.name}: --set {name}"
         for name in re.findall(r"geomosaic run ([a-z][a-z-]*)(?=[ `\n])", text):
             assert name in recipes, f"{page.name}: geomosaic run {name}"
+
+
+def test_the_notebook_is_of_today() -> None:
+    """Its commands parse, its cells compile, and what it reads of a run are a run's attributes."""
+    notebook = json.loads((ROOT / "examples" / "notebook" / "mosaic.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    asked = [cell.removeprefix("!") for cell in cells if cell.startswith("!")]
+    assert asked
+    for line in asked:
+        parse(words(line))
+    code = "\n".join(cell for cell in cells if not cell.startswith("!"))
+    compile(code, "mosaic.ipynb", "exec")
+    assert all(hasattr(gm.Run, name) for name in re.findall(r"\brun\.(\w+)", code))
 
 
 @pytest.fixture(scope="module")
