@@ -57,6 +57,7 @@ def render_report(
     mosaic: Mosaic,
     mosaic_file: Path,
     summary: Mapping[str, Any],
+    name: str = "",
     comparison: Comparison | None = None,
     verdict: Verdict | None = None,
     surface: SurfaceSection | None = None,
@@ -69,6 +70,7 @@ def render_report(
 
     Args:
         mosaic_file: mosaic.tif, read at reduced size.
+        name: of the run, for the page's head and the files of scores; may be empty.
         summary: what run.json holds (`frames`, `warnings`, `timings_s`, `peak_memory_mb`, `metrics`,
             `recipe`, `versions`); missing keys are left out of the page.
     """
@@ -82,7 +84,7 @@ def render_report(
     drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
     begin = Shown(
         title="Mosaic of " + plural(len(survey.frames), "frame"),
-        run=mosaic_file.absolute().parent.name,
+        run=name,
         judged=judged.judged,
         image=image,
         caption="North is up. The full image is mosaic.tif.",

@@ -39,11 +39,13 @@ def render_strips_report(
     mosaic: StripMosaic,
     mosaic_file: Path,
     summary: Mapping[str, Any],
+    name: str = "",
 ) -> str:
     """The page's HTML; what comes from strangers is escaped, and the page forbids itself any network.
 
     Args:
         mosaic_file: mosaic.tif, read at reduced size, and at full size about the seams.
+        name: of the run, for the page's head and the files of scores; may be empty.
         summary: what run.json holds (`warnings`, `timings_s`, `peak_memory_mb`, `recipe`, `versions`);
             missing keys are left out of the page.
     """
@@ -62,7 +64,7 @@ def render_strips_report(
         summary,
         Shown(
             title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
-            run=mosaic_file.absolute().parent.name,
+            run=name,
             judged=Judged(grade := _grade(quality), strips_verdict(quality), _MENDS.get(grade, "")),
             image=image,
             caption="Lines run downwards in the order they were taken. The full image is mosaic.tif.",

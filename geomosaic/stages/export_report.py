@@ -18,6 +18,7 @@ from geomosaic.quality.verdict import Verdict
 from geomosaic.report.frames import Beside, render_report
 from geomosaic.report.map_images import given_image, reference_image
 from geomosaic.report.surface import SurfaceSection, surface_section
+from geomosaic.stages.reporting import run_name
 from geomosaic.survey.model import Survey
 
 
@@ -66,6 +67,7 @@ class ExportReport(Stage):
             surface=_surface(inputs, context),
             beside=_beside(inputs, params, context),
             summary=context.summary(),
+            name=run_name(context),
         )
         with context.writing("report.html") as path:
             path.write_text(page, encoding="utf-8")

@@ -11,6 +11,7 @@ from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.quality.strips import StripQuality
 from geomosaic.report.strips import render_strips_report
+from geomosaic.stages.reporting import run_name
 from geomosaic.survey.strips import StripGeometry
 
 REPORT = "report.html"
@@ -41,6 +42,7 @@ class ExportStripReport(Stage):
             mosaic=inputs["strip_mosaic"],
             mosaic_file=context.path_of(inputs["mosaic_file"]),
             summary=context.summary(),
+            name=run_name(context),
         )
         with context.writing(REPORT) as path:
             path.write_text(page, encoding="utf-8")

@@ -152,6 +152,11 @@ def vars_of(camera: Any) -> dict[str, Any]:
     return {k: getattr(camera, k) for k in camera.__dataclass_fields__}
 
 
+def run_name(context: Context) -> str:
+    """The run folder's name; empty with `fixed_time`, since equal runs then make equal pages."""
+    return "" if context.fixed_time else context.run_folder.absolute().name
+
+
 def params_of(context: Context, stage: type[Stage]) -> Any:
     """The parameters that the run's recipe gives another stage, or its own defaults where it isn't in it."""
     steps = context.summary().get("recipe", {}).get("stages", [])
