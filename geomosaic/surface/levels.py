@@ -22,7 +22,7 @@ TILE_CELLS: Annotated[
     Because(
         "cells",
         "side of a tile: a smaller one is more margin than tile, a larger one takes more memory, a worker's "
-        "60 MB",
+        "130 MB",
         CHOSEN,
     ),
 ] = 224
