@@ -39,13 +39,17 @@ KNOWN: Annotated[
         CHOSEN,
     ),
 ] = 1e-6
+BEHIND: Annotated[
+    float,
+    Because("deviations", "of an image behind its camera: farther off than any that is before it", CHOSEN),
+] = 1e6
 
 
 def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:
     shown = share_shown(tracks, priors)
     length = lengths_px(tracks, camera_of, priors, state)
     length /= image_sd_px(tracks, priors, factors) * np.sqrt(shown)
-    cost = shown * student_cost(np.where(np.isfinite(length), length, 1e6))
+    cost = shown * student_cost(np.where(np.isfinite(length), length, BEHIND))
     total = float(cost[has_say(tracks, priors)].sum())
     total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())

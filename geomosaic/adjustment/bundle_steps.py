@@ -27,13 +27,15 @@ from geomosaic.adjustment.bundle_model import (
     stepped,
 )
 from geomosaic.adjustment.clearance import too_near
+from geomosaic.adjustment.component_steps import ahead, image_change
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.normal import Reduced, reduce_normals
+from geomosaic.adjustment.point_by_point import settled_points, wandering
 from geomosaic.adjustment.robust import share_down_weighted
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import trust_in_tags
 from geomosaic.adjustment.unrest import unrest
-from geomosaic.adjustment.variance import ahead, change_of, variance_components
+from geomosaic.adjustment.variance import variance_components
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 
@@ -169,7 +171,6 @@ def settle(
     """Iterates until unknowns, trust and variance components stand; the steps it took. settled: whether the
     image's component is believed to stand already."""
     steps: tuple[SolveStep, ...] = ()
-    change = None
     for _ in range(12):
         priors = replace(priors, trust=trust_in_tags(priors, state, factors))
         state, used, reduced = _converge(
@@ -182,13 +183,14 @@ def settle(
             length_px = lengths_px(tracks, camera_of, priors, state)
             priors = replace(priors, unrest=unrest(tracks, state.points, length_px, counts))
         before = factors
-        factors = variance_components(
+        found, followed = variance_components(
             *(tracks, camera_of, priors, state, before, reduced), image_only=not settled
         )
-        image_changed, priors_changed = change_of(before, factors)
-        if settled and max(image_changed, priors_changed) < (_ROUGHLY if rough else _STANDS):
+        del reduced  # the next ones take as much
+        factors, priors_change = ahead(before, found, followed, priors)
+        image_changed = image_change(before, found)
+        if settled and max(image_changed, priors_change) < (_ROUGHLY if rough else _STANDS):
             break
-        factors, change = ahead(before, factors, change, priors)
         settled = image_changed < 0.1
     if not rough:
         state, used, _ = _converge(tracks, camera_of, priors, state, factors, _MOST_STEPS, _FINE)
@@ -221,8 +223,12 @@ def _converge(
                     raise
                 damping = max(10.0 * damping, _DAMPING)
                 continue
-            for share in _SHARES:
-                trial = _kept_away(tracks, priors, state, stepped(state, share, *step))
+            whole = damping == 0.0
+            alone = wandering(reduced) if whole else np.zeros(0, np.intp)
+            for share in _SHARES if whole else _SHARES[:1]:
+                trial = stepped(state, share, *step)
+                trial = settled_points(tracks, camera_of, priors, trial, factors, alone)
+                trial = _kept_away(tracks, priors, state, trial)
                 trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
                 if trial_cost < cost:
                     break

@@ -230,6 +230,13 @@ class Reduced:
         shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
         return replace(self, shared=shared)
 
+    def responses(self, pull: Floats) -> Floats:
+        """By how much frames move, (f, d, r), for r pulls on them, (f, d, r), if all others follow."""
+        f, d, r = pull.shape
+        y = self._factors.solve(pull.reshape(f * d, r))
+        y += self._by_border @ (self.shared_covariance() @ (self.border.T @ y))
+        return y.reshape(f, d, r)
+
     def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
         """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.
 

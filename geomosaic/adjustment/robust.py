@@ -65,9 +65,9 @@ def cauchy_weight(standardised: Floats) -> Floats:
     return np.asarray(1.0 / (1.0 + (standardised / _CAUCHY) ** 2))
 
 
-def cauchy_cost(standardised: Floats) -> float:
-    """The sum that `cauchy_weight` minimises by re-weighted least squares; a square for small residuals."""
-    return float((_CAUCHY**2 * np.log1p((standardised / _CAUCHY) ** 2)).sum())
+def cauchy_cost(standardised: Floats) -> Floats:
+    """Of what `cauchy_weight` minimises the sum by re-weighted least squares; squares for small residuals."""
+    return np.asarray(_CAUCHY**2 * np.log1p((standardised / _CAUCHY) ** 2))
 
 
 def lie_weight(standardised: Floats) -> Floats:
@@ -90,6 +90,13 @@ def student_weight(standardised: Floats) -> Floats:
 def student_cost(standardised: Floats) -> Floats:
     """Twice the negative logarithm of the density, 0 at 0; its slope by the square: weight / INFORMATION."""
     return np.asarray((_FREEDOM + 2.0) * np.log1p(standardised**2 / (INFORMATION * _FREEDOM)))
+
+
+def student_bend(standardised: Floats) -> Floats:
+    """The share by which the curvature of `student_cost` along an error is less than across it, where it is
+    what the weight says; beyond 1 it is negative."""
+    square = standardised**2
+    return np.asarray(2.0 * square / (INFORMATION * _FREEDOM + square))
 
 
 def share_down_weighted(standardised: Floats) -> float:

@@ -53,7 +53,7 @@ def terrain_cost(
     """What points off the surface and its level off its prior add to the sum of squares."""
     sd_m = terrain.sd_share * terrain.height_m(positions_m, frame_share, level_m)
     miss = terrain.miss_m(points_m[bound], level_m) / sd_m
-    return cauchy_cost(miss) + (level_m / terrain.level_sd_m) ** 2
+    return float(cauchy_cost(miss).sum()) + (level_m / terrain.level_sd_m) ** 2
 
 
 def add_terrain(
@@ -72,18 +72,8 @@ def add_terrain(
 
     Args: bound (p,): which points lie on the surface.
     """
-    miss, height = terrain.miss_m(points_m, level_m), terrain.height_m(positions_m, frame_share, level_m)
-    sd_m = terrain.sd_share * height
-    weight = np.where(bound, cauchy_weight(miss / sd_m) / sd_m**2, 0.0)
-    step, (e, u) = terrain.ground.spacing_m, points_m[:, :2].T
-    at = terrain.ground.up_at
-    normal = np.column_stack(
-        [
-            (at(e - step / 2, u) - at(e + step / 2, u)) / step,
-            (at(e, u - step / 2) - at(e, u + step / 2)) / step,
-            np.ones(len(e)),
-        ]
-    )
+    height = terrain.height_m(positions_m, frame_share, level_m)
+    weight, miss, normal = terrain_rows(terrain, bound, points_m, terrain.sd_share * height, level_m)
     n.points[:] += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
     n.point_side[:] += (weight * miss)[:, None] * normal
     lift = float((weight * miss**2).sum()) / height
@@ -95,6 +85,24 @@ def add_terrain(
         level=float(weight.sum()) + level_weight,
         level_side=-float((weight * miss).sum()) - level_weight * level_m - lift,
     )
+
+
+def terrain_rows(
+    terrain: Terrain, bound: NDArray[np.bool_], points_m: Floats, sd_m: float, level_m: float
+) -> tuple[Floats, Floats, Floats]:
+    """Weights (p,), misses in m (p,) and the surface's normals, up being 1, (p, 3), of `add_terrain`."""
+    miss = terrain.miss_m(points_m, level_m)
+    weight = np.where(bound, cauchy_weight(miss / sd_m) / sd_m**2, 0.0)
+    step, (e, u) = terrain.ground.spacing_m, points_m[:, :2].T
+    at = terrain.ground.up_at
+    normal = np.column_stack(
+        [
+            (at(e - step / 2, u) - at(e + step / 2, u)) / step,
+            (at(e, u - step / 2) - at(e, u + step / 2)) / step,
+            np.ones(len(e)),
+        ]
+    )
+    return weight, miss, normal
 
 
 def surface_share(n: Normals, points_inverse: Floats) -> float:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +14,7 @@ from geomosaic.adjustment.bundle_equations import (
     lengths_px,
     normals_of,
     pose_sd,
+    present_miss,
     share_shown,
     shared_sd,
     swing_sd_rad,
@@ -91,7 +92,7 @@ _INFORMATIVE: Annotated[
         "docs/results.md, surveys as people deliver them: seeds 4 and 5 of 1 to 10",
     ),
 ] = 600
-_PRIOR_FACTORS: Annotated[
+PRIOR_FACTORS: Annotated[
     tuple[float, float],
     Because(
         "times the stated deviation",
@@ -101,7 +102,7 @@ _PRIOR_FACTORS: Annotated[
         CHOSEN,
     ),
 ] = (0.1, 10.0)
-_LEAST_SWING: Annotated[
+LEAST_SWING: Annotated[
     float,
     Because(
         "times the deviation to begin with",
@@ -127,6 +128,18 @@ _COMMON: Annotated[
         "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
     ),
 ] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
+_STIFF: Annotated[
+    float,
+    Because(
+        "of the largest axis's deviation",
+        "below which an axis is held: a tilt of some degrees brings more of the others into it than it has",
+        "between 1 and swing.LEVEL_AXES",
+    ),
+] = 0.03
+_A_LITTLE: Annotated[
+    float,
+    Because("times a factor", "by which another is told what it follows: a slope, by difference", CHOSEN),
+] = 1.01
 _SCALINGS: Annotated[
     int,
     Because(
@@ -147,10 +160,11 @@ def variance_components(
     reduced: Reduced,
     *,
     image_only: bool,
-) -> Factors:
-    """The factors that residuals and redundancy speak for. The priors' wait until the image's has settled:
-    before, they would take up what the poses haven't yet.
+) -> tuple[Factors, Floats]:
+    """The factors that residuals and redundancy speak for; and by how much the logarithm of each that is
+    found of the priors' groups and the swings follows that of each that it was found with, (g, g).
 
+    The priors' wait until the image's has settled: before, they would take up what the poses haven't yet.
     What all frames of a part miss in common (its place, turn and scale, its height, its heading) says nothing
     of the deviation of one: else a block at a wrong scale would excuse itself.
 
@@ -178,22 +192,112 @@ def variance_components(
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / MEDIAN_LENGTH))
     if image_only:
-        return factors
-    miss, observed = own_miss(priors, state, factors), observed_of(priors)
-    by_group: dict[str, float] = {}
-    for group, (first, *more) in GROUPS.items():
-        columns = [first, *more]
-        stated: Bools = np.isfinite(sd[:, columns]) & observed[:, columns]
-        in_all = np.where(observed[:, columns], weight[:, columns], 0.0).sum(axis=1)
-        alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
-        r = min(float((weight[:, columns] - share[:, columns])[stated].sum()), alone)
-        if r < _LEAST_REDUNDANCY:
+        return factors, np.zeros((len(GROUPS) + len(factors.swing),) * 2)
+    found = [
+        *_of_groups(priors, state, factors, share),
+        *_of_swings(priors, state, factors, variances[:, 6:]),
+    ]
+    by_group = {group: its.factor for group, its in zip(GROUPS, found, strict=False)}
+    swing = tuple(its.factor for its in found[len(GROUPS) :])
+    information = np.concatenate([weight / sd**2, 1.0 / of_swing.reshape(len(sd), -1) ** 2], axis=1)
+    miss = present_miss(priors, state)
+    if state.swing is not None:
+        miss = np.concatenate([miss, -state.swing.reshape(len(miss), -1)], axis=1)
+    followed = _followed(found, reduced, miss * information, information)
+    return replace(factors, **by_group, swing=swing), followed
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The factor of a component; counted (f, d): how much each number of the frames counts for it; miss
+    (f, d): what is left of each; squares, redundancy: of all of them; follows: by how much its logarithm
+    follows that of the scatter, 0 where it stays."""
+
+    factor: float
+    counted: Floats
+    miss: Floats
+    squares: float = 1.0
+    redundancy: float = 1.0
+    follows: float = 0.0
+
+
+def _followed(found: list[_Found], reduced: Reduced, pull: Floats, information: Floats) -> Floats:
+    """See `variance_components`: with another deviation of one component, unknowns go elsewhere, by the
+    equations, and with them the squares of all; redundancies change by what each frame's own numbers have to
+    do with each other.
+
+    Args: pull (f, d): of what was believed, by which information (f, d).
+    """
+    counted = np.stack([its.counted for its in found])
+    of = counted > 0.0
+    moved = 2.0 * reduced.responses(np.moveaxis(of * pull, 0, -1))
+    covariance = reduced.covariance()[0]
+    kept = covariance * information[:, None, :]
+    both = kept * np.swapaxes(kept, 1, 2)
+    out = np.zeros((len(found), len(found)))
+    for k, its in enumerate(found):
+        if not its.follows:
             continue
-        total = float((weight[:, columns] * (miss[:, columns] / sd[:, columns]) ** 2)[stated].sum())
-        factor = np.clip(_believed(factors.of(group) * np.sqrt(total / r), r), *_PRIOR_FACTORS)
-        by_group[group] = float(factor)
-    swing = _swing_factors(priors, state, of_swing, variances[:, 6:], factors)
-    return replace(factors, **by_group, swing=swing)
+        squares = 2.0 * np.einsum("fd,fdl->l", its.counted * its.miss * information, moved) / its.squares
+        own = (of[k] * np.diagonal(kept, axis1=1, axis2=2)).sum()
+        redundancy = -2.0 * np.einsum("fi,fij,lfj->l", of[k], both, of) / its.redundancy
+        redundancy[k] += 2.0 * own / its.redundancy
+        squares[k] -= 2.0
+        out[k] = 0.5 * (squares - redundancy)
+        out[k, k] += 1.0
+        out[k] *= its.follows
+    return out
+
+
+def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) -> Iterator[_Found]:
+    """Those of GROUPS; share (f, 6): of each number, what the images leave of its variance."""
+    sd, weight = pose_sd(priors, factors), trust_of(priors)
+    miss, observed = own_miss(priors, state, factors), observed_of(priors)
+    more = ((0, 0), (0, 3 * len(factors.swing)))
+    for group, columns in GROUPS.items():
+        of_group = np.isin(np.arange(6), columns)
+        stated: Bools = np.isfinite(sd) & observed & of_group
+        counted = np.where(stated, weight, 0.0)
+        in_all = np.where(observed & of_group, weight, 0.0).sum(axis=1)
+        alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
+        r = min(float((counted - share)[stated].sum()), alone)
+        told = np.pad(np.stack([counted, np.where(stated, miss, 0.0)]), ((0, 0), *more))
+        if r < _LEAST_REDUNDANCY:
+            yield _Found(factors.of(group), told[0], told[1])
+            continue
+        squares = float((counted * (miss / sd) ** 2)[stated].sum())
+        scatter = factors.of(group) * float(np.sqrt(squares / r))
+        factor, above = (_believed(f, r) for f in (scatter, _A_LITTLE * scatter))
+        least, most = PRIOR_FACTORS
+        follows = float(np.log(above / factor) / np.log(_A_LITTLE)) if least < factor < most else 0.0
+        factor = float(np.clip(factor, least, most))
+        yield _Found(factor, told[0], told[1], squares, r, follows)
+
+
+def _of_swings(priors: Priors, state: State, factors: Factors, variances: Floats) -> Iterator[_Found]:
+    """Of each function of the row, from all frames' axes that may turn, less what all frames do alike: that
+    is the readout's or the lens's, not theirs. A gyroscope's zero is alike too; until it is known nothing
+    shrinks."""
+    if state.swing is None:
+        return
+    sd_rad = swing_sd_rad(priors, factors)
+    own = np.einsum("fji,ftj->fti", state.rotations, state.swing)
+    own = np.einsum("fij,ftj->fti", state.rotations, own - np.median(own, axis=0))
+    may = sd_rad > _STIFF * sd_rad.max(axis=2, keepdims=True)
+    least, most = 1.0 if priors.swing_common else LEAST_SWING, priors.most_swing
+    redundancy = 1.0 - variances.reshape(own.shape) / sd_rad**2
+    for k, factor in enumerate(factors.swing):
+        of_term = np.zeros_like(own)
+        of_term[:, k] = may[:, k]
+        told = np.pad(np.stack([of_term, -own]).reshape(2, len(own), -1), ((0, 0), (0, 0), (6, 0)))
+        r = float((of_term * redundancy).sum()) - 3.0
+        if r <= _LEAST_REDUNDANCY:
+            yield _Found(float(np.clip(factor, least, most)), told[0], told[1])
+            continue
+        squares = float((of_term * (own / sd_rad) ** 2).sum())
+        scatter = factor * float(np.sqrt(squares / r))
+        follows, scatter = float(least < scatter < most), float(np.clip(scatter, least, most))
+        yield _Found(scatter, told[0], told[1], squares, r, follows)
 
 
 def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: float) -> float:
@@ -204,86 +308,6 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: floa
         squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION
         scale_px *= float(np.sqrt(squares / redundancy))
     return scale_px
-
-
-_FARTHEST: Annotated[
-    float,
-    Because(
-        "times its last change",
-        "that a component is sent ahead at most: where it goes by nine tenths a round, more would be chance",
-        CHOSEN,
-    ),
-] = 5.0
-_STIFF: Annotated[
-    float,
-    Because(
-        "of the largest axis's deviation",
-        "below which an axis is held: a tilt of some degrees brings more of the others into it than it has",
-        "between 1 and swing.LEVEL_AXES",
-    ),
-] = 0.03
-
-
-def _swing_factors(
-    priors: Priors, state: State, sd_rad: Floats, variances: Floats, factors: Factors
-) -> tuple[float, ...]:
-    """Of each function of the row, from all frames' axes that may turn, less what all frames do alike: that
-    is the readout's or the lens's, not theirs. A gyroscope's zero is alike too; until it is known nothing
-    shrinks.
-    """
-    if state.swing is None:
-        return factors.swing
-    own = np.einsum("fji,ftj->fti", state.rotations, state.swing)
-    own = np.einsum("fij,ftj->fti", state.rotations, own - np.median(own, axis=0))
-    may = sd_rad > _STIFF * sd_rad.max(axis=2, keepdims=True)
-    least = 1.0 if priors.swing_common else _LEAST_SWING
-    redundancy = 1.0 - variances.reshape(own.shape) / sd_rad**2
-    found = []
-    for k, factor in enumerate(factors.swing):
-        r = float(redundancy[:, k][may[:, k]].sum()) - 3.0
-        if r > _LEAST_REDUNDANCY:
-            factor *= float(np.sqrt(((own[:, k] / sd_rad[:, k]) ** 2)[may[:, k]].sum() / r))
-        found.append(float(np.clip(factor, least, priors.most_swing)))
-    return tuple(found)
-
-
-def change_of(before: Factors, after: Factors) -> tuple[float, float]:
-    """Largest relative changes: of the image's factors, and of the priors'."""
-    image = (before.image_px, after.image_px), (before.control_px, after.control_px)
-    priors = [(before.of(g), after.of(g)) for g in GROUPS]
-    priors += zip(before.swing, after.swing, strict=True)
-    return _largest_change(image), _largest_change(priors)
-
-
-def _largest_change(pairs: Iterable[tuple[float, float]]) -> float:
-    return max(abs(float(np.log(a / b))) for a, b in pairs)
-
-
-def ahead(
-    before: Factors, after: Factors, last: Floats | None, priors: Priors
-) -> tuple[Factors, Floats | None]:
-    """Where the priors' components are on their way to; and how they changed, for the next round, if they
-    weren't sent ahead.
-
-    A swing's goes a fifth of its way a round, since frames swing less the less they are believed to: of two
-    changes in a row, the second a share of the first, all that are to come are told (Aitken 1926), at
-    most _FARTHEST times the second.
-    """
-    change = _logs(after) - _logs(before)
-    if last is None or not (last**2).sum():
-        return after, change
-    share = float(np.clip(change @ last / (last @ last), 0.0, 1.0 - 1.0 / _FARTHEST))
-    logs = _logs(before) + change / (1.0 - share)
-    groups = {
-        g: float(np.exp(np.clip(log, *np.log(_PRIOR_FACTORS)))) for g, log in zip(GROUPS, logs, strict=False)
-    }
-    least = 1.0 if priors.swing_common else _LEAST_SWING
-    swing = tuple(float(np.clip(np.exp(log), least, priors.most_swing)) for log in logs[len(GROUPS) :])
-    return replace(after, **groups, swing=swing), None
-
-
-def _logs(factors: Factors) -> Floats:
-    return np.log([*(factors.of(g) for g in GROUPS), *factors.swing])
 
 
 def _believed(factor: float, redundancy: float) -> float:
