@@ -131,7 +131,8 @@ def _cloud_rows(run: Path, model: Path) -> list[Row]:
         return []
     bare = run / "bare.laz"
     write_bare_ground(cloud, _BARE_REACH_M, CRS, bare)
-    found, _ = compare_surface(run / "surface.tif", run / "surface_confidence.tif", bare, 0.0, lambda text: None)
+    files = run / "surface.tif", run / "surface_confidence.tif"
+    found, _ = compare_surface(*files, bare, 0.0, lambda text: None)
     off = found.after_fit
     text = (
         f"NMAD {off.nmad_m:.3f} m, 68 % {off.abs_68_m:.3f}, 95 % {off.abs_95_m:.3f} m at {off.n:,} points, "
