@@ -57,6 +57,19 @@ def make_folder(folder: Path) -> Path:
 
 
 @contextmanager
+def in_one_wording(run_folder: Path) -> Iterator[None]:
+    """A disk that takes no more is reported alike, whether a stage, the cache or the recorder noticed it."""
+    try:
+        yield
+    except OSError as error:
+        cause = error.__cause__ if isinstance(error, OutputError) else error
+        if cause is None or not is_output_error(cause):
+            raise
+        file = error.file if isinstance(error, OutputError) else error.filename
+        raise output_error(cause, Path(file or run_folder)) from cause
+
+
+@contextmanager
 def refusals_named(path: Path) -> Iterator[None]:
     """What the system refuses in the block becomes an `OutputError` that names the path."""
     try:

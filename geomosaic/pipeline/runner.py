@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from geomosaic.errors import CancelledError, FileError, GeomosaicError, OutputError
+from geomosaic.errors import CancelledError, FileError, GeomosaicError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import type_name, with_texts
 from geomosaic.pipeline.cache import Finished, Held, Lineage, StageCache, file_manifest, lineage_of, stage_key
@@ -33,19 +32,6 @@ from geomosaic.recording.levels import RecordOptions
 from geomosaic.recording.live import watched
 from geomosaic.recording.privacy import Privacy
 from geomosaic.recording.writer import Recorder
-
-
-@contextmanager
-def _in_one_wording(run_folder: Path) -> Iterator[None]:
-    """A disk that takes no more is reported alike, whether a stage, the cache or the recorder noticed it."""
-    try:
-        yield
-    except OSError as error:
-        cause = error.__cause__ if isinstance(error, OutputError) else error
-        if cause is None or not files.is_output_error(cause):
-            raise
-        file = error.file if isinstance(error, OutputError) else error.filename
-        raise files.output_error(cause, Path(file or run_folder)) from cause
 
 
 def run(
@@ -77,7 +63,7 @@ def run(
     given = given or {}
     recipe.check_files(skip=given.keys(), run_folder=run_folder)
     folder = RunFolder.opened(run_folder, sorted(recipe.results()), overwrite=overwrite)
-    with _in_one_wording(folder.path), folder.locked(), Workers(workers, dask) as team:
+    with files.in_one_wording(folder.path), folder.locked(), Workers(workers, dask) as team:
         _put_unfinished_aside(folder)
         folder.remove(RUN_JSON)
         files.sweep(folder.path)

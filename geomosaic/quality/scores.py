@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from geomosaic.constants import Because
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import printable
 from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
@@ -54,8 +54,8 @@ CRITERIA = (
     Criterion("overall", "The mosaic as a whole"),
 )
 
-_MOST_BYTES: Final = 64_000
-_MOST_LETTERS: Final = 200
+_MOST_BYTES: Annotated[int, Because("bytes", "of a file of scores: the form saves some 500", CHOSEN)] = 64_000
+_MOST_LETTERS: Annotated[int, Because("letters", "of a run's or viewer's name: fits one line", CHOSEN)] = 200
 _MEND: Final = "give files that a report's score form saved"
 
 
