@@ -207,7 +207,7 @@ def test_both_stages_in_a_run_folder(run, tmp_path):
     )
     inputs = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic")}
     given = {**inputs, "mosaic_file": mosaic_file, "comparison": comparison}
-    out = ExportReport().run(given, ExportReport.Params(), context)
+    out = ExportReport().run(given, None, context)
     assert out["report_file"].name == "report.html"
     assert "absolute RMSE" in (folder / "report.html").read_text(encoding="utf-8")
 

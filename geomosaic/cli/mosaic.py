@@ -58,6 +58,7 @@ STAGES = (
     "quality.verdict",
     "export.layers",
     "export.project",
+    "mosaic.given",
     "export.report",
 )
 """What `geomosaic mosaic` does."""

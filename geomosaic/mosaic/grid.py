@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -120,6 +121,13 @@ def output_grid(
     west, south, east, north = _edges(views, gsd_m, origin_m)
     west_m, north_m = origin_m[0] + west * gsd_m, origin_m[1] + north * gsd_m
     return OutputGrid(crs, west_m, north_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1))
+
+
+def coarser(grid: OutputGrid, longest_px: int) -> OutputGrid:
+    """The same box in at most so many pixels a side."""
+    scale = max(1.0, max(grid.width_px, grid.height_px) / longest_px)
+    size = [max(1, int(np.ceil(n / scale))) for n in (grid.width_px, grid.height_px)]
+    return replace(grid, gsd_m=grid.gsd_m * scale, width_px=size[0], height_px=size[1])
 
 
 def without_flung(

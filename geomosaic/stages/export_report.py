@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
-from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.frames import Beside, render_report
-from geomosaic.report.map_images import given_image, reference_image
+from geomosaic.report.given import GivenMosaic
+from geomosaic.report.map_images import reference_image
 from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.model import Survey
@@ -28,7 +28,7 @@ class ExportReport(Stage):
     id = "export.report"
     display_name = "Write the report"
     group = "Export"
-    version = 4
+    version = 5
     cached = False
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
@@ -36,24 +36,12 @@ class ExportReport(Stage):
     }  # fmt: skip
     optional_inputs: ClassVar[dict[str, type]] = {
         "comparison": Comparison, "verdict": Verdict, "surface_file": RunFile, "confidence_file": RunFile,
-        "terrain_file": RunFile, "surface_comparison": SurfaceComparison, "prior_ground": GroundSurface,
+        "terrain_file": RunFile, "surface_comparison": SurfaceComparison, "given": GivenMosaic,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
     results: ClassVar[tuple[str, ...]] = ("report.html",)
 
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        given_px: int = param(
-            1000,
-            help="longer side of the image that positions and attitudes alone would give, to be swiped over "
-            "the mosaic; 0: none",
-            unit="px",
-            ge=0,
-            le=4000,
-        )
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Renders the page and writes it."""
         page = render_report(
             survey=inputs["survey"],
@@ -65,7 +53,7 @@ class ExportReport(Stage):
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
             surface=_surface(inputs, context),
-            beside=_beside(inputs, params, context),
+            beside=_beside(inputs, context),
             summary=context.summary(),
             name=run_name(context),
         )
@@ -74,17 +62,13 @@ class ExportReport(Stage):
         return {"report_file": context.run_file("report.html")}
 
 
-def _beside(inputs: Mapping[str, Any], params: ExportReport.Params, context: Context) -> Beside:
-    given = reference = None
-    grid = inputs["mosaic"].grid
-    if params.given_px and "prior_ground" in inputs:
-        survey, placement, ground = (inputs[name] for name in ("survey", "placement", "prior_ground"))
-        given = given_image(survey, placement, ground, grid, params.given_px, context.map)
+def _beside(inputs: Mapping[str, Any], context: Context) -> Beside:
+    reference = None
     if "comparison" in inputs:
         steps = context.summary().get("recipe", {}).get("stages", [])
         asked = [s["params"].get("reference") for s in steps if s["stage"] == "quality.compare"]
-        reference = reference_image(grid, Path(asked[0])) if asked and asked[0] else None
-    return Beside(given, reference)
+        reference = reference_image(inputs["mosaic"].grid, Path(asked[0])) if asked and asked[0] else None
+    return Beside(inputs["given"].image if "given" in inputs else None, reference)
 
 
 def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | None:
