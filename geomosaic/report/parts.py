@@ -75,7 +75,7 @@ def frame_table(
         "frame",
         (
             ("frame", False), ("status", False), ("residual", True), ("moved", True), ("turned", True),
-            ("± horizontal", True), ("tie points", True), ("warnings", True), ("line", True),
+            ("± in plan", True), ("tie points", True), ("warnings", True), ("line", True),
         ),
         rows,
         tuple(_STATUS.items()),
