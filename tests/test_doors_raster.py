@@ -291,7 +291,8 @@ def test_a_survey_opens_no_connection(pair: SimulatedSurvey, tmp_path: Path, ser
     mask = frames / f"{sorted(pair.frames.iterdir())[0].stem}_mask.png"
     mask.write_text(WMTS.format(url=server.url))
     with pytest.raises(FileError, match=r"_mask\.png: the mask can't be read; write it as 8 bit PNG or TIFF"):
-        read_survey(frames, **given)
+        read_survey(frames, **given, strict=True)
+    assert [out.name for out in read_survey(frames, **given).left_out] == [min(pair.frames.iterdir()).name]
     assert not server.came
 
 
@@ -365,7 +366,7 @@ def test_a_mask_s_size_is_read_before_its_pixels(pair: SimulatedSurvey, tmp_path
         (frames / frame.name).write_bytes(frame.read_bytes())
     png_of(frames / f"{frame.stem}_mask.png", 60000, 60000)
     with pytest.raises(FileError, match="the mask has 60000 x 60000 pixels, its frame 480 x 360"):
-        read_survey(frames, camera=pair.camera, pos=pair.pos)
+        read_survey(frames, camera=pair.camera, pos=pair.pos, strict=True)
 
 
 def test_tiffs_that_ask_for_too_much(tmp_path: Path) -> None:

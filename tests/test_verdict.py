@@ -191,5 +191,5 @@ def test_a_mosaic_by_positions_alone_is_not_called_good(
     assert [w["code"] for w in summary(run)["warnings"]].count(f"verdict-{told['grade']}") == 1
     page = (run / "report.html").read_text(encoding="utf-8")
     first = page[page.index("<h1>") :][:600]
-    assert {"doubtful": "Doubtful:", "bad": "Bad:"}[told["grade"]] in first
+    assert {"doubtful": "Doubtful", "bad": "Bad"}[told["grade"]] in first
     json.dumps(told)
