@@ -15,7 +15,8 @@ from geomosaic.survey.model import Survey
 class MosaicGiven(Stage):
     """Composes reduced frames where they were reported to be; the report lays it beside the mosaic.
 
-    It takes nothing of the adjustment, so it is made while that goes on.
+    Frames that matching found to be turned are righted. It takes nothing of the adjustment, so it is made
+    while that goes on.
     """
 
     id = "mosaic.given"
@@ -24,7 +25,7 @@ class MosaicGiven(Stage):
     beside: ClassVar[bool] = True
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
+        "survey": Survey, "prior_ground": GroundSurface, "placement": Placement,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"given": GivenMosaic}
 
