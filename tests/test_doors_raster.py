@@ -6,6 +6,7 @@ import os
 import re
 import socket
 import threading
+import warnings
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,10 +16,20 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio import Affine
+from rasterio.errors import NotGeoreferencedWarning
 from small_surveys import small_survey
 
 import geomosaic
-from geomosaic.doors.raster import DEM, FRAME, MASK, OWN, REFERENCE, open_raster, open_with_osgeo
+from geomosaic.doors.raster import (
+    DEM,
+    FRAME,
+    MASK,
+    OWN,
+    REFERENCE,
+    open_raster,
+    open_with_osgeo,
+    unreferenced_is_fine,
+)
 from geomosaic.errors import FileError
 from geomosaic.quality.rasters import open_map
 from geomosaic.simulate.survey import SimulatedSurvey
@@ -430,3 +441,13 @@ def test_millions_of_blocks_are_looked_at_by_share(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 9 // 10])
     with pytest.raises(FileError):
         read_header(path)
+
+
+def test_a_thread_that_is_done_with_frames_leaves_another_one_s_quiet() -> None:
+    """A mosaic is composed beside another one, and ends first."""
+    before, first, second = list(warnings.filters), unreferenced_is_fine(), unreferenced_is_fine()
+    with first:
+        second.__enter__()
+    warnings.warn("no geotransform", NotGeoreferencedWarning, stacklevel=1)
+    second.__exit__(None, None, None)
+    assert list(warnings.filters) == before

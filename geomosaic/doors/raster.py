@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import logging
 import stat
+import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -78,11 +79,36 @@ REFERENCE: Final = Purpose(
 
 @contextmanager
 def unreferenced_is_fine() -> Iterator[None]:
-    """Frames lie nowhere until they are placed. To be entered also around threads that open some: warnings
-    are caught for the whole process, and what one thread puts back another one may still need."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    """Frames lie nowhere until they are placed."""
+    _unreferenced.begin()
+    try:
         yield
+    finally:
+        _unreferenced.end()
+
+
+class _Unreferenced:
+    """Warnings are caught for the whole process: of all blocks that are on, in whatever threads, the first
+    catches them, and the last puts back what was there."""
+
+    def __init__(self) -> None:
+        self._lock, self._on, self._before = threading.Lock(), 0, ExitStack()
+
+    def begin(self) -> None:
+        with self._lock:
+            if not self._on:
+                self._before.enter_context(warnings.catch_warnings())
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            self._on += 1
+
+    def end(self) -> None:
+        with self._lock:
+            self._on -= 1
+            if not self._on:
+                self._before.close()
+
+
+_unreferenced = _Unreferenced()
 
 
 def open_raster(path: Path, purpose: Purpose) -> Raster:
