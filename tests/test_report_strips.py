@@ -98,6 +98,21 @@ def test_the_page_is_sound_and_needs_no_network(page: str) -> None:
     assert len(page) < 1_500_000
 
 
+def test_the_page_is_the_run_s(scene: ComposedScene) -> None:
+    page = page_of(scene, name="scene <7>")
+    assert (
+        "<title>Scene of 3 CCD strips, scene &lt;7&gt;</title>" in page and "<b>scene &lt;7&gt;</b>" in page
+    )
+
+
+def test_offsets_sort_by_their_least_value(page: str) -> None:
+    head = page[page.index('id="rows"') :].partition("</thead>")[0]
+    columns = re.findall(r'<th( class="n")? scope="col"><button type="button">([^<]*)', head)
+    row = re.findall(r"<td[^>]*>", page[page.index('<tr data-row="0"') :].partition("</tr>")[0])
+    for (numbers, title), cell in zip(columns, row, strict=True):
+        assert bool(numbers) == ("data-by" in cell), title
+
+
 def test_what_it_says(page: str, scene: ComposedScene) -> None:
     worst = scene.quality.pairs[1].segments_px
     assert int(np.nanargmax(worst)) == 6 and worst[6] > 2.0

@@ -45,7 +45,7 @@ def render_strips_report(
 
     Args:
         mosaic_file: mosaic.tif, read at reduced size, and at full size about the seams.
-        name: of the run, for the page's head and the files of scores; may be empty.
+        name: of the run, for the page's head; may be empty.
         summary: what run.json holds (`warnings`, `timings_s`, `peak_memory_mb`, `recipe`, `versions`);
             missing keys are left out of the page.
     """
@@ -55,10 +55,10 @@ def render_strips_report(
     found = jitter_spectrum(offsets, geometry.line_rate_hz)
     left = residual_spectrum(quality, geometry.line_rate_hz)
     seams = []
-    for name, checked in zip(names, quality.pairs, strict=True):
+    for seam, checked in zip(names, quality.pairs, strict=True):
         places = seam_places(geometry, checked, by_pair[checked.pair])
         crops = seam_crops(mosaic_file, geometry, checked.pair, places, mosaic.first_line)
-        seams.append((name, [(_crop_words(place), markup(crop)) for place, crop in crops]))
+        seams.append((seam, [(_crop_words(place), markup(crop)) for place, crop in crops]))
     return render(
         "strips.html",
         summary,
@@ -215,8 +215,8 @@ def _pair_table(geometry: StripGeometry, quality: StripQuality, offsets: Mapping
         (
             ("CCDs", False), ("state", False), ("left, RMS", True), ("worst segment", True),
             ("at lines", False),
-            ("measured", True), ("bridged", True), ("unreliable", True), ("dcol, px", False),
-            ("dline, px", False), ("strips", False),
+            ("measured", True), ("bridged", True), ("unreliable", True), ("dcol, px", True),
+            ("dline, px", True), ("strips", False),
         ),
         [_pair_row(geometry, k, p, offsets[p.pair]) for k, p in enumerate(quality.pairs)],
         (
