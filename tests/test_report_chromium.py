@@ -184,6 +184,9 @@ def test_the_swipe_moves(window, page):
         )
         assert not window.run(hidden)
     edges = "['given', 'mosaic'].map(n => document.querySelector(`.leaflet-${n}-pane`).style.clip.match(/[-\\d.]+/g).map(Number))"
+    order = "['mosaic', 'given', 'reference', 'ssim'].map(n => Number(document.querySelector(`.leaflet-${n}-pane`).style.zIndex))"
+    mosaic, given, reference, ssim = window.run(order)
+    assert mosaic < given < reference < ssim, "what is switched on lies on both"
     window.run("document.getElementById('leaflet').scrollIntoView({block: 'center'})")
     before = window.run(edges)
     assert before[0][1] == before[1][3], "one ends where the other begins"
@@ -205,6 +208,8 @@ def test_print_has_the_mosaic_and_neither_form_nor_glossary(window, page):
         ("#leaflet", False), ("#score", False), ("#words", False), (".bar", False),
     ):  # fmt: skip
         assert window.run(f"{seen}('{selector}')") is there, selector
+    stays = "[...document.querySelectorAll('#rows tr > :first-child')].every(c => getComputedStyle(c).position === 'static')"
+    assert window.run(stays), "a head that sticks lies on the first row"
     content = base64.b64decode(window.send("Page.printToPDF")["data"])
     assert any(int(w) > 500 for w in re.findall(rb"/Width (\d+)", content)), "the mosaic's image"
 

@@ -18,7 +18,7 @@
     maxZoom: 30, scrollWheelZoom: false, wheelPxPerZoomLevel: 90 });
   map.attributionControl.setPrefix("Leaflet");
   const wide = matchMedia("(min-width: 761px)").matches;
-  map.fitBounds(whole, { paddingTopLeft: [12, 12], paddingBottomRight: [wide ? 230 : 12, 12] });
+  map.fitBounds(whole, { paddingTopLeft: [12, 12], paddingBottomRight: [wide ? 270 : 12, 12] });
   map.setMinZoom(map.getZoom() - 2).setMaxZoom(map.getZoom() + 7);
   if (data.metres) L.control.scale({ imperial: false }).addTo(map);
   map.on("focus", () => map.scrollWheelZoom.enable()).on("blur", () => map.scrollWheelZoom.disable());
@@ -32,7 +32,7 @@
   const source = (uri) => (uri.startsWith("#") ? document.querySelector(uri).src : uri);
   const images = [{ name: "mosaic", title: "the mosaic", uri: "#mosaic-image", box: data.box, opacity: 1 }, ...data.images];
   const overlay = new Map(images.map((image, k) => {
-    map.createPane(image.name).style.zIndex = 210 + k;
+    map.createPane(image.name).style.zIndex = (image.use === "layer" ? 250 : 210) + k;  // layers lie on what is compared, too
     const [w, s, e, n] = image.box;
     return [image.name, L.imageOverlay(source(image.uri), [[s, w], [n, e]], { pane: image.name, opacity: image.opacity })];
   }));
