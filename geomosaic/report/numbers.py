@@ -19,12 +19,11 @@ def short(value: float | None, unit: str = "", digits: int = 3) -> str:
         return _UNKNOWN
     if value == 0.0:
         words = "0"
-    elif abs(value) >= 10 ** (digits - 1):
-        words = f"{value:,.0f}".replace(",", THIN)
+    elif abs(value) < 1e-4:
+        words = f"{value:.1e}"
     else:
-        words = f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
-        if abs(value) < 1e-4:
-            words = f"{value:.1e}"
+        power = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded value: 9.996 is 10.0
+        words = f"{value:.{digits - 1 - power}f}" if power < digits - 1 else whole(value)
     return f"{words}\u00a0{unit}" if unit else words
 
 

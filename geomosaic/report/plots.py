@@ -1,4 +1,4 @@
-"""Plots as SVG text: lines, bars, histograms. For the report and for images in the documentation.
+"""Plots as SVG text: lines, histograms. For the report and for images in the documentation.
 
 Every function returns one self-contained `<svg>`; axes carry their unit, series differ by colour and by
 dash or marker, colours are kept apart by colour-blind eyes, and it reads on white and on black.
@@ -193,27 +193,6 @@ def _legend(series: Sequence[Series], width: float) -> list[str]:
         if at > width - 60:
             break
     return out
-
-
-def bar_plot(names: Sequence[str], values: ArrayLike, axis: Axis, *, label: str, width: float = 720) -> str:
-    """Horizontal bars, one a name, each with its value; not-a-number draws no bar."""
-    lengths = np.asarray(values, dtype=np.float64)
-    left = 24.0 + 7.2 * min(max((len(n) for n in names), default=0), 34)
-    top = 6.0
-    height = top + 26.0 * len(names) + _BOTTOM
-    along = Scale(_ticks(lengths, axis, from_zero=True), left, width - RIGHT - 44)
-    out = Frame(along, Scale([0.0, 1.0], height - _BOTTOM, top)).x_grid(axis.label, height - 8)
-    for i, (name, value) in enumerate(zip(names, lengths, strict=True)):
-        y = top + 26.0 * i
-        shown = name if len(name) <= 34 else name[:33] + "…"
-        out.append(text(left - 8, y + 17, shown, text_anchor="end"))
-        if np.isfinite(value):
-            start, end = sorted(along.at([0.0, value]).tolist())
-            out.append(
-                tag("rect", x=start, y=y + 4, width=max(end - start, 1.0), height=18.0, fill=COLOURS[0])
-            )
-            out.append(text(end + 6, y + 17, short(value)))
-    return document(width, height, out, label)
 
 
 def histogram(
