@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,8 +29,8 @@ from geomosaic.survey.pixels import read_pixels
 
 _REDUCTIONS: Final = (8, 4, 2)
 
-Mapped = Callable[..., Sequence[Any]]
-"""`Context.map`."""
+Spooled = Callable[..., AbstractContextManager[Sequence[Any]]]
+"""`Context.spooled`."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,13 @@ class GivenMosaic:
 
 
 def given_image(
-    survey: Survey, placement: Placement, ground: GroundSurface, longest_px: int, mapped: Mapped
+    survey: Survey, placement: Placement, ground: GroundSurface, longest_px: int, spooled: Spooled
 ) -> Glance | None:
     """The mosaic as positions and attitudes alone would have it, without tones and blending.
 
     Frames are decoded at reduced size and composed as mosaics are. Nothing where no frame has a position,
     one's file is gone, or nothing can be composed.
-    Args: mapped: spreads the decoding, as `Context.map`.
+    Args: spooled: spreads the decoding, as `Context.spooled`, so that no more than one of them is in hand.
     """
     if any(not Path(f.path).is_file() for f in survey.frames) or not any(survey.located):
         return None
@@ -56,7 +57,7 @@ def given_image(
     views = frame_views(survey.work_frame, survey.map_crs, placement.poses, cameras, used, ground)
     try:
         grid = output_grid(survey.map_crs, without_flung(views, own_m)[0], own_m, names)
-        return _composed(survey, placement, ground, used, coarser(grid, longest_px), mapped)
+        return _composed(survey, placement, ground, used, coarser(grid, longest_px), spooled)
     except CancelledError:
         raise
     except GeomosaicError:
@@ -69,18 +70,19 @@ def _composed(
     ground: GroundSurface,
     used: list[bool],
     grid: OutputGrid,
-    mapped: Mapped,
+    spooled: Spooled,
 ) -> Glance | None:
     fits = [r for r in _REDUCTIONS if r * placement.ground_pixel_m <= grid.gsd_m]
     reduction = fits[0] if fits else 1
     shrink = partial(small_frame, reduction)
-    reduced = mapped("reduced frames", shrink, survey.frames, [f.path for f in survey.frames])
+    paths = [f.path for f in survey.frames]
     with TemporaryDirectory(prefix="geomosaic-") as name:
         folder = Path(name)
-        small = tuple(
-            _written(one, frame, folder / f"{i}.tif")
-            for i, (one, frame) in enumerate(zip(reduced, survey.frames, strict=True))
-        )
+        with spooled("reduced frames", shrink, survey.frames, paths) as reduced:
+            small = tuple(
+                _written(one.load(), frame, folder / f"{i}.tif")
+                for i, (one, frame) in enumerate(zip(reduced, survey.frames, strict=True))
+            )
         kinds = {(f.bands, f.dtype) for f in small}
         if len(kinds) != 1:
             return None

@@ -45,5 +45,5 @@ class MosaicGiven(Stage):
         """On a grid of its own, which holds what the frames would see."""
         survey, ground, placement = (inputs[name] for name in self.inputs)
         longest_px = params.longest_px
-        image = given_image(survey, placement, ground, longest_px, context.map) if longest_px else None
+        image = given_image(survey, placement, ground, longest_px, context.spooled) if longest_px else None
         return {"given": GivenMosaic(image)}
