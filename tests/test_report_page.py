@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 from quality_images import eight_bits, texture, write_tif
 from report_survey import HOSTILE, made_up_run
 
+import geomosaic
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.export.orientation import orientations
 from geomosaic.pipeline.stage import Context
+from geomosaic.report import warnings
 from geomosaic.report.frames import render_report
 from geomosaic.report.glance import glance
 from geomosaic.report.parts import frame_table
@@ -154,6 +158,20 @@ def test_equal_warnings_are_counted_and_routine_ones_folded(run):
         words.index("The map suffers from this") < words.index("Worth a look") < words.index("1 routine note")
     )
     assert "× 6" in words and words.count("righted here") == 1
+
+
+def test_severities_are_of_codes_that_there_are():
+    """A code that is renamed would fall among those worth a look."""
+    package = Path(geomosaic.__file__).parent
+    said = {
+        node.value
+        for file in package.rglob("*.py")
+        if file != Path(warnings.__file__)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert not (warnings._SEVERE | warnings._ROUTINE) - said
+    assert not warnings._SEVERE & warnings._ROUTINE
 
 
 def test_the_plain_run_without_reference_rounds_or_ties(run):

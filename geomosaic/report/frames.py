@@ -36,8 +36,6 @@ from geomosaic.report.warnings import warnings_of
 from geomosaic.survey.model import Survey
 
 _GROUND = {"flat": "flat ground", "dem": "the DEM", "tie_surface": "the tie points' surface"}
-_FEW = 60
-"""Frames whose outlines and names don't yet hide the mosaic."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,6 @@ def render_report(
         surface_css=part("surface.css"),
         surface_script=part("surface_profile.js"),
         judged=judged,
-        crowded=len(survey.frames) > _FEW,
         composition_rows=parts.composition_rows(summary.get("metrics", {})),
         comparison=comparison,
         comparison_rows=comparison_rows(comparison) if comparison else [],

@@ -60,8 +60,8 @@ class Layer:
 
 @dataclass(frozen=True)
 class MapView:
-    """The whole map. origin: what coordinates are counted from; axes: their names, the second one's sign on
-    screen (-1 for lines, which run down); unit; metres: whether a scale bar makes sense; box: of the mosaic.
+    """The whole map. origin: what coordinates are counted from; axes: their names; down: the second one grows
+    downwards, as lines do; unit; metres: whether a scale bar makes sense; box: of the mosaic.
     """
 
     origin: tuple[float, float]

@@ -16,7 +16,7 @@ _SEVERE: Final = frozenset(
 )  # fmt: skip
 _ROUTINE: Final = frozenset(
     (
-        "attitude-convention", "attitude-of-aircraft", "bands-left-out", "camera-assumed", "camera-scaled",
+        "attitude-of-aircraft", "bands-left-out", "camera-assumed", "camera-scaled",
         "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-take-off",
         "frame-turned", "geoid-assumed", "height-above-take-off", "height-by-neighbours",
         "height-datum-assumed", "height-datum-unknown", "height-estimated", "image-edited", "model-chosen",
