@@ -208,6 +208,18 @@ def test_a_viewer_that_is_not_there_makes_no_difference(
     assert time.monotonic() - began < 20.0
 
 
+def test_a_program_that_ends_before_its_viewer_says_nothing_of_it(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="Rerun isn't installed")
+    script = (
+        "from pathlib import Path; from geomosaic.recording.live import watched\n"
+        f"with watched(Path({str(tmp_path / 'run.mcap')!r}), live=True): pass"
+    )
+    environment = {**os.environ, "GEOMOSAIC_LIVE": "rerun+http://127.0.0.1:1/proxy"}
+    command = [sys.executable, "-X", "dev", "-c", script]
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

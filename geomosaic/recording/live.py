@@ -11,13 +11,11 @@ import importlib.util
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-_shows: list[subprocess.Popen[bytes]] = []
-"""Processes that show runs; nobody waits for them."""
 
 
 @contextmanager
@@ -32,5 +30,6 @@ def watched(recording: Path | None, live: bool) -> Iterator[None]:
         quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         module = "geomosaic.recording.following"
         command = [sys.executable, "-P", "-m", module, str(recording.absolute()), str(os.getpid())]
-        _shows.append(subprocess.Popen(command, start_new_session=True, **quiet))  # noqa: S603
+        shows = subprocess.Popen(command, start_new_session=True, **quiet)  # noqa: S603
+        threading.Thread(target=shows.wait, daemon=True).start()  # no run waits for it, nor the process's end
     yield
