@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -156,6 +157,18 @@ def test_the_equations_name_modules_and_functions_that_are_there() -> None:
     ):  # fmt: skip
         assert f"`{name}`" in text
         assert re.search(rf"^(?:def|class) {name}\b", (ROOT / f"geomosaic/{module}.py").read_text(), re.M)
+
+
+def test_conda_s_environment_and_the_notice_know_all_that_is_needed() -> None:
+    """The wheel is put into that environment without its dependencies."""
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    environment = (ROOT / "environment.yml").read_text(encoding="utf-8")
+    notice = re.sub(r"\W", "", (ROOT / "NOTICE").read_text(encoding="utf-8").lower())
+    for one in needed:
+        name, _, bound = one.partition(">=")
+        entry = rf"- (?:python-)?{name}(?:-python|>={re.escape(bound)})$"
+        assert re.search(entry, environment, re.M), one
+        assert re.sub(r"\W", "", name.removesuffix("-python-headless").removesuffix("2")) in notice, one
 
 
 def test_the_site_builds(tmp_path: Path) -> None:
