@@ -203,7 +203,7 @@ def variance_components(
     miss = present_miss(priors, state)
     if state.swing is not None:
         miss = np.concatenate([miss, -state.swing.reshape(len(miss), -1)], axis=1)
-    followed = _followed(found, reduced, miss * information, information)
+    followed = _followed(found, reduced, covariance, miss * information, information)
     return replace(factors, **by_group, swing=swing), followed
 
 
@@ -221,17 +221,18 @@ class _Found:
     follows: float = 0.0
 
 
-def _followed(found: list[_Found], reduced: Reduced, pull: Floats, information: Floats) -> Floats:
+def _followed(
+    found: list[_Found], reduced: Reduced, covariance: Floats, pull: Floats, information: Floats
+) -> Floats:
     """See `variance_components`: with another deviation of one component, unknowns go elsewhere, by the
     equations, and with them the squares of all; redundancies change by what each frame's own numbers have to
     do with each other.
 
-    Args: pull (f, d): of what was believed, by which information (f, d).
+    Args: covariance (f, d, d) of each frame; pull (f, d): of what was believed, by which information (f, d).
     """
     counted = np.stack([its.counted for its in found])
     of = counted > 0.0
     moved = 2.0 * reduced.responses(np.moveaxis(of * pull, 0, -1))
-    covariance = reduced.covariance()[0]
     kept = covariance * information[:, None, :]
     both = kept * np.swapaxes(kept, 1, 2)
     out = np.zeros((len(found), len(found)))
