@@ -250,7 +250,6 @@ def believed_terrain(block: Block, points: int) -> Terrain:
 def part_of_frames(block: Block) -> NDArray[np.intp]:
     """Number of the connected part of the block that each frame belongs to, (f,)."""
     number = np.zeros(len(block.names), dtype=np.intp)
-    pairs = [(t.left, t.right) for t in block.ties.pairs]
-    for k, frames in enumerate(connected_parts(len(block.names), pairs)):
+    for k, frames in enumerate(connected_parts(len(block.names), block.ties.frames)):
         number[frames] = k
     return number

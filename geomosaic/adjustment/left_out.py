@@ -180,7 +180,7 @@ class LeftOut:
 def _without_tie_points(block: Block) -> Block:
     """The block with the bare pairs: it goes to other processes."""
     at, number = np.zeros((0, 2)), np.zeros(0, np.int32)
-    bare = (TiePair(pair.left, pair.right, at, at, number, number) for pair in block.ties.pairs)
+    bare = (TiePair(left, right, at, at, number, number) for left, right in block.ties.frames)
     return replace(block, ties=TiePoints(tuple(bare)))
 
 

@@ -89,10 +89,10 @@ def offset_net(block: Block) -> OffsetNet:
     """Projects a block's tie points to the ground once; points that miss it are left out."""
     left, right, pairs = [], [], []
     on_ground = ties_on_ground(block, block.poses, block.cameras, block.ground)
-    for tie, (a, b) in zip(block.ties.pairs, on_ground, strict=True):
+    for pair, (a, b) in zip(block.ties.frames, on_ground, strict=True):
         seen = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
         if seen.any():
-            pairs.append((tie.left, tie.right))
+            pairs.append(pair)
             left.append(a[seen])
             right.append(b[seen])
     return OffsetNet(

@@ -36,7 +36,7 @@ def unplaced_parts(block: Block) -> list[list[int]]:
     assumed = position_assumed(block.poses)
     if not assumed.any():
         return []
-    parts = connected_parts(len(block.names), [(t.left, t.right) for t in block.ties.pairs])
+    parts = connected_parts(len(block.names), block.ties.frames)
     seen = [{i for i, _, _ in c.observations} for c in block.control if not c.check]
     nowhere = [
         part for part in parts
@@ -62,7 +62,7 @@ def settled(
     `placed` by POS alone, as are those `unsolved`. spread: see `control_residuals`; given by methods that
     used control. Frames that nothing places are `rejected`, see `unplaced_parts`, and those `strayed`."""
     cameras, ground = cameras or block.cameras, ground or block.ground
-    tied = {i for tie in block.ties.pairs for i in (tie.left, tie.right)} - set(unsolved)
+    tied = {i for pair in block.ties.frames for i in pair} - set(unsolved)
     nowhere = {i for part in unplaced_parts(block) for i in part} | set(strayed)
     control = control_residuals(block, poses, cameras, ground, spread)
     return Adjusted(

@@ -138,3 +138,10 @@ class TiePoints:
 
     pairs: tuple[TiePair, ...] | TiePairs
     untied: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def frames(self) -> list[tuple[int, int]]:
+        """Left and right of each pair."""
+        if isinstance(self.pairs, TiePairs):
+            return [(left, right) for left, right in self.pairs.frames.tolist()]
+        return [(t.left, t.right) for t in self.pairs]

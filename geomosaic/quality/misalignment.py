@@ -41,9 +41,10 @@ def pair_misalignments(ties: TiePoints, residuals_m: Sequence[Floats]) -> PairMi
     """What `Adjusted.residuals_m` says of each pair of ties.pairs; NaN for a pair without residuals."""
     lengths = [np.linalg.norm(r, axis=1) for r in residuals_m]
     empty = np.full(2, np.nan)
+    left, right = np.array(ties.frames, dtype=np.int64).reshape(-1, 2).T
     return PairMisalignments(
-        np.array([p.left for p in ties.pairs], dtype=np.int64),
-        np.array([p.right for p in ties.pairs], dtype=np.int64),
+        left,
+        right,
         np.array([len(r) for r in residuals_m], dtype=np.int64),
         np.array([r.mean(axis=0) if len(r) else empty for r in residuals_m]).reshape(-1, 2),
         np.array([np.sqrt((x**2).mean()) if x.size else np.nan for x in lengths]),

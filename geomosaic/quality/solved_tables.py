@@ -100,7 +100,7 @@ def move_columns(prior: Poses, adjusted: Adjusted, ties: TiePoints) -> dict[str,
     moved = adjusted.poses.positions_m - prior.positions_m
     turn = np.swapaxes(prior.rotations, 1, 2) @ adjusted.poses.rotations
     cosine = (np.trace(turn, axis1=1, axis2=2) - 1.0) / 2.0
-    ends = np.array([(t.left, t.right) for t in ties.pairs], dtype=np.intp).reshape(-1, 2)
+    ends = np.array(ties.frames, dtype=np.intp).reshape(-1, 2)
     points = np.repeat([len(t) for t in ties.pairs], 2)
     image = adjusted.image_residuals
     down = np.full(n, np.nan)
@@ -143,7 +143,7 @@ def sampled_ties(
     count = [len(t) for t in ties.pairs]
     taken = np.arange(0, sum(count), max(1, sum(count) // most))
     pair = np.searchsorted(np.cumsum(count), taken, side="right")
-    ends = np.array([(t.left, t.right) for t in ties.pairs], dtype=np.intp).reshape(-1, 2)[pair]
+    ends = np.array(ties.frames, dtype=np.intp).reshape(-1, 2)[pair]
     left, right = ends.T
     px = np.concatenate([np.zeros((0, 2)), *(t.left_px for t in ties.pairs)])[taken]
     residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])[taken]

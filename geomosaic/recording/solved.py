@@ -76,7 +76,7 @@ class Solved:
             for t in ties.pairs:
                 if t.left_px.shape != (len(t.left_px), 2) or t.left_px.shape != t.right_px.shape:
                     return "its tie points aren't places in two images"
-            if any(not 0 <= i < n for t in ties.pairs for i in (t.left, t.right)) or any(
+            if any(not 0 <= i < n for pair in ties.frames for i in pair) or any(
                 not 0 <= i < n for pair in ties.untied for i in pair
             ):
                 return "its tie points are of frames that aren't there"

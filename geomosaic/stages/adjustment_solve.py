@@ -85,7 +85,7 @@ class AdjustmentSolve(Stage):
         adjusted = with_common_height(adjusted, level_sd_m)
         context.metric("adjustment.common_height_sd_m", level_sd_m)
         held = {i for c in block.control if not c.check for i, _, _ in c.observations}
-        parts = connected_parts(len(block.names), [(t.left, t.right) for t in ties.pairs])
+        parts = connected_parts(len(block.names), ties.frames)
         nowhere = {i for part in unplaced_parts(block) for i in part}
         if nowhere:
             left = [block.names[i] for i in sorted(nowhere)]

@@ -75,12 +75,11 @@ class QualityVerdict(Stage):
         )
         image = adjusted.image_residuals
         at = adjusted.poses.positions_m
-        pairs = [(p.left, p.right) for p in inputs["ties"].pairs]
         verdict = verdict_of(
             adjusted,
             seams,
             () if image is None else residual_patterns(image, adjusted.cameras),
-            connected_parts(len(survey.frames), pairs),
+            connected_parts(len(survey.frames), inputs["ties"].frames),
             mosaic.frames_used,
             float(np.median(at[:, 2] - inputs["ground"].up_at(at[:, 0], at[:, 1]))),
             leaning_99_px(inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"]),

@@ -96,7 +96,7 @@ def record_outlines(
 def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adjusted) -> None:
     """Frames and pairs in figures, and where frames lie now."""
     ties, names = block.ties, block.names
-    lefts, rights = [names[t.left] for t in ties.pairs], [names[t.right] for t in ties.pairs]
+    lefts, rights = ([names[pair[side]] for pair in ties.frames] for side in (0, 1))
     weights = tie_weights(ties, adjusted.image_residuals)
     context.recorder.table("pairs.adjusted", lefts, pair_columns(ties, adjusted.residuals_m, weights), rights)
     for tie, left, right, residual, weight in zip(
@@ -123,7 +123,7 @@ def record_adjusted(
 ) -> None:
     """The rounds of an adjustment, the residuals of every pair, where the frames ended up, on what ground."""
     context.metric("ground.reason", ground_reason(adjusted, asked_ground))
-    pairs = [(block.names[t.left], block.names[t.right]) for t in block.ties.pairs]
+    pairs = [(block.names[left], block.names[right]) for left, right in block.ties.frames]
     for number, round_ in enumerate(adjusted.rounds):
         context.recorder.offsets(
             context.stage_id,
