@@ -210,10 +210,14 @@ def _steps(image: Image, true: Image, a: Floats, b: Floats, pixel_m: float) -> t
     off = np.arange(-reach_px - 4.0, reach_px + 4.5, 0.5)
     along = np.linspace(0.0, 1.0, 2 * int(np.linalg.norm(b - a)) + 1)
     at = a + (b - a) * along[:, None, None] + across * off[:, None] - 0.5
-    x, y = (np.ascontiguousarray(at[..., k], dtype=np.float32) for k in (0, 1))
+    left, top = np.floor(at.min(axis=(0, 1))).astype(int).clip(0)
+    right, bottom = np.ceil(at.max(axis=(0, 1))).astype(int) + 1
+    x, y = (
+        np.ascontiguousarray(at[..., k] - from_px, dtype=np.float32) for k, from_px in ((0, left), (1, top))
+    )
     slopes = []
-    for of in (true, image):
-        profile = cv2.remap(of, x, y, cv2.INTER_LINEAR).mean(axis=0)
+    for of in (true, image):  # cut out: OpenCV looks through all of what it is given, for each piece
+        profile = cv2.remap(of[top:bottom, left:right], x, y, cv2.INTER_LINEAR).mean(axis=0)
         slopes.append(np.gradient(cv2.GaussianBlur(profile, (1, 0), 0, sigmaY=2.0), 0.5, axis=0))
     near = np.abs(off) <= 3.0
     middle = np.flatnonzero(near)[np.linalg.norm(slopes[0][near], axis=1).argmax()]
