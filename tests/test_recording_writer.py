@@ -341,7 +341,10 @@ def test_positions_of_recordings_of_both_encodings_are_copied(tmp_path: Path) ->
     with Recorder(tmp_path / "new.mcap") as recorder:
         recorder.stage_started("survey.read", 1, {}, {})
         recorder.copy("/location/tied", "foxglove.LocationFix", data)
-        for bad in (b"{", b"{}", b'{"frame_id": 3}', b"[]", b'{"frame_id": "a", "latitude": "x"}'):
+        endless, deep = data.replace(b"46.5", b"1" * 400), b'{"frame_id": ' + b"[" * 100_000
+        nowhere = LocationFix(frame_id="a.jpg", latitude=np.nan).SerializeToString()
+        no_json = (b"{", b"{}", b'{"frame_id": 3}', b"[]", b'{"frame_id": "a", "latitude": "x"}')
+        for bad in (*no_json, endless, deep, nowhere, data.replace(b"46.5", b"NaN")):
             with pytest.raises(InputError, match="is damaged"):
                 recorder.copy("/location/tied", "foxglove.LocationFix", bad)
     (again,) = decoded(tmp_path / "new.mcap", "/location/tied")

@@ -53,17 +53,20 @@ def fix_json(fix: Any) -> bytes:
 def fix_of(data: bytes) -> Any:
     """The LocationFix of such JSON, its time left out; of protobuf too, as in recordings of earlier versions.
 
-    Raises DecodeError, ValueError, TypeError, KeyError or AttributeError for anything else.
+    Raises one of `BROKEN`, TypeError, KeyError or AttributeError for anything else, and where a number isn't
+    finite.
     """
     if not data.startswith(b"{"):
-        return LocationFix.FromString(data)
-    values = json.loads(data)
-    fix = LocationFix(
-        frame_id=values["frame_id"],
-        **{name: values[name] for name in _NUMBERS},
-        position_covariance=values["position_covariance"],
-        position_covariance_type=values["position_covariance_type"],
-    )
-    for name in _SHADES:
-        setattr(fix.color, name, values["color"][name])
+        fix = LocationFix.FromString(data)
+    else:
+        values = json.loads(data)
+        fix = LocationFix(
+            frame_id=values["frame_id"],
+            **{name: values[name] for name in _NUMBERS},
+            position_covariance=values["position_covariance"],
+            position_covariance_type=values["position_covariance_type"],
+        )
+        for name in _SHADES:
+            setattr(fix.color, name, values["color"][name])
+    fix_json(fix)
     return fix

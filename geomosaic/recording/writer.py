@@ -18,13 +18,13 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from google.protobuf.message import DecodeError
 
 from geomosaic import __version__
 from geomosaic.errors import InputError
 from geomosaic.recording.as_json import AS_JSON, fix_of
 from geomosaic.recording.heartbeat import Beat, Heartbeat
 from geomosaic.recording.levels import wanted
+from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.messagefile import MessageFile
 from geomosaic.recording.messages import (
     Artefact,
@@ -260,7 +260,7 @@ class Recorder(StageCalls, StripCalls):
             )
         try:
             message = fix_of(data) if schema in AS_JSON else _CLASSES[schema].FromString(data)
-        except (DecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
+        except (*BROKEN, TypeError, KeyError, AttributeError) as error:
             raise InputError(f"a {schema} is damaged", mend="replay from an earlier stage") from error
         self._write(topic, message)
 
