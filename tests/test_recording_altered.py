@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from test_recording_replay import recorded, replay
 
+from geomosaic.camera.interior import Camera
 from geomosaic.cli.main import main
 from geomosaic.errors import FileError
 from geomosaic.pipeline.artefacts import decode, encode
@@ -118,6 +119,23 @@ def test_an_array_belongs_to_one_place() -> None:
     with pytest.raises(FileError, match="no whole artefact"):
         decode(out.getvalue(), list)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000
+
+
+def test_a_lens_of_no_known_kind_is_no_artefact() -> None:
+    """It was a fault of the program where the lens was first asked for."""
+    data = encode(Camera("a", 400, 300, 500.0, 200.0, 150.0))
+    for kind in (b'"brawn"', b"[1,2,3]"):
+        with pytest.raises(FileError, match="no whole artefact"):
+            decode(retold(data, b'"brown"', kind), Camera)
+
+
+def retold(data: bytes, old: bytes, new: bytes) -> bytes:
+    """An artefact with other words in its tree."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as file, zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as again:
+        for name in file.namelist():
+            again.writestr(name, file.read(name).replace(old, new))
+    return out.getvalue()
 
 
 def test_members_that_lie_on_each_other_are_refused() -> None:

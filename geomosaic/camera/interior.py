@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.camera.lens import LENSES, TERMS, Lens
+from geomosaic.errors import UnknownNameError
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +46,10 @@ class Camera:
     distortion_sd: float = 0.0
     kind: str = "brown"
     readout_sd_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in LENSES:
+            raise UnknownNameError("kind of lens", str(self.kind), LENSES)
 
     def turned(self, quarters: int) -> Camera:
         """The camera of an image that was turned clockwise by quarter turns after it was taken.
