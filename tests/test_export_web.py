@@ -55,7 +55,7 @@ def test_the_vrt_moves_with_its_mosaic(cog, tmp_path):
 
 @pytest.mark.parametrize("tile_format", ["png", "webp"])
 def test_tiles_lie_where_the_mosaic_lies(cog, tmp_path, tile_format):
-    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, processes=1)
+    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, threads=1)
     index = json.loads((tmp_path / "tiles" / "tiles.json").read_text())
     # 156543 m * cos(46.84 deg) / 2^z is 0.0128 m at z = 23 and 0.0255 m at 22; the mosaic has 0.0169 m.
     assert index["maxzoom"] == 23
@@ -69,9 +69,43 @@ def test_tiles_lie_where_the_mosaic_lies(cog, tmp_path, tile_format):
     assert image.shape == (256, 256, 4)
 
 
+def test_tiles_show_what_lies_there_and_coarser_ones_its_mean(cog, tmp_path):
+    """Against the mosaic's own pixels at the places of the tiles' pixels, by pyproj, and a quarter of one off."""
+    told = []
+    tiles = tmp_path / "tiles"
+    write_tiles(cog, tiles, threads=2, progress=lambda done, total: told.append((done, total)))
+    assert told == [(k, told[-1][1]) for k in range(1, told[-1][1] + 1)]
+    with rasterio.open(cog) as tiff:
+        mosaic, t = np.moveaxis(tiff.read(), 0, -1).astype(np.float32), tiff.transform
+    to_map = Transformer.from_crs("EPSG:3857", "EPSG:32615", always_xy=True)
+    side, off = 2 * np.pi * 6_378_137.0 / 2**23 / 256, np.zeros(2)
+    for tile in (tiles / "23").rglob("*.png"):
+        image = cv2.imread(str(tile), cv2.IMREAD_UNCHANGED)
+        within = cv2.erode(image[..., 3], np.ones((5, 5)), borderValue=0) == 255
+        row, col = (v[::7] + 0.5 for v in np.nonzero(within))
+        x, y = int(tile.parent.name) * 256 + col, int(tile.stem) * 256 + row
+        east, north = to_map.transform(x * side - 2**22 * 256 * side, 2**22 * 256 * side - y * side)
+        at = np.stack([(east - t.c) / t.a, (north - t.f) / t.e], axis=-1).astype(np.float32) - 0.5
+        for k, shift in enumerate((0.0, 0.25)):
+            there = cv2.remap(mosaic, at[:, None] + np.float32(shift), None, cv2.INTER_LINEAR)[:, 0]
+            off[k] += np.abs(there - image[within][::7, 2::-1]).sum() / 1e6
+    assert off[0] < 0.25 * off[1]
+    for coarse in (p for p in (tiles / "20").rglob("*.png")):
+        above = cv2.imread(str(coarse), cv2.IMREAD_UNCHANGED)
+        x, y = 2 * int(coarse.parent.name), 2 * int(coarse.stem)
+        for i, j in np.ndindex(2, 2):
+            half = above[128 * i :, 128 * j :][:128, :128]
+            if not (below := tiles / "21" / f"{x + j}" / f"{y + i}.png").exists():
+                assert not half[..., 3].any()
+                continue
+            fine = cv2.imread(str(below), cv2.IMREAD_UNCHANGED).reshape(128, 2, 128, 2, 4)
+            full = (fine[..., 3] == 255).all(axis=(1, 3))
+            assert np.abs(fine[..., :3].mean(axis=(1, 3)) - half[..., :3])[full].max() <= 1.0
+
+
 def test_tiles_of_sixteen_bits_and_five_bands_are_stretched(tmp_path):
     raw_raster(tmp_path / "raw.tif", bands=5, dtype="uint16", side=400)
-    write_tiles(tmp_path / "raw.tif", tmp_path / "tiles", max_zoom=22, min_zoom=22, processes=1)
+    write_tiles(tmp_path / "raw.tif", tmp_path / "tiles", max_zoom=22, min_zoom=22, threads=1)
     images = [cv2.imread(str(t), cv2.IMREAD_UNCHANGED) for t in (tmp_path / "tiles").rglob("*.png")]
     seen = np.concatenate([p[p[..., 3] == 255] for p in images])
     assert seen[:, :3].min() < 10
@@ -79,11 +113,11 @@ def test_tiles_of_sixteen_bits_and_five_bands_are_stretched(tmp_path):
 
 
 def test_tiles_can_be_stopped(cog, tmp_path):
-    def stop() -> None:
+    def stop(done, total) -> None:
         raise CancelledError
 
     with pytest.raises(CancelledError):
-        write_tiles(cog, tmp_path / "tiles", max_zoom=26, processes=1, check_cancelled=stop)
+        write_tiles(cog, tmp_path / "tiles", max_zoom=26, threads=1, progress=stop)
 
 
 def test_the_stac_item_says_what_where_and_when(tmp_path):
@@ -131,8 +165,8 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
     """Read as its specification says: a table of tiles, their rows counted from the south."""
     coarse = tmp_path / "coarse.tif"
     gdal.Translate(str(coarse), str(cog), outputBounds=[576_600, 5_188_300, 576_740, 5_188_300 - 140])
-    write_tiles(coarse, tmp_path / "tiles", processes=1)
-    write_packed(coarse, tmp_path / "mosaic.mbtiles", "mbtiles", processes=1)
+    write_tiles(coarse, tmp_path / "tiles", threads=1)
+    write_packed(coarse, tmp_path / "mosaic.mbtiles", "mbtiles", threads=1)
     with sqlite3.connect(tmp_path / "mosaic.mbtiles") as file:
         told = dict(file.execute("SELECT name, value FROM metadata"))
         packed = {
@@ -158,9 +192,9 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
 
 @pytest.mark.parametrize("tile_format", ["png", "webp"])
 def test_pmtiles_hold_the_tiles_of_the_folder(cog, tmp_path, tile_format):
-    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, processes=1)
+    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, threads=1)
     for name in ("a", "b"):
-        write_packed(cog, tmp_path / name, "pmtiles", tile_format=tile_format, processes=1)
+        write_packed(cog, tmp_path / name, "pmtiles", tile_format=tile_format, threads=1)
     data = (tmp_path / "a").read_bytes()
     assert data == (tmp_path / "b").read_bytes()
     told, packed = read_pmtiles(data)
@@ -260,7 +294,7 @@ def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
     with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
         fields = {"frame": [evil], "status": ["tied"]}
         package.add_layer("frames", "", "Point", [shapely.Point(576_627.0, 5_188_249.0)], fields)
-    write_tiles(cog, tmp_path / "tiles", max_zoom=20, processes=1, layers_file=tmp_path / "layers.gpkg")
+    write_tiles(cog, tmp_path / "tiles", max_zoom=20, threads=1, layers_file=tmp_path / "layers.gpkg")
     page = (tmp_path / "tiles" / "index.html").read_text()
     assert not re.findall(r"(?:src\s*=\s*|url\()[\"']?https?:", page)
     assert evil not in page

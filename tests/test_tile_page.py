@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
         names = {"frame": ["a <b>.jpg", "b.jpg", "c.jpg"]}
         package.add_layer("frames", "", "Point", shapely.points(at), names)
         package.add_layer("footprints", "", "Polygon", shapely.buffer(shapely.points(at), 2.0), names)
-    write_tiles(folder / "mosaic.tif", folder / "tiles", processes=1, layers_file=folder / "layers.gpkg")
+    write_tiles(folder / "mosaic.tif", folder / "tiles", threads=1, layers_file=folder / "layers.gpkg")
     return folder / "tiles"
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+from geomosaic.doors.gdal_failures import Progress
 from geomosaic.export.web import write_tiles
 
 _MBTILES: Final = """
@@ -34,8 +35,8 @@ def write_packed(
     form: str,
     *,
     tile_format: str = "png",
-    processes: int = 2,
-    check_cancelled: Callable[[], None] | None = None,
+    threads: int = 2,
+    progress: Progress | None = None,
 ) -> None:
     """The tiles of `write_tiles` in one file of one of `FORMS`.
 
@@ -43,9 +44,7 @@ def write_packed(
     """
     with TemporaryDirectory(dir=out.parent) as scratch:
         folder = Path(scratch) / "tiles"
-        write_tiles(
-            mosaic_file, folder, tile_format=tile_format, processes=processes, check_cancelled=check_cancelled
-        )
+        write_tiles(mosaic_file, folder, tile_format=tile_format, threads=threads, progress=progress)
         index = {**json.loads((folder / "tiles.json").read_text()), "name": mosaic_file.parent.name}
         FORMS[form](out, folder, index, tile_format)
 

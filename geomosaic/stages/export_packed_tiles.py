@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from geomosaic.export.packed_tiles import write_packed
-from geomosaic.export.web import TILE_FORMATS, on_map
+from geomosaic.export.tile_pyramid import FORMATS
+from geomosaic.export.web import on_map
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 
 
@@ -14,14 +15,14 @@ class _ExportPackedTiles(Stage):
     """The tiles of export.tiles in one file."""
 
     group = "Export"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
 
     class Params(StageParams):
         """See each parameter's help."""
 
-        format: str = param("png", help="of the tiles", choices=TILE_FORMATS)
-        processes: int = param(2, help="processes at work", ge=1, le=64, affects_output=False)
+        format: str = param("png", help="of the tiles", choices=FORMATS)
+        threads: int = param(2, help="threads at work", ge=1, le=64, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """One file, named by its form."""
@@ -32,8 +33,8 @@ class _ExportPackedTiles(Stage):
                 path,
                 file.rpartition(".")[2],
                 tile_format=params.format,
-                processes=params.processes,
-                check_cancelled=context.check_cancelled,
+                threads=params.threads,
+                progress=lambda done, total: context.progress(done, total, file),
             )
         return {output: context.run_file(file)}
 

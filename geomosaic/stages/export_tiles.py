@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from geomosaic.export.web import TILE_FORMATS, on_map, write_tiles
+from geomosaic.export.tile_pyramid import FORMATS
+from geomosaic.export.web import on_map, write_tiles
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 
 TILES = "tiles"
@@ -17,7 +18,7 @@ class ExportTiles(Stage):
     id = "export.tiles"
     display_name = "Write web map tiles"
     group = "Export"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     optional_inputs: ClassVar[dict[str, type]] = {"layers_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"tiles_folder": RunFile}
@@ -26,13 +27,13 @@ class ExportTiles(Stage):
     class Params(StageParams):
         """See each parameter's help."""
 
-        format: str = param("png", help="of the tiles", choices=TILE_FORMATS)
+        format: str = param("png", help="of the tiles", choices=FORMATS)
         min_zoom: int | Literal["auto"] = param("auto", help="coarsest zoom", ge=0, le=30)
         max_zoom: int | Literal["auto"] = param("auto", help="finest zoom", ge=0, le=30)
-        processes: int = param(2, help="processes at work", ge=1, le=64, affects_output=False)
+        threads: int = param(2, help="threads at work", ge=1, le=64, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """By way of GDAL's gdal2tiles."""
+        """Resampled once, then halved zoom by zoom."""
         with context.writing(TILES) as folder:
             write_tiles(
                 on_map(context.path_of(inputs["mosaic_file"])),
@@ -40,8 +41,8 @@ class ExportTiles(Stage):
                 tile_format=params.format,
                 min_zoom=None if params.min_zoom == "auto" else params.min_zoom,
                 max_zoom=None if params.max_zoom == "auto" else params.max_zoom,
-                processes=params.processes,
+                threads=params.threads,
                 layers_file=context.path_of(inputs["layers_file"]) if "layers_file" in inputs else None,
-                check_cancelled=context.check_cancelled,
+                progress=lambda done, total: context.progress(done, total, TILES),
             )
         return {"tiles_folder": context.run_file(TILES)}
