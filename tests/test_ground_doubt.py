@@ -13,7 +13,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.ground_doubt import leaning_99_px, leaning_sd_px
+from geomosaic.quality.ground_doubt import LandDoubt, land_doubt, leaning_sd_px
 
 HOME = LocalFrame(9.0, 48.0, 400.0)
 AT_M = MapProjection("EPSG:32632").map_from_geodetic(9.0, 48.0)
@@ -29,11 +29,15 @@ def owned(owner: np.ndarray) -> Ownership:
     return Ownership(grid, np.array([True, True]), 10, owner.astype(np.int32))
 
 
+def doubt(owner: np.ndarray, ground: GroundSurface, known: GroundSurface | None = None) -> LandDoubt:
+    return land_doubt(owned(owner), FRAMES, HOME, ground, known or ground)
+
+
 def test_a_place_leans_by_its_height_s_deviation_and_its_angle() -> None:
     """30 m beside the point below a frame 50 m up, 0.4 m of height are 0.24 m, 2.4 px."""
     owner = np.zeros((61, 61))
     owner[30, 60] = owner[10, 30] = 1
-    far, east = leaning_sd_px(owned(owner), FRAMES, HOME, SURE)
+    far, east = leaning_sd_px(owned(owner), FRAMES, HOME, SURE, SURE)
     assert east == pytest.approx(0.4 * 30.0 / 50.0 / 0.1, rel=2e-3)
     assert far == pytest.approx(0.4 * 20.0 / 50.0 / 0.1, rel=2e-3)
 
@@ -41,26 +45,51 @@ def test_a_place_leans_by_its_height_s_deviation_and_its_angle() -> None:
 def test_the_frame_that_gives_a_place_counts() -> None:
     owner = np.zeros((61, 61))
     owner[30, 60] = 2
-    assert leaning_sd_px(owned(owner), FRAMES, HOME, SURE) == pytest.approx([0.4 * 470 / 50 / 0.1], rel=2e-3)
+    assert leaning_sd_px(owned(owner), FRAMES, HOME, SURE, SURE) == pytest.approx(
+        [0.4 * 470 / 50 / 0.1], rel=2e-3
+    )
 
 
 def test_of_equal_places_99_in_100_lie_within_2_58_deviations() -> None:
     owner = np.zeros((61, 61))
     owner[30, 60] = 1
-    assert leaning_99_px(owned(owner), FRAMES, HOME, SURE) == pytest.approx(2.5758 * 2.4, rel=2e-3)
+    assert doubt(owner, SURE).ground_px == pytest.approx(2.5758 * 2.4, rel=2e-3)
 
 
 def test_a_hundredth_of_bad_land_is_passed_over_and_a_twentieth_is_not() -> None:
     rough = replace(SURE, sd_m=np.where(np.arange(5)[:, None] >= 4, 50.0, 0.0) + np.full((5, 5), 0.01))
     owner = np.ones((200, 200))
-    some, many = owned(owner[1:]), owned(owner)
-    assert leaning_99_px(some, FRAMES, HOME, rough) > 10.0
+    assert doubt(owner[1:], rough).ground_px > 10.0
+    assert doubt(owner, SURE).ground_px < 20.0
     owner[:50] = 0
-    assert leaning_99_px(owned(owner), FRAMES, HOME, rough) < 1.0
-    assert leaning_99_px(many, FRAMES, HOME, SURE) < 20.0
+    assert doubt(owner, rough).ground_px < 1.0
+
+
+def test_what_stands_unsurely_is_told_apart_from_the_ground() -> None:
+    """30 m beside the point below a frame 50 m up, 1 m of height is 0.6 m, 6 px: of such places 62 % lie off by
+    more than 3 px; the ground through tie points is known to 0.4 m."""
+    owner = np.zeros((61, 61))
+    owner[30, 60] = 1
+    woods = replace(SURE, kind="dense", sd_m=np.full((5, 5), 1.0))
+    found = doubt(owner, woods, SURE)
+    assert found.ground_px == pytest.approx(2.5758 * 2.4, rel=2e-3)
+    assert found.surface_share == pytest.approx(0.6171, abs=2e-3)
+    assert np.isnan(doubt(owner, SURE).surface_share)
+
+
+def test_what_was_matched_surely_beyond_tie_points_is_known() -> None:
+    owner = np.zeros((61, 61))
+    owner[30, 60] = 1
+    sharp = replace(SURE, kind="dense", sd_m=np.full((5, 5), 0.1))
+    found = doubt(owner, sharp, SURE)
+    assert found.ground_px == pytest.approx(2.5758 * 0.6, rel=2e-3)
+    assert found.surface_share < 1e-5
 
 
 def test_what_is_not_known_is_not_told() -> None:
     owner = np.ones((10, 10))
-    assert np.isnan(leaning_99_px(owned(owner), FRAMES, HOME, replace(SURE, sd_m=None)))
-    assert np.isnan(leaning_99_px(owned(0.0 * owner), FRAMES, HOME, SURE))
+    given = replace(SURE, sd_m=None)
+    assert np.isnan(doubt(owner, given).ground_px)
+    assert np.isnan(doubt(0.0 * owner, SURE).ground_px)
+    on_given = doubt(owner, replace(SURE, kind="terrain"), given)
+    assert np.isnan(on_given.ground_px) and on_given.surface_share < 0.01

@@ -21,8 +21,9 @@ from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.mosaic.views import frame_views
 from geomosaic.projection.ground import flat_ground
+from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
-from geomosaic.quality.verdict import CRITERIA, verdict_of
+from geomosaic.quality.verdict import CRITERIA, Verdict, verdict_of
 from geomosaic.spread import AtOnce
 from geomosaic.survey.model import Warn
 
@@ -134,8 +135,16 @@ def seams_of(*length_px: float) -> SeamCheck:
     )
 
 
-def grade(adjusted: Adjusted, seams: SeamCheck = NO_SEAMS, parts: tuple[range, ...] = (range(5),)) -> str:
-    return verdict_of(adjusted, seams, (), parts, range(5), 100.0, float("nan")).grade
+NO_DOUBT = LandDoubt(float("nan"), float("nan"))
+
+
+def grade(
+    adjusted: Adjusted,
+    seams: SeamCheck = NO_SEAMS,
+    parts: tuple[range, ...] = (range(5),),
+    doubt: LandDoubt = NO_DOUBT,
+) -> str:
+    return verdict_of(adjusted, seams, (), parts, range(5), 100.0, doubt).grade
 
 
 def test_each_figure_can_spoil_the_verdict() -> None:
@@ -154,6 +163,9 @@ def test_each_figure_can_spoil_the_verdict() -> None:
     assert grade(outcome(), parts=(range(3), range(3, 5))) == "bad"
     assert grade(outcome(control=(lost,))) == "doubtful"
     assert grade(outcome(image_residuals=some)) == "doubtful"
+    assert grade(outcome(), doubt=LandDoubt(1.0, 0.05)) == "good"
+    assert grade(outcome(), doubt=LandDoubt(2.0, 0.05)) == "doubtful"
+    assert grade(outcome(), doubt=LandDoubt(1.0, 0.15)) == "doubtful"
     assert grade(outcome(warnings=(Warn("scale-doubtful", "", "x"),))) == "doubtful"
     assert grade(outcome(warnings=(Warn("bundle-failed", "", "x"),))) == "bad"
 
@@ -164,13 +176,25 @@ def test_places_that_show_nothing_say_nothing() -> None:
 
 def test_the_worst_figure_gives_cause_and_mend() -> None:
     verdict = verdict_of(
-        outcome(figures={"sigma_px": 14.7}), seams_of(1.5), (), (range(5),), range(5), 100.0, float("nan")
+        outcome(figures={"sigma_px": 14.7}), seams_of(1.5), (), (range(5),), range(5), 100.0, NO_DOUBT
     )
     assert verdict.cause.endswith("(image deviation 14.70 px)") and verdict.mend
     assert verdict.text == "5 of 5 frames tied, image deviation 14.70 px, seams 1.50 px"
     assert [e.name for e in verdict.evidence if e.grade != "good"][:2] == ["image deviation", "seams"]
     # 0.3 m of the position and 1e-6 rad x 100 m of the tilt
     assert verdict.absolute_sd_m == pytest.approx(np.hypot(0.3, 1e-4), rel=1e-9)
+
+
+def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
+    def told(share: float) -> Verdict:
+        doubt = LandDoubt(0.2, share)
+        return verdict_of(outcome(), NO_SEAMS, (), (range(5),), range(5), 100.0, doubt)
+
+    assert told(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
+    some, much = told(0.07), told(0.235)
+    assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 3 px")
+    assert much.cause.endswith("(surface unsure 24 %)") and "--ortho terrain" in much.mend
+    assert [e.figure for e in some.evidence if e.name == "surface unsure"] == ["7 %"]
 
 
 def test_limits_grow_from_good_to_bad_and_have_reasons() -> None:

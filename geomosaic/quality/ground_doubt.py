@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,13 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.ownership import Ownership
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import WALLED, GroundSurface
 from geomosaic.projection.warp import ground_window
+from geomosaic.surface.terrain import TERRAIN
 
 Floats = NDArray[np.float64]
+MATCHED: Final = (WALLED, TERRAIN)
+"""Kinds of ground that were matched between the frames."""
 SHARE: Annotated[
     float,
     Because(
@@ -25,6 +29,15 @@ SHARE: Annotated[
         CHOSEN,
     ),
 ] = 0.99
+OFF_PX: Annotated[
+    float,
+    Because(
+        "px",
+        "by which land must lie elsewhere to count as off: a map is called wrong beyond it; in any town rims "
+        "of roofs are unsure by one or two",
+        CHOSEN,
+    ),
+] = 3.0
 _MOST_PLACES: Annotated[
     int,
     Because(
@@ -45,31 +58,42 @@ _WITHIN_PX: Annotated[
 ] = 1e6
 
 
-def leaning_99_px(ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface) -> float:
-    """Displacement that 99 % of the mosaic's land keeps below, since the ground may be higher or lower.
+@dataclass(frozen=True)
+class LandDoubt:
+    """ground_px: what 99 % of the mosaic's land keeps below, since the ground may be higher or lower; NaN
+    where its deviations aren't known, or no frame gives anything. surface_share: of the land, what has to be
+    expected off by more than `OFF_PX`, since what was matched is unsure; NaN without a matched surface."""
 
-    A place moves by its height's error times the tangent of the angle at which its frame looks at it. NaN
-    where the ground's deviations aren't known, or no frame gives anything.
+    ground_px: float
+    surface_share: float
+
+
+def land_doubt(
+    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, known: GroundSurface
+) -> LandDoubt:
+    """How far the land of a mosaic on `ground` may lie off; known: what was known before a surface was
+    matched, the same without one.
+
+    The ground is as sure as the surer of both: woods and rims of roofs, of which a matched surface is unsure,
+    say nothing against the ground around and below. What they leave open is the surface's share, so that no
+    place is passed over.
     """
-    from scipy.optimize import brentq
-
-    if ground.sd_m is None:
-        return float("nan")
-    sd_px = leaning_sd_px(ownership, poses, work_frame, ground)
-    sd_px = sd_px[sd_px > 0.0]
-    if not sd_px.size:
-        return float("nan")
-
-    def too_many(within_px: float) -> float:
-        return float(erfc(within_px / sd_px / np.sqrt(2.0)).mean()) - (1.0 - SHARE)
-
-    return float(brentq(too_many, 0.0, _WITHIN_PX)) if too_many(_WITHIN_PX) < 0.0 else _WITHIN_PX
+    known_px = leaning_sd_px(ownership, poses, work_frame, ground, known)
+    if ground.kind not in MATCHED:
+        return LandDoubt(_kept_by_99(known_px), np.nan)
+    matched_px = leaning_sd_px(ownership, poses, work_frame, ground, ground)
+    off = _beyond(OFF_PX, matched_px[np.isfinite(matched_px)])
+    return LandDoubt(_kept_by_99(np.minimum(matched_px, known_px)), float(off.mean()) if off.size else np.nan)
 
 
 def leaning_sd_px(
-    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface
+    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, sure: GroundSurface
 ) -> Floats:
-    """That displacement's deviation in pixels of the mosaic, at cells all over what frames give, (k,)."""
+    """Deviations of displacements, pixels of the mosaic, at places all over what frames give, (k,), by the
+    deviations of `sure`, NaN where it has none.
+
+    A place moves by its height's error times the tangent of the angle at which its frame looks at it.
+    """
     grid, owner = ownership.grid, ownership.owner
     step = int(np.ceil(np.sqrt(owner.size / _MOST_PLACES)))
     owner = owner[::step, ::step]
@@ -81,4 +105,23 @@ def leaning_sd_px(
     at_m = window.points_m()[given]
     sight = at_m - poses.positions_m[owner[given] - 1]
     tangent = np.linalg.norm(sight[:, :2], axis=1) / np.maximum(-sight[:, 2], 1e-6)
-    return np.asarray(tangent * ground.sd_at(at_m[:, 0], at_m[:, 1]) / grid.gsd_m)
+    return np.asarray(tangent * sure.sd_at(at_m[:, 0], at_m[:, 1]) / grid.gsd_m)
+
+
+def _kept_by_99(sd_px: Floats) -> float:
+    """The displacement that all but a hundredth of places with these deviations keep below."""
+    from scipy.optimize import brentq
+
+    sd_px = sd_px[sd_px > 0.0]
+    if not sd_px.size:
+        return float("nan")
+
+    def too_many(within_px: float) -> float:
+        return float(_beyond(within_px, sd_px).mean()) - (1.0 - SHARE)
+
+    return float(brentq(too_many, 0.0, _WITHIN_PX)) if too_many(_WITHIN_PX) < 0.0 else _WITHIN_PX
+
+
+def _beyond(within_px: float, sd_px: Floats) -> Floats:
+    """How likely each place lies farther off."""
+    return np.asarray(erfc(within_px / np.maximum(sd_px, 1e-9) / np.sqrt(2.0)))

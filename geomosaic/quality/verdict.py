@@ -10,7 +10,8 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.residual_pattern import ResidualPattern
-from geomosaic.constants import Because
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.quality.ground_doubt import OFF_PX, LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
 
 GRADES = ("good", "doubtful", "bad")
@@ -70,6 +71,15 @@ CRITERIA: Mapping[str, Criterion] = {
         "the ground beyond the last tie points, or between them, may be higher or lower than was assumed",
         "an elevation model (--dem), or frames beyond what is wanted",
         "what 99 of 100 places of the land keep below; a step of 1.5 px in a road is seen",
+    ),
+    "surface unsure": Criterion(
+        0.1,
+        np.inf,
+        "share",
+        "the surface was matched unsurely: woods that wind moves, rims of what stands, and what few frames "
+        f"see, or see aslant, may lie off by more than {OFF_PX:g} px",
+        "more overlap along and across, flown in calm air; --ortho terrain lays frames on the ground below",
+        "as for the worst tenth of the seams: nine tenths of the land keep below 3 px",
     ),
     "frames not tied": Criterion(
         0.0,
@@ -172,6 +182,15 @@ _DISREGARDED: Annotated[
     ),
 ] = 0.1
 
+_WORTH_A_WORD: Annotated[
+    float,
+    Because(
+        "share of the land",
+        "that may be off, from which on the verdict says so even if it is good: less is a corner",
+        CHOSEN,
+    ),
+] = 0.01
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -187,7 +206,7 @@ class Evidence:
     @property
     def figure(self) -> str:
         """The value with its unit."""
-        return f"{self.value:.0%}" if self.unit == "share" else f"{self.value:.2f} {self.unit}".strip()
+        return _percent(self.value) if self.unit == "share" else f"{self.value:.2f} {self.unit}".strip()
 
 
 @dataclass(frozen=True)
@@ -216,16 +235,16 @@ def verdict_of(
     parts: Sequence[Sequence[int]],
     used: Collection[int],
     flying_height_m: float,
-    leaning_px: float,
+    doubt: LandDoubt,
 ) -> Verdict:
     """Grades all that is known of a mosaic without its truth.
 
-    Args: parts: frames that hang together by tie points; used: frames that gave pixels; leaning_px: see
-    `leaning_99_px`.
+    Args: parts: frames that hang together by tie points; used: frames that gave pixels; doubt: of the ground
+    and of what was matched.
     """
     figures = _agreement(adjusted, patterns) | _seams(seams) | _held_together(adjusted, parts, used)
-    if np.isfinite(leaning_px):
-        figures["ground unknown"] = leaning_px
+    of_land = {"ground unknown": doubt.ground_px, "surface unsure": doubt.surface_share}
+    figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
     warned = {w.code for w in adjusted.warnings}
     evidence = (
         *(_judged(name, value) for name, value in figures.items()),
@@ -320,7 +339,15 @@ def _absolute_sd_m(adjusted: Adjusted, flying_height_m: float) -> float:
 
 
 def _text(adjusted: Adjusted, figures: Mapping[str, float]) -> str:
-    """How many frames are tied, and how well they agree."""
+    """How many frames are tied, how well they agree, and how much land the surface leaves open."""
     words = [f"{adjusted.status.count('tied')} of {len(adjusted.status)} frames tied"]
     words += [f"{name} {figures[name]:.2f} px" for name in ("image deviation", "seams") if name in figures]
+    unsure = figures.get("surface unsure", 0.0)
+    words += [f"{_percent(unsure)} of the land may be off by more than {OFF_PX:g} px"] * (
+        unsure >= _WORTH_A_WORD
+    )
     return ", ".join(words)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

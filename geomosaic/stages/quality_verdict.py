@@ -17,7 +17,7 @@ from geomosaic.mosaic.ownership import Ownership
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.ground_doubt import leaning_99_px
+from geomosaic.quality.ground_doubt import land_doubt
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, verdict_of
 from geomosaic.stages.chips import record_chips
@@ -30,7 +30,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 7
+    version = 8
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -82,7 +82,9 @@ class QualityVerdict(Stage):
             connected_parts(len(survey.frames), inputs["ties"].frames),
             mosaic.frames_used,
             float(np.median(at[:, 2] - inputs["ground"].up_at(at[:, 0], at[:, 1]))),
-            leaning_99_px(inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"]),
+            land_doubt(
+                inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground
+            ),
         )
         record_chips(context, survey, inputs["ties"], adjusted)
         rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
