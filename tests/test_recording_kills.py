@@ -24,9 +24,11 @@ from geomosaic.recording import Recorder, read_recording
 from geomosaic.recording.heartbeat import EVERY_S
 from geomosaic.recording.inspection import Inspection
 from geomosaic.recording.messages import ChipTies
+from geomosaic.recording.repair import repaired
+from geomosaic.recording.worst import faults
 
-KILLED = (("Place frames by POS", "matching.sift", 1.2), ("Match frames with SIFT", "adjustment.solve", 0.2))
-"""Behind which line of progress, in which stage, after how many seconds."""
+KILLED = (("Place frames by POS", "matching.sift"), ("Match frames with SIFT", "adjustment.solve"))
+"""Behind which line of progress, in which stage."""
 
 
 def done(stage: str, line: str) -> bool:
@@ -34,8 +36,9 @@ def done(stage: str, line: str) -> bool:
     return re.search(rf"\] {re.escape(stage)}: [0-9.]+ s$", line.rstrip()) is not None
 
 
-def killed(frames: Path, run: Path, after: str, seconds: float) -> list[str]:
-    """Starts a mosaic and kills it, `seconds` behind a line of its progress; the lines until then."""
+def killed(frames: Path, run: Path, after: str) -> list[str]:
+    """Starts a mosaic and kills it behind a line of its progress, in matching once its recording says how far
+    it is; the lines until then."""
     command = [sys.executable, "-m", "geomosaic.cli.main", "mosaic", str(frames), "-o", str(run)]
     lines = []
     with subprocess.Popen(
@@ -45,24 +48,28 @@ def killed(frames: Path, run: Path, after: str, seconds: float) -> list[str]:
         for line in process.stderr:
             lines.append(line)
             if done(after, line):
-                time.sleep(seconds)
+                time.sleep(0.2)
+                for _ in range(600 if after == KILLED[0][0] else 0):
+                    beat = read_recording(run / "run.mcap").progress
+                    if beat is not None and beat.text and beat.stage_id == KILLED[0][1]:
+                        break
+                    time.sleep(0.05)
                 break
         os.killpg(process.pid, signal.SIGKILL)
         lines += list(process.stderr)
     return lines
 
 
-@pytest.mark.parametrize(("after", "stage", "seconds"), KILLED, ids=[k[1] for k in KILLED])
+@pytest.mark.parametrize(("after", "stage"), KILLED, ids=[k[1] for k in KILLED])
 def test_a_killed_run_says_where_it_was(
     tmp_path: Path,
     tmp_path_factory: pytest.TempPathFactory,
     capsys: pytest.CaptureFixture[str],
     after: str,
     stage: str,
-    seconds: float,
 ) -> None:
     frames = bad_survey(tmp_path_factory) / "frames"
-    lines = killed(frames, tmp_path / "run", after, seconds)
+    lines = killed(frames, tmp_path / "run", after)
     assert not (tmp_path / "run" / "run.json").exists()
     assert not any(done(installed().get(stage).display_name, line) for line in lines), "too late"
     capsys.readouterr()
@@ -104,6 +111,21 @@ def test_how_far_the_reading_of_inputs_was_is_told(tmp_path: Path) -> None:
     recorder.flush()
     assert Inspection(read_recording(tmp_path / "run.mcap"), None).ended()["text"] == "in survey.read"
     recorder.close()
+
+
+def test_a_run_killed_between_two_stages_is_not_finished_once_repaired(tmp_path: Path) -> None:
+    """Its file is whole then, and its last stage is done; but its recipe has more."""
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.begin_run("name: x\nstages: [survey.read, projection.ground]\n", {}, {})
+    recorder.stage_started("survey.read", 1, {}, {})
+    recorder.stage_finished("survey.read", {}, 1.0, False)
+    assert repaired(read_recording(tmp_path / "run.mcap"), tmp_path / "whole.mcap") == 2
+    recorder.close()
+    for name in ("run.mcap", "whole.mcap"):
+        whole = read_recording(tmp_path / name)
+        ended = Inspection(whole, None).ended()
+        assert whole.whole and (ended["finished"], ended["text"]) == (False, "after survey.read")
+        assert faults(whole, None, [])[0]["text"] == "the run was killed after survey.read"
 
 
 def test_what_a_cached_stage_has_not_made_is_told(tmp_path: Path) -> None:

@@ -4,14 +4,20 @@ Blows: kill -9 at random and amid matching, adjustment and composition, Ctrl-C, 
 worker, a frame that vanishes and comes back, inputs changed, removed or added, one to four in a row; two
 frames, a flight of 13 and strips; one worker, two, and Dask. After them the command runs undisturbed over the
 inputs as they then are: its result must be that of a fresh run over these, or a refusal in one line, and
-nothing that was finished of single frames, pairs and tiles may have been made again.
+nothing that was finished of single frames, pairs and tiles may have been made again. Of a killed run
+`inspect` has to say where it was, and `inspect --repair` to make its recording whole:
+
+    .venv/bin/python tools/chaos.py --what flight --no-dask --trials 12 \\
+        --blow kill --blow "kill in matching" --blow "kill in adjustment" --blow "kill in composition"
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -23,13 +29,14 @@ from random import Random
 sys.path.insert(0, str(Path(__file__).parent))
 
 from chaos_changes import CHANGES, change, put_back
-from chaos_world import Ended, Running, Trial, World, items_of, result_of
+from chaos_world import PROGRAM, Ended, Running, Trial, World, items_of, result_of
+from mcap.records import Attachment, Message
 from trial_box import changes, snapshot
 from trial_tables import write_tables
 
-from geomosaic.errors import FileError
 from geomosaic.recording import read_recording
 from geomosaic.recording.inspection import Inspection
+from geomosaic.recording.mcapfile import items, opened
 
 BLOWS = {
     "kill": 4, "ctrl-c": 4, "term": 3, "full disk": 3, "dead worker": 3, "vanish": 2, "change": 4,
@@ -75,6 +82,7 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
         detail = f" at {wait_s:.2f} s"
     if blow.startswith("kill"):
         running.process.kill()
+        killed_ns = time.time_ns()
     elif blow == "ctrl-c" and running.process.poll() is None:
         os.killpg(running.process.pid, signal.SIGINT)
     elif blow == "term":
@@ -95,7 +103,7 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
     world.disk.large()
     put_back(world.inputs)
     if blow.startswith("kill") and ended.code == -signal.SIGKILL:
-        detail += f" {where_it_was(trial, world.run, len(running.stages()))}"
+        detail += f" ({where_it_was(trial, world.run, len(running.stages()), killed_ns)})"
     if blow.startswith("kill in") and AMID[blow][1] in running.stages():
         detail += " (too late)"
     judge_items(trial, before, items_of(world.run))
@@ -107,16 +115,43 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
     judge_blow(trial, blow, ended)
 
 
-def where_it_was(trial: Trial, run: Path, done: int) -> str:
-    """What the recording of a killed run says of where it was; `done`: how many stages its progress names."""
-    try:
-        recording = read_recording(run / "run.mcap")
-    except FileError as error:
-        return f"({error.problem})"
-    finished = sum(stage.finished for stage in recording.stages)
+def where_it_was(trial: Trial, run: Path, done: int, killed_ns: int) -> str:
+    """What `inspect` says of where a killed run was, and how old the last word in its recording is; what
+    `--repair` makes of it must be whole and say the same. done: how many stages its progress names."""
+    told = geomosaic("inspect", run, "--json")
+    if told.returncode:
+        return told.stderr.strip()
+    said = json.loads(told.stdout)
+    finished = sum(stage["finished"] for stage in said["stages"])
     if done and not done <= finished <= done + 1:
         trial.problems.append("wrong place")
-    return f"({Inspection(recording, None).ended().get('text', 'finished')})"
+    whole = run.with_name("whole.mcap")
+    repair = geomosaic("inspect", run, "--repair", whole)
+    if repair.returncode:
+        trial.problems.append("not repaired")
+        trial.words += f"[repair] {repair.stderr}\n"
+        return str(said["ended"].get("text", "finished"))
+    recording = read_recording(whole)
+    same = Inspection(recording, None).ended() == said["ended"] or finished == recording.planned
+    if not recording.whole or not same:
+        trial.problems.append("repaired otherwise")
+    last_ns = last_word_ns(whole)
+    whole.unlink()
+    trial.silent_s.append(round((killed_ns - last_ns) / 1e9, 2))
+    return f"{said['ended'].get('text', 'finished')}; last word {trial.silent_s[-1]} s before"
+
+
+def last_word_ns(recording: Path) -> int:
+    """When the last message, or attachment, of a recording was written."""
+    with opened(recording) as file:
+        found = (item.record for item in items(recording, file))
+        return max(record.log_time for record in found if isinstance(record, Message | Attachment))
+
+
+def geomosaic(*words: object) -> subprocess.CompletedProcess[str]:
+    """A command that nobody hits."""
+    argv = [str(PROGRAM), *map(str, words)]
+    return subprocess.run(argv, capture_output=True, text=True, check=False)
 
 
 def judge_items(trial: Trial, before: Items, after: Items) -> None:
@@ -160,9 +195,14 @@ def judge_blow(trial: Trial, blow: str, ended: Ended) -> None:
 
 
 def one_trial(
-    world: World, number: int, methods: tuple[str, ...], kinds: tuple[str, ...], dask: bool
+    world: World,
+    number: int,
+    methods: tuple[str, ...],
+    kinds: tuple[str, ...],
+    dask: bool,
+    only: tuple[str, ...] = (),
 ) -> Trial:
-    """Blows, then a run in peace, then the comparison."""
+    """Blows, then a run in peace, then the comparison. only: blows of which each trial has one, by turns."""
     rng = Random(f"{world.seed} chaos {number}")
     what = rng.choice(kinds)
     team = rng.choice(("1", "2", "2", "dask") if dask and what != "strips" else ("1", "2"))
@@ -175,7 +215,9 @@ def one_trial(
         and (b != "vanish" or what != "strips")
     }
     blows = rng.choices(list(allowed), list(allowed.values()), k=rng.choice((1, 1, 2, 3)))
-    if what == "flight":
+    if only:
+        blows = [only[number % len(only)]]
+    elif what == "flight":
         blows.insert(0, [*AMID][number % len(AMID)])
     world.restore(what)
     world.reference(trial, "")
@@ -249,6 +291,7 @@ def tell(trials: list[Trial], seed: int, seconds: float, out: Path, own_disk: bo
             "items found again": sum(t.kept for t in those), "made again": sum(t.again for t in those),
             "ctrl-c worst s": round(max((t.seconds.get("ctrl-c", 0.0) for t in those), default=0.0), 2),
             "term worst s": round(max((t.seconds.get("term", 0.0) for t in those), default=0.0), 2),
+            "recording silent worst s": max((s for t in those for s in t.silent_s), default=0.0),
         }  # fmt: skip
         rows.append(row | dict.fromkeys(sorted({p for t in trials for p in t.problems}), 0) | dict(bad))
     facts = {"seed": seed, "trials": len(trials), "seconds": round(seconds), "own disk": own_disk}
@@ -270,13 +313,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, help="stop after so long, wherever it stands")
     parser.add_argument("--method", action="append", help="of adjusting frames [bundle, least_squares]")
     parser.add_argument("--what", action="append", choices=KINDS, help="what is run [all, frames most]")
+    parser.add_argument("--blow", action="append", choices=(*BLOWS, *AMID), help="one a trial, by turns")
     parser.add_argument("--no-dask", action="store_true", help="local workers only")
     parser.add_argument("--out", type=Path, default=Path("out/chaos"))
     asked = parser.parse_args(argv)
     out: Path = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
     methods = tuple(asked.method or ("bundle", "least_squares", "least_squares"))
-    kinds = tuple(asked.what or KINDS)
+    kinds, only = tuple(asked.what or KINDS), tuple(asked.blow or ())
     signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background: runs inherit it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the disk is unmounted at every end
     trials: list[Trial] = []
@@ -285,12 +329,10 @@ def main(argv: list[str] | None = None) -> int:
         world = World(Path(folder), asked.seed)
         try:
             for number in range(asked.trials) if asked.trial is None else [asked.trial]:
-                trials.append(trial := one_trial(world, number, methods, kinds, not asked.no_dask))
-                if trial.problems or asked.trial is not None:
-                    print(
-                        f"trial {number}: {', '.join(trial.problems)}: {trial.blows}\n{trial.words}",
-                        flush=True,
-                    )
+                trials.append(trial := one_trial(world, number, methods, kinds, not asked.no_dask, only))
+                if trial.problems or asked.trial is not None or only:
+                    came = ", ".join(trial.problems) or trial.ended
+                    print(f"trial {number}: {came}: {trial.blows}\n{trial.words}", flush=True)
                 if asked.minutes is not None and time.monotonic() - started > 60 * asked.minutes:
                     break
         finally:

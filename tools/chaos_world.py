@@ -25,6 +25,7 @@ from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.survey import simulate_frames
 
 DISK_MB = 256
+PROGRAM = Path(sys.executable).with_name("geomosaic")
 FLIGHT = SurveyPlan(
     lines=3, frames_per_line=5, width_px=480, height_px=360,
     height_above_ground_m=50.0, position_sd_m=0.4, height_sd_m=0.4,
@@ -56,9 +57,12 @@ class Running:
     def __init__(self, argv: list[str], log: Path) -> None:
         self.log = log
         with log.open("wb") as out:
-            program = str(Path(sys.executable).with_name("geomosaic"))
             self.process = subprocess.Popen(
-                [program, *argv], stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
+                [str(PROGRAM), *argv],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                start_new_session=True,
             )
 
     def wait(self, seconds: float) -> bool:
@@ -212,7 +216,7 @@ def _tables(path: Path) -> dict[str, list[Any]]:
 
 @dataclass
 class Trial:
-    """One trial's plan and outcome."""
+    """One trial's plan and outcome. silent_s: how old the last words of recordings of killed runs were."""
 
     number: int
     what: str
@@ -220,6 +224,7 @@ class Trial:
     method: str
     blows: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    silent_s: list[float] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     ended: str = ""
     words: str = ""
@@ -260,7 +265,7 @@ class World:
             words = ["mosaic", str(self.inputs / "frames"), "--adjust", trial.method]
             words += ["--pos", str(self.inputs / "pos.csv"), "--camera", str(self.inputs / "cameras.json")]
         team = ["--dask", self.cluster()] if trial.team == "dask" else ["--workers", trial.team]
-        return [*words, "-o", str(run), "--fixed-time", *team]
+        return [*words, "-o", str(run), *team]
 
     def cluster(self) -> str:
         """The address of a Dask cluster of two workers."""

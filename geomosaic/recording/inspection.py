@@ -45,7 +45,7 @@ class Inspection:
         last = stages[-1] if stages else None
         errors = [w for w in self.recording.log if w.level in ("error", "fatal")]
         out: dict[str, Any] = {"finished": bool(stages) and last is not None and last.finished and not errors}
-        if out["finished"] and self.recording.whole:
+        if out["finished"] and self.recording.whole and len(stages) >= self.recording.planned:
             return out
         out["finished"] = False
         in_stage = "" if last is None else last.stage_id

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.doors.plain import plain_yaml
+from geomosaic.errors import FileError
+
 Floats = NDArray[np.float64]
 
 
@@ -195,6 +198,16 @@ class Recording:
     def whole(self) -> bool:
         """Whether the file was closed and nothing in it is damaged."""
         return not self.problem
+
+    @property
+    def planned(self) -> int:
+        """How many stages its recipe has; 0 where that can't be read."""
+        try:
+            plain = plain_yaml(self.recipe_yaml, None, "")
+        except FileError:
+            return 0
+        stages = plain.get("stages") if isinstance(plain, dict) else None
+        return len(stages) if isinstance(stages, list) else 0
 
     @property
     def warnings(self) -> list[LogLine]:

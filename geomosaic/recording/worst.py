@@ -100,8 +100,11 @@ def _of_run(recording: Recording) -> Iterator[Fault]:
     if errors:
         text = f"{errors[-1].stage or 'the run'} ended with: {errors[-1].text}"
         yield Fault("run-failed", (), text, "certain", f"mend that and {again}", 100.0)
-    elif stages and not stages[-1].finished:
-        text = f"the run was killed in {stages[-1].stage_id}"
+    elif (stages and not stages[-1].finished) or len(stages) < recording.planned:
+        where = "before its first stage"
+        if stages:
+            where = f"{'after' if stages[-1].finished else 'in'} {stages[-1].stage_id}"
+        text = f"the run was killed {where}"
         yield Fault("run-killed", (), text, "certain", again, 100.0)
     elif recording.problem:
         text = f"the recording isn't whole: {recording.problem}"
