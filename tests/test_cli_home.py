@@ -14,6 +14,7 @@ import pytest
 from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.cli.options import beside
+from geomosaic.cli.running import print_named
 from geomosaic.pipeline.named import recipe_names
 from geomosaic.simulate.survey import SimulatedSurvey
 
@@ -66,6 +67,11 @@ def test_a_dry_run_in_json_has_its_figures_as_numbers(
         assert 0.0 < least < most, name
     assert geomosaic(*command, "--json") == 2
     assert "--json says what --dry-run finds" in capsys.readouterr().err
+
+
+def test_the_longest_word_widens_the_column(capsys: pytest.CaptureFixture[str]) -> None:
+    print_named([("mosaic", "a"), ("surface_confidence", "b")])
+    assert capsys.readouterr().out == "mosaic             a\nsurface_confidence b\n"
 
 
 def test_a_dry_run_refuses_what_the_run_refuses(

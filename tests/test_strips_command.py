@@ -264,6 +264,28 @@ def test_an_rpc_of_another_scene_is_named(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_dry_run_says_what_scene_and_map_would_take(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = []
+    for more in ([], ["--map"]):
+        assert strips(scene.geometry, tmp_path / "run", "--dry-run", *more) == 0
+        said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+        assert said["strips"] == "4 of 384 px, up to 3,200 lines, 3 seams"
+        told.append(said["expected"])
+    assert told[0].startswith("the mosaic will have about 1,248 x 3,900 px") and told[0] != told[1]
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_map_that_nothing_lays_is_refused_before_offsets_are_sought(
+    scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = elsewhere(scene, tmp_path / "bare.yaml", model=None, rpc=None, dem=None)
+    assert strips(bare, tmp_path / "run", "--map") == 2
+    said = capsys.readouterr().err
+    assert "give 'model' or 'rpc'" in said and "Offsets between the strips" not in said
+
+
 def test_virtual_line_without_a_model_says_what_to_give(
     scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

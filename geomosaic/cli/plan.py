@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geomosaic.cli.running import print_named
 from geomosaic.errors import OutputError
 from geomosaic.pipeline.recipe import Recipe
 
@@ -81,15 +82,15 @@ def show_plan(
         print(json.dumps(plan, indent=2))
         return
     names = [step.stage.display_name for step in recipe.steps]
-    print(f"stages     {len(names)}: {', '.join(names)}")
-    print(f"results    {', '.join(sorted(recipe.results()))}")
-    for step in begun.steps:
-        for name, text in step.stage.plans(summary):
-            print(f"{name:<10} {text}")
-    for text in listening.notes:
-        print(f"expected   {text}")
+    told = [
+        ("stages", f"{len(names)}: {', '.join(names)}"),
+        ("results", ", ".join(sorted(recipe.results()))),
+        *(line for step in begun.steps for line in step.stage.plans(summary)),
+        *(("expected", text) for text in listening.notes),
+    ]
     if summary["warnings"]:
-        print(f"warnings   {len(summary['warnings'])}, see above")
+        told.append(("warnings", f"{len(summary['warnings'])}, see above"))
+    print_named(told)
     print(f"nothing was written; without --dry-run the run goes to {output}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,12 +67,17 @@ def execute(
 def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
     from geomosaic.pipeline.recipe import RECORDING
 
-    for step in reversed(recipe.steps):
-        for name, text in step.stage.conclusions(summary):
-            print(f"{name:<10} {text}")
+    told = [pair for step in reversed(recipe.steps) for pair in step.stage.conclusions(summary)]
     for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
         if (output / file).exists() and not file.endswith(".aux.xml"):
-            name = "recording" if file == RECORDING else Path(file).stem
-            print(f"{name:<10} {output / file}")
+            told.append(("recording" if file == RECORDING else Path(file).stem, f"{output / file}"))
     if summary["warnings"]:
-        print(f"warnings   {len(summary['warnings'])}, see above and run.json")
+        told.append(("warnings", f"{len(summary['warnings'])}, see above and run.json"))
+    print_named(told)
+
+
+def print_named(told: Sequence[tuple[str, str]]) -> None:
+    """Lines of a word and its text, the texts below each other."""
+    width = max(10, *(len(name) for name, _ in told))
+    for name, text in told:
+        print(f"{name:<{width}} {text}")

@@ -37,6 +37,10 @@ COMPOSE: Final = Rate(
 WRITE: Final = Rate(0.01, 0.1, "core s/MP filled", "the packed tiles are copied: 0.015", _HERE)
 _SCENE: Final = "8 strips of 4,096 x 35,000 lines on two cores by joint: 0.074 s/MP, 0.91 GB; widened"
 STRIPS: Final = Rate(0.05, 0.5, "s/MP", "offsets to overviews; SIFT chains take several times joint", _SCENE)
+ON_MAP: Final = Rate(
+    0.1, 0.5, "s/MP", "the scene warped by its RPC, and packed",
+    "4 strips of 512 x 4,096 lines on relief: 3.2 s of processor for 8 MP, on two cores; widened",
+)  # fmt: skip
 SCENE_MEMORY: Final = Rate(8e3, 30e3, "bytes/column", "blocks of rows at work, windows of offsets", _SCENE)
 PACKED: Final = Rate(0.3, 1.1, "share of the pixels' bytes", "lossless, with a third for overviews", _HERE)
 PARTS: Final = Rate(
@@ -125,7 +129,8 @@ class Estimate:
     """A mosaic's size, and the least and the most of what it takes.
 
     filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
-    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed; scratch_gb: what else is.
+    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, or a scene laid on the map
+    beside both; scratch_gb: what else is.
     gsd_m: None for a scene without a map.
     """
 
@@ -189,9 +194,16 @@ def estimate(
 
 
 def estimate_scene(
-    width_px: int, height_px: int, *, filled_share: float, pixel_bytes: int, max_gigapixels: float
+    width_px: int,
+    height_px: int,
+    *,
+    filled_share: float,
+    pixel_bytes: int,
+    max_gigapixels: float,
+    laid: bool = False,
 ) -> Estimate:
-    """Of a scene of strips; raises `InputError` where it would be larger than max_gigapixels."""
+    """Of a scene of strips, and of its map if it is laid on one; raises `InputError` where it would be larger
+    than max_gigapixels."""
     gigapixels = width_px * height_px / 1e9
     if gigapixels > max_gigapixels:
         raise InputError(
@@ -203,15 +215,19 @@ def estimate_scene(
     pixels = filled_share * width_px * height_px
     scratch = pixels * _MASK_BYTES
     memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
+    raw_gb = pixels * pixel_bytes / 1e9
+    packed_gb = PACKED.least * raw_gb, PACKED.most * raw_gb
+    least_s, most_s = STRIPS.least + laid * ON_MAP.least, STRIPS.most + laid * ON_MAP.most
     return Estimate(
         width_px=width_px,
         height_px=height_px,
         gsd_m=None,
         filled_share=filled_share,
         scratch_gb=scratch / 1e9,
-        mosaic_gb=(PACKED.least * pixels * pixel_bytes / 1e9, PACKED.most * pixels * pixel_bytes / 1e9),
+        mosaic_gb=packed_gb,
+        parts_gb=(3.0 * packed_gb[0], 3.0 * packed_gb[1]) if laid else (0.0, 0.0),
         memory_gb=(0.5e-9 * memory, (memory + SCENE_MEMORY.most * width_px) / 1e9),
-        minutes=(STRIPS.least * pixels / 60e6, STRIPS.most * pixels / 60e6),
+        minutes=(least_s * pixels / 60e6, most_s * pixels / 60e6),
     )
 
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from geomosaic.errors import InputError
 from geomosaic.mosaic.estimate import estimate_scene
 from geomosaic.pipeline.stage import Context, Stage
+from geomosaic.stages.export_map import ExportMap
 from geomosaic.stages.mosaic_strips import MosaicStrips
-from geomosaic.stages.reporting import params_of, report_estimate
+from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.survey.strips import StripGeometry
 
 
 class MosaicEstimateStrips(Stage):
-    """Refuses a scene that is too large (mosaic.strips' limit), or that the disk has no room for.
+    """Refuses a scene that is too large (mosaic.strips' limit), that the disk has no room for, or whose map
+    is asked for and that nothing lays there.
 
     It runs every time: the disk's room is of today.
     """
@@ -27,16 +30,37 @@ class MosaicEstimateStrips(Stage):
     inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
     outputs: ClassVar[dict[str, type]] = {}
 
+    @classmethod
+    def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """How many strips and seams there are."""
+        told = summary["metrics"]["strips"]
+        size = f"{told['width_px']:,} px, up to {told['lines']:,} lines"
+        missing = f", {told['missing']} missing" if told["missing"] else ""
+        return [("strips", f"{told['ccds']} of {size}, {told['seams']} seams{missing}")]
+
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """From the strips' sizes."""
         geometry: StripGeometry = inputs["strips"]
         width, height = geometry.scene_width_px, geometry.scene_lines
+        laid = in_recipe(context, ExportMap)
+        if laid and geometry.model is None and geometry.rpc is None:
+            problem = "the scene can't be laid on the map: the geometry file names neither a model nor an RPC"
+            raise InputError(problem, mend="give 'model' or 'rpc' there, or leave --map away")
+        told = {
+            "ccds": len(geometry.ccds),
+            "width_px": geometry.width_px,
+            "lines": max(geometry.lines),
+            "seams": len(geometry.pairs),
+            "missing": geometry.lines.count(0),
+        }
+        context.metric("strips", told)
         expected = estimate_scene(
             width,
             height,
             filled_share=min(1.0, sum(geometry.lines) * geometry.width_px / (width * height)),
             pixel_bytes=1 if geometry.bit_depth <= 8 else 2,
             max_gigapixels=params_of(context, MosaicStrips).max_gigapixels,
+            laid=laid,
         )
         report_estimate(context, expected)
         return {}

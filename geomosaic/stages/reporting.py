@@ -157,6 +157,11 @@ def run_name(context: Context) -> str:
     return "" if context.fixed_time else context.run_folder.absolute().name
 
 
+def in_recipe(context: Context, stage: type[Stage]) -> bool:
+    """Whether the run's recipe has another stage."""
+    return any(step["stage"] == stage.id for step in context.summary().get("recipe", {}).get("stages", []))
+
+
 def params_of(context: Context, stage: type[Stage]) -> Any:
     """The parameters that the run's recipe gives another stage, or its own defaults where it isn't in it."""
     steps = context.summary().get("recipe", {}).get("stages", [])
