@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import laspy
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from laspy.vlrs.known import WktCoordinateSystemVlr
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from pyproj import CRS, Transformer
 
+from geomosaic.cli.main import main
 from geomosaic.errors import FileError, InputError
-from geomosaic.pipeline.stage import Context
+from geomosaic.pipeline.artefacts import encode, type_name
+from geomosaic.pipeline.stage import Context, RunFile
 from geomosaic.quality.heights import height_figures
 from geomosaic.quality.surface import compare_surface
 from geomosaic.stages.quality_surface import QualitySurface
@@ -251,3 +254,46 @@ def test_the_stage_writes_the_difference_and_tells_the_figures(run, tmp_path):
     text = dict(QualitySurface.conclusions({"metrics": context.notes.metrics}))["heights"]
     assert "median +0.5 m" in text and "25,200 points" in text
     assert out["surface_comparison"].difference_m.shape == (SIDE, SIDE)
+
+
+def finished(run: Path) -> Path:
+    """The folder as a run that made both rasters."""
+    names = {"surface_file": "surface.tif", "confidence_file": "surface_confidence.tif"}
+    context = Context(run, stage_id="export.surface", work_folder=run / "scratch")
+    artefacts = {}
+    for name, file in names.items():
+        (run / f"{name}.artefact").write_bytes(encode(context.run_file(file)))
+        artefacts[name] = {"file": f"{name}.artefact", "type": type_name(RunFile), "fingerprint": name}
+    (run / "run.json").write_text(json.dumps({"artefacts": artefacts}), encoding="utf-8")
+    return run
+
+
+def test_a_finished_run_is_compared_without_running_again(run, tmp_path, capsys):
+    reference = write(tmp_path / "dem.tif", land(*middles()) - 0.5)
+    asked = ["evaluate", str(finished(run)), "--surface-reference", str(reference)]
+    assert main(asked) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name, n, median in (
+        ("all", "25,200", "0.500"),
+        ("after the best shift and tilt", "25,200", "0.000"),
+        ("matched", "19,200", "0.500"),
+        ("held by what lies around", "6,000", "0.500"),
+    ):
+        (line,) = (line for line in lines if line.startswith(f"{name} "))
+        assert line.removeprefix(name).split()[:2] == [n, median], line
+    assert any(line.startswith("slope 5 to 15°") for line in lines)
+    assert lines[-2:] == [str(run / "surface_difference.tif"), str(run / "surface_difference.png")]
+    picture = cv2.imread(str(run / "surface_difference.png"), cv2.IMREAD_UNCHANGED)
+    assert picture.shape[1] == 320 and picture[5, 5, 3] == 0
+    assert picture[80, 80].tolist() == pytest.approx([247, 247, 247, 255], abs=25)
+    assert main([*asked, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["quality"]["surface"]["by_support"]["matched"]["n"] == 120 * SIDE
+    assert told["warnings"][0]["code"] == "reference-datum-assumed"
+
+
+def test_a_run_without_a_surface_says_what_to_do(run, tmp_path, capsys):
+    reference = write(tmp_path / "dem.tif", land(*middles()))
+    (run / "run.json").write_text(json.dumps({"artefacts": {}}), encoding="utf-8")
+    assert main(["evaluate", str(run), "--surface-reference", str(reference)]) == 2
+    assert "has no surface to compare; run it with --surface dense" in capsys.readouterr().err

@@ -53,6 +53,7 @@ def test_other_files_are_one_line(tmp_path, capsys, content, said):
     assert err.count("\n") == 1 and "s.json" in err and said in err
 
 
-def test_evaluate_wants_one_of_both(capsys):
-    assert main(["evaluate", "run"]) == 2
-    assert "either --reference TIF or --scores" in capsys.readouterr().err
+@pytest.mark.parametrize("asked", [[], ["--scores", "--reference", "x.tif"]])
+def test_evaluate_wants_one_thing(capsys, asked):
+    assert main(["evaluate", "run", *asked]) == 2
+    assert "one of --reference TIF, --surface-reference F and --scores" in capsys.readouterr().err

@@ -129,19 +129,29 @@ def evaluate(
     reference: Annotated[
         Path | None, typer.Option(help="the true ortho or a satellite image", metavar="TIF")
     ] = None,
+    surface_reference: Annotated[
+        Path | None,
+        typer.Option(help="a better elevation model (raster) or point cloud (LAS, LAZ)", metavar="F"),
+    ] = None,
     scores: Annotated[
         bool, typer.Option("--scores", help="gather what viewers saved from reports' score forms")
     ] = False,
     set: Sets = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a mosaic with a reference: displacement, jumps, SSIM; or gather viewers' scores."""
-    if scores == (reference is not None):
-        raise InputError("evaluate takes either --reference TIF or --scores", mend="see evaluate --help")
+    """Compare a mosaic (displacement, jumps, SSIM) or a run's surface (heights) with a reference; or gather
+    viewers' scores."""
+    if [scores, reference is not None, surface_reference is not None].count(True) != 1:
+        raise InputError(
+            "evaluate takes one of --reference TIF, --surface-reference F and --scores",
+            mend="see evaluate --help",
+        )
     if scores:
         _scores(targets, as_json)
     elif len(targets) > 1:
-        raise InputError("evaluate compares one mosaic at a time", mend="see evaluate --help")
+        raise InputError("evaluate compares one run at a time", mend="see evaluate --help")
+    elif surface_reference is not None:
+        _compare_surface(targets[0], surface_reference, set, as_json)
     else:
         _compare(targets[0], reference, set, as_json)
 
@@ -166,13 +176,9 @@ def _scores(files: list[Path], as_json: bool) -> None:
 
 def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> None:
     from geomosaic.pipeline.context import Context
-    from geomosaic.pipeline.recipe import recipe_from
-    from geomosaic.pipeline.registry import installed
     from geomosaic.pipeline.run_folder import RunFolder
 
-    stage = installed().get("quality.compare")
-    plain = {"stages": [{"stage": stage.id, "params": {"reference": reference}}]}
-    params = recipe_from(plain, installed(), set or (), given=stage.inputs).steps[0].params
+    stage, params = _referring("quality.compare", reference, set)
     path = target / "mosaic.tif" if target.is_dir() else target
     if not path.is_file():
         raise FileError("no such file", file=path, mend="give a finished run's folder or a GeoTIFF")
@@ -181,16 +187,53 @@ def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> 
     summary, inputs = _inputs(stage, target) if (target / "run.json").is_file() else ({}, {})
     _, notes = _run(stage, params, RunFolder(path.parent), {**inputs, "mosaic_file": file}, summary)
     if as_json:
-        found = {
-            "mosaic": str(path),
-            "reference": str(reference),
-            **notes.metrics,
-            "warnings": notes.warnings,
-        }
-        print(json.dumps(found, indent=2))
+        _print_json({"mosaic": path, "reference": reference}, notes)
         return
     for name, value in _leaves(notes.metrics):
         print(f"{name:<40} {value:.6g}" if isinstance(value, float) else f"{name:<40} {value}")
+
+
+def _compare_surface(run: Path, reference: Path, set: Sets, as_json: bool) -> None:
+    """A table by slope, class and support, and the files that show where the differences are."""
+    from geomosaic.pipeline.finished import read_summary
+    from geomosaic.pipeline.run_folder import RunFolder
+
+    stage, params = _referring("quality.surface", reference, set)
+    if "surface_file" not in read_summary(run)["artefacts"]:
+        raise FileError("this run has no surface to compare", file=run, mend="run it with --surface dense")
+    summary, inputs = _inputs(stage, run)
+    values, notes = _run(stage, params, RunFolder(run), inputs, summary)
+    if as_json:
+        _print_json({"run": run, "reference": reference}, notes)
+        return
+    found = values["surface_comparison"]
+    rows = [("all", found.over_all), ("after the best shift and tilt", found.after_fit)]
+    rows += [(f"slope {name}", figures) for name, figures in found.by_slope]
+    rows += [*found.by_kind, *found.by_support]
+    width = max(len(name) for name, _ in rows)
+    names = ("points", "median m", "NMAD m", "RMSE m", "68 % m", "95 % m")
+    print(f"{'surface - reference':<{width}}", *(f"{name:>10}" for name in names))
+    for name, f in rows:
+        figures = (f.median_m, f.nmad_m, f.rmse_m, f.abs_68_m, f.abs_95_m)
+        print(f"{name:<{width}} {f.n:>10,}", *(f"{value:>10.3f}" for value in figures))
+    print(f"datum: {found.datum}")
+    for name in stage.results:
+        print(run / name)
+
+
+def _referring(id: str, reference: Path | None, set: Sets) -> tuple[type[Stage], StageParams]:
+    """A stage that takes a reference, with its parameters."""
+    from geomosaic.pipeline.recipe import recipe_from
+    from geomosaic.pipeline.registry import installed
+
+    stage = installed().get(id)
+    plain = {"stages": [{"stage": id, "params": {"reference": reference}}]}
+    return stage, recipe_from(plain, installed(), set or (), given=stage.inputs).steps[0].params
+
+
+def _print_json(of: dict[str, Path | None], notes: Notes) -> None:
+    told = {name: str(path) for name, path in of.items()}
+    print(json.dumps({**told, **notes.metrics, "warnings": notes.warnings}, indent=2))
 
 
 def _leaves(metrics: dict[str, Any], above: str = "") -> list[tuple[str, Any]]:

@@ -29,6 +29,8 @@ _LEAST_STEP_M: Final = 0.01
 _SUN: Final = np.array([-1.0, 1.0, np.sqrt(2.0)]) / 2.0
 """Towards the sun of shadings: north-west, 45 degrees high."""
 _DARK: Final = 0.35
+_SCALE_PX: Final = 36
+_LEAST_SCALE_PX: Final = 320
 
 Row = tuple[str, str, str]
 """Name, value, what it says."""
@@ -79,7 +81,7 @@ def surface_section(
     heights, pixel_m = _reduced(surface, 1, _PICTURE_PX)
     known = heights[np.isfinite(heights)]
     low, high = np.percentile(known, [1.0, 99.0]).tolist() if known.size else (0.0, 1.0)
-    off_m = 0.0 if comparison is None else _reach_m(comparison.difference_m)
+    off_m = 0.0 if comparison is None else reach_m(comparison.difference_m)
     return SurfaceSection(
         _shaded(heights, pixel_m, low, high),
         _box_m(surface),
@@ -91,7 +93,7 @@ def surface_section(
         comparison.datum if comparison else "",
         _compared(comparison) if comparison else [],
         _fit(comparison) if comparison else "",
-        _difference(comparison.difference_m, off_m) if comparison else "",
+        data_uri("png", coloured(comparison.difference_m, off_m)) if comparison else "",
         off_m,
     )
 
@@ -208,18 +210,41 @@ def _fit(comparison: SurfaceComparison) -> str:
     )
 
 
-def _reach_m(difference: Floats32) -> float:
+def reach_m(difference: Floats32) -> float:
     """The end of the difference's colours: 95 % are nearer to 0."""
     known = np.abs(difference[np.isfinite(difference)])
     return max(float(np.quantile(known, 0.95)), _LEAST_STEP_M) if known.size else 1.0
 
 
-def _difference(difference: Floats32, reach_m: float) -> str:
-    """A data URI: blue where the surface is lower, white alike, red higher."""
+def coloured(difference: Floats32, reach_m: float) -> NDArray[np.uint8]:
+    """Differences (rows, cols) in blue, green, red, alpha: blue where the surface is lower, white alike, red
+    higher, full colours from reach_m on."""
     known = np.isfinite(difference)
     share = np.clip(np.where(known, difference, 0.0) / reach_m, -1.0, 1.0)
     fade = 1.0 - np.abs(share)
-    high, low = np.array([33.0, 38.0, 178.0]), np.array([172.0, 102.0, 33.0])  # blue, green, red
+    high, low = np.array([33.0, 38.0, 178.0]), np.array([172.0, 102.0, 33.0])
     end = np.where(share[..., None] > 0.0, high, low)
     colours = fade[..., None] * 247.0 + (1.0 - fade[..., None]) * end
-    return data_uri("png", np.dstack([colours, np.where(known, 255, 0)]).astype(np.uint8))
+    return np.dstack([colours, np.where(known, 255, 0)]).astype(np.uint8)
+
+
+def difference_picture(difference: Floats32) -> NDArray[np.uint8]:
+    """The same as a picture of its own, with the colours' scale below. White is the median: what all of it is
+    off by would cover the rest."""
+    known = difference[np.isfinite(difference)]
+    median_m = np.float32(np.median(known) if known.size else 0.0)
+    ends_m = reach_m(difference - median_m)
+    drawn = coloured(difference - median_m, ends_m)
+    cols = max(drawn.shape[1], _LEAST_SCALE_PX)
+    drawn = np.pad(drawn, ((0, 0), (0, cols - drawn.shape[1]), (0, 0)))
+    scale = np.full((_SCALE_PX, cols, 4), 255, dtype=np.uint8)
+    bar = np.linspace(-ends_m, ends_m, cols, dtype=np.float32)
+    scale[: _SCALE_PX // 3] = coloured(bar[None], ends_m)
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.4
+    labels = (median_m - ends_m, 0.0), (median_m, 0.5), (median_m + ends_m, 1.0)
+    for value, share in labels:
+        text = f"{value:+.3g} m"
+        (width, _), _ = cv2.getTextSize(text, font, size, 1)
+        at = round(share * (cols - width - 8)) + 4, _SCALE_PX - 8
+        cv2.putText(scale, text, at, font, size, (0, 0, 0, 255), 1, cv2.LINE_AA)
+    return np.vstack([drawn, scale])

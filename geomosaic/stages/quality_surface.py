@@ -8,13 +8,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
+import cv2
+
 from geomosaic.export.cog import write_cog
 from geomosaic.export.surface import write_difference
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.quality.reference_heights import check_reference
 from geomosaic.quality.surface import SurfaceComparison, compare_surface
+from geomosaic.report.surface import difference_picture
 
-DIFFERENCE = "surface_difference.tif"
+DIFFERENCE, PICTURE = "surface_difference.tif", "surface_difference.png"
 
 
 class QualitySurface(Stage):
@@ -23,10 +26,10 @@ class QualitySurface(Stage):
     id = "quality.surface"
     display_name = "Compare the surface with a reference"
     group = "Quality"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {"surface_file": RunFile, "confidence_file": RunFile}
     outputs: ClassVar[dict[str, type]] = {"surface_comparison": SurfaceComparison}
-    results: ClassVar[tuple[str, ...]] = (DIFFERENCE,)
+    results: ClassVar[tuple[str, ...]] = (DIFFERENCE, PICTURE)
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -52,7 +55,7 @@ class QualitySurface(Stage):
         return [("heights", f"{text} {found['abs_95_m']:.3g} m, at {found['n']:,} points of the reference")]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Compares, reports the figures, writes the difference."""
+        """Compares, reports the figures, writes the difference and a picture of it."""
         surface = context.path_of(inputs["surface_file"])
         comparison, difference_m = compare_surface(
             surface,
@@ -66,6 +69,8 @@ class QualitySurface(Stage):
             write_difference(plain, surface, difference_m)
             with context.writing(DIFFERENCE) as out:
                 write_cog(plain, out, threads=params.threads)
+        with context.writing(PICTURE) as out:
+            cv2.imwrite(str(out), difference_picture(comparison.difference_m))
         for name in ("over_all", "after_fit", "fit"):
             context.metric(f"quality.surface.{name}", asdict(getattr(comparison, name)))
         for name in ("by_slope", "by_kind", "by_support"):
