@@ -135,6 +135,30 @@ def test_the_surface_has_a_group_of_its_own(tmp_path):
     assert items == [97.0, 100.25, 103.5, 106.75, 110.0], "two deviations, no further than heights reach"
 
 
+def test_shading_and_contours_that_were_written_are_shown(tmp_path):
+    for name, kind in (("mosaic", "uint8"), ("surface", "float32"), ("surface_hillshade", "uint8")):
+        raster(tmp_path / f"{name}.tif", 1, kind)
+    with writing_geopackage(tmp_path / "terrain_contours.gpkg", CRS, None) as made:
+        made.add_layer(
+            "contours", "", "LineString", [shapely.LineString([(0, 0), (1, 1)])], {"height_m": [2.0]}
+        )
+    crs, extent, groups = project_of(package(tmp_path / "layers.gpkg"), tmp_path / "mosaic.tif")
+    write_project(tmp_path / "project.qgz", "t", crs, extent, groups)
+    root = document(tmp_path / "project.qgz")
+    group = root.find(".//layer-tree-group[@name='Surface']")
+    assert [(node.get("source"), node.get("providerKey"), node.get("checked")) for node in group] == [
+        ("./terrain_contours.gpkg|layername=contours", "ogr", "Qt::Unchecked"),
+        ("./surface_hillshade.tif", "gdal", "Qt::Unchecked"), ("./surface.tif", "gdal", "Qt::Unchecked"),
+    ]  # fmt: skip
+    shading, lines = (
+        root.find(f"projectlayers/maplayer[id='geomosaic_{name}']")
+        for name in ("surface_shading", "terrain_contours")
+    )
+    assert shading.findtext("blendMode") == "6"
+    assert shading.find("pipe/rasterrenderer").get("type") == "singlebandgray"
+    assert lines.find("labeling/settings/text-style").get("fieldName") == "round(\"height_m\", 2) || ' m'"
+
+
 def test_a_scene_without_a_map_is_left_out(tmp_path):
     mosaic = raster(tmp_path / "mosaic.tif", 1, "uint16", crs=None)
     crs, extent, groups = project_of(package(tmp_path / "layers.gpkg"), mosaic)

@@ -42,13 +42,16 @@ def qgis_python() -> str:
 
 
 def frames_run(out: Path) -> Path:
-    """Simulated frames with control points."""
+    """Simulated frames with control points, over hills with trees, whose surface is matched."""
     survey, run = out / "survey", out / "run"
     if not (run / "run.json").exists():
-        geomosaic("simulate", "frames", survey, "--control-points", "6", "--overwrite")
+        hills = ("--control-points", "6", "--relief-m", "12", "--trees-stand")
+        geomosaic("simulate", "frames", survey, *hills, "--overwrite")
+        drawn = ("hillshade=true", "contours_m=2")
         geomosaic(
             "mosaic", survey / "frames", "-o", run, "--pos", survey / "pos.csv", "--camera",
-            survey / "cameras.json", "--gcp", survey / "gcp_list.txt",
+            survey / "cameras.json", "--gcp", survey / "gcp_list.txt", "--surface", "dense",
+            *(word for one in drawn for word in ("--set", f"export.surface.{one}")),
         )  # fmt: skip
     return run
 

@@ -24,6 +24,7 @@ _AMBER: Final = "245,160,20,255"
 _RED: Final = "215,30,40,255"
 _BLUE: Final = "40,90,220,255"
 _GREY: Final = "130,130,130,255"
+_SAND: Final = "250,205,150,255"
 _CYAN: Final = "0,200,230,170"
 _YELLOW: Final = "255,225,0,230"
 _MAGENTA: Final = "215,0,160,255"
@@ -51,6 +52,11 @@ def frames() -> Style:
     states = {"tied": _GREEN, "placed": _AMBER, "rejected": _RED}
     symbols = {state: (state, marker("circle", color)) for state, color in states.items()}
     return Style(categories('"status"', symbols), labels(_NAME), "By status, with the frames' names")
+
+
+def contours() -> Style:
+    """Thin, with their heights along them."""
+    return Style(single(line(_SAND, 0.35)), labels("round(\"height_m\", 2) || ' m'", "along"))
 
 
 def footprints() -> Style:
@@ -126,7 +132,7 @@ def scene() -> Style:
 def ccd_strips() -> Style:
     """Hollow, numbered."""
     text = "What each CCD saw, numbered from the left"
-    return Style(single(outline(_CYAN, 0.35)), labels('"ccd"', on_it=True), text)
+    return Style(single(outline(_CYAN, 0.35)), labels('"ccd"', "on"), text)
 
 
 def seam_segments() -> Style:

@@ -9,8 +9,10 @@ from typing import Final
 from defusedxml.ElementTree import fromstring
 
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.export.looks import contours
 from geomosaic.export.project import Group, Shown
 from geomosaic.export.project_rasters import image_layer, source_layer, surface_layers
+from geomosaic.export.styles import parts
 from geomosaic.export.web import on_map
 
 _TITLES: Final[dict[str, tuple[str, bool]]] = {
@@ -37,6 +39,7 @@ _GROUPS: Final = {
     "Strips": ("seam_segments", "ccd_strips", "scene"),
 }
 _ON_MOSAIC: Final = ("seamlines",)
+CONTOURS: Final = "terrain_contours.gpkg"
 _SOURCES: Final = "sources.tif"
 
 
@@ -57,7 +60,7 @@ def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, fl
         Group(title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals")
         for title, names in _GROUPS.items()
     ]
-    groups.append(Group("Surface", tuple(surface_layers(package.parent))))
+    groups.append(Group("Surface", (*contour_layers(package.parent), *surface_layers(package.parent))))
     groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters)))
     if bounds is not None:
         crs = _crs(mosaic)
@@ -87,6 +90,23 @@ def vector_layers(package: Path) -> tuple[str, dict[str, Shown]]:
                 document.get("labelsEnabled") == "1", text,
             )  # fmt: skip
     return crs, shown
+
+
+def contour_layers(folder: Path) -> list[Shown]:
+    """A run's contours, if they were written, with their heights."""
+    from pyogrio import read_info
+
+    file = folder / CONTOURS
+    if not file.is_file():
+        return []
+    crs = read_info(str(file), layer="contours")["crs"]
+    content = tuple(parts(contours()))
+    return [
+        Shown(
+            "terrain_contours", "Contours of the ground", f"./{CONTOURS}|layername=contours", True, crs,
+            content, checked=False, labelled=True,
+        )
+    ]  # fmt: skip
 
 
 def _bounds(path: Path) -> tuple[float, float, float, float] | None:

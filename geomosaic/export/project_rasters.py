@@ -12,6 +12,7 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import Shown
 from geomosaic.mosaic.palette import frame_colour
 
+HILLSHADE: Final = "surface_hillshade.tif"
 _RGB: Final = ("red", "green", "blue")
 _SPREAD: Final = 2.0
 """Deviations about the mean that are stretched from black to white, as QGIS does by default."""
@@ -84,8 +85,8 @@ def source_layer(path: Path) -> Shown:
 
 
 def surface_layers(folder: Path) -> list[Shown]:
-    """Those of a run's surface, if it has one, the shading on top, which is made by QGIS of the heights
-    themselves; none is seen at first, as they would hide the mosaic."""
+    """Those of a run's surface, if it has one, the shading on top, the file's where it was written, else
+    made by QGIS of the heights themselves; none is seen at first, as they would hide the mosaic."""
     surface, terrain, confidence = (
         folder / f"{name}.tif" for name in ("surface", "terrain", "surface_confidence")
     )
@@ -102,10 +103,12 @@ def surface_layers(folder: Path) -> list[Shown]:
 
 def _shading(surface: Path) -> Shown:
     """Light and shadow over whatever is seen below it."""
-    renderer = Element(
-        "rasterrenderer", type="hillshade", band="1", azimuth="315", angle="45", zfactor="1",
-        multidirection="0", alphaBand="-1", opacity="1",
-    )  # fmt: skip
+    written = surface.with_name(HILLSHADE)
+    if written.is_file():
+        surface, how = written, {"type": "singlebandgray", "grayBand": "1", "gradient": "BlackToWhite"}
+    else:
+        how = {"type": "hillshade", "azimuth": "315", "angle": "45", "zfactor": "1", "multidirection": "0"}
+    renderer = Element("rasterrenderer", band="1", alphaBand="-1", opacity="1", attrib=how)
     with open_raster(surface, OWN) as tiff:
         crs = tiff.crs.to_wkt()
     blend = Element("blendMode")

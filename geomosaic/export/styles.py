@@ -12,6 +12,8 @@ from typing import Any, Final
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 VERSION: Final = "3.22.0"
+PLACES: Final = {"beside": "6", "on": "1", "along": "3"}
+"""Of labels: beside a point, on a polygon, along a line, by QGIS' numbers."""
 _WHITE: Final = "255,255,255,255"
 _DARK: Final = "30,30,30,255"
 
@@ -126,8 +128,8 @@ def ranges(expression: str, symbols: Sequence[tuple[float, float, str, Symbol]])
     return renderer
 
 
-def labels(expression: str, *, on_it: bool = False) -> Element:
-    """A text beside each point, or on each polygon, dark on a white rim, where there is room for it."""
+def labels(expression: str, place: str = "beside") -> Element:
+    """A text in one of `PLACES`, dark on a white rim, where there is room for it."""
     labeling = Element("labeling", type="simple")
     settings = SubElement(labeling, "settings", calloutType="simple")
     style = SubElement(
@@ -138,10 +140,12 @@ def labels(expression: str, *, on_it: bool = False) -> Element:
         style, "text-buffer", bufferDraw="1", bufferSize="0.8", bufferSizeUnits="MM", bufferColor=_WHITE,
         bufferOpacity="0.85", bufferNoFill="1",
     )  # fmt: skip
-    SubElement(
-        settings, "placement", placement="1" if on_it else "6", predefinedPositionOrder="BR,TR,BL,TL",
+    placed = SubElement(
+        settings, "placement", placement=PLACES[place], predefinedPositionOrder="BR,TR,BL,TL",
         dist="2", distUnits="MM", offsetType="1",
     )  # fmt: skip
+    if place == "along":
+        placed.attrib |= {"dist": "0", "placementFlags": "1"}
     SubElement(settings, "rendering", drawLabels="1", obstacle="0", displayAll="0", scaleVisibility="0")
     return labeling
 

@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.cog import write_cog
+from geomosaic.export.project_layers import CONTOURS
+from geomosaic.export.project_rasters import HILLSHADE
 from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writing_rasters
 from geomosaic.export.surface_cloud import writing_cloud
 from geomosaic.export.surface_drawn import write_contours, write_hillshade
@@ -22,7 +24,7 @@ from geomosaic.survey.model import Survey
 
 FILES = {name: f"{name}.tif" for name in RASTERS}
 SIDECARS = ("surface.tif.aux.xml", "terrain.tif.aux.xml")
-HILLSHADE, CONTOURS, CLOUD = "surface_hillshade.tif", "terrain_contours.gpkg", "point_cloud.laz"
+CLOUD = "point_cloud.laz"
 
 
 class ExportSurface(Stage):
