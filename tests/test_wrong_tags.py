@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adjustment_blocks import fly
+from numpy.typing import NDArray
 
 from geomosaic.adjustment.doubts import lying_tags
 from geomosaic.adjustment.height_drift import height_drift
@@ -12,35 +13,42 @@ from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z
-from geomosaic.matching.turned import flown_courses_rad, headed_wrong, reheaded
+from geomosaic.matching.turned import flown_courses_rad, headings_fit, reheaded
 
 COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
 
 
+def fit(turns: dict[int, int], yaw: NDArray[np.float64], course: NDArray[np.float64]) -> dict[int, bool]:
+    """Of images that lie by quarter turns otherwise."""
+    laid = yaw - np.pi / 2.0 * np.array([turns.get(i, 0) for i in range(len(yaw))])
+    return headings_fit(turns, yaw, laid, course)[0]
+
+
 def test_an_image_turned_after_the_flight_keeps_a_heading_that_fits_its_course() -> None:
     yaw = COURSE + np.radians([2.0, -3.0, 1.0, 4.0, -2.0, 0.0, 1.0, -1.0])
-    assert headed_wrong({3: 2, 4: 2, 5: 2}, yaw, COURSE) == {}
-    assert headed_wrong({3: 1, 4: 3}, yaw, COURSE) == {}
+    assert fit({3: 2, 4: 2, 5: 2}, yaw, COURSE) == {3: True, 4: True, 5: True}
+    assert fit({3: 1, 4: 3}, yaw, COURSE) == {3: True, 4: True}
 
 
 @pytest.mark.parametrize("mount_deg", [0.0, 90.0, 180.0])
 def test_a_heading_kept_from_the_line_before_is_found(mount_deg: float) -> None:
     """However the camera is mounted: what counts is what is usual in the other lines."""
     yaw = COURSE + np.radians(mount_deg + np.array([2.0, -3.0, 1.0, 180.0, 178.0, 183.0, 1.0, -1.0]))
-    found = headed_wrong({3: 2, 4: 2, 5: 2}, yaw, COURSE)
-    assert {i: np.degrees(h) for i, h in found.items()} == pytest.approx(
-        dict.fromkeys([3, 4, 5], (210.0 + mount_deg) % 360.0), abs=0.01
-    )
+    fits, usual = headings_fit([3, 4, 5], yaw, yaw - np.pi * np.isin(np.arange(8), [3, 4, 5]), COURSE)
+    assert fits == {3: False, 4: False, 5: False}
+    assert np.degrees(usual) % 360.0 == pytest.approx(mount_deg, abs=0.01)
     quarter = COURSE + np.radians([2.0, -3.0, 1.0, 90.0, -90.0, 0.0, 1.0, -1.0])
-    assert list(headed_wrong({3: 1, 4: 3}, quarter, COURSE)) == [3, 4]
-    assert headed_wrong({3: 3, 4: 1}, quarter, COURSE) == {}, "turned by the other quarter would be worse"
+    assert fit({3: 1, 4: 3}, quarter, COURSE) == {3: False, 4: False}
+    other = fit({3: 3, 4: 1}, quarter, COURSE)
+    assert other == {3: True, 4: True}, "turned by the other quarter would be worse"
 
 
 def test_a_platform_that_flies_backward_tells_nothing() -> None:
     yaw = np.radians([30.0] * 8)
     course = np.where(np.arange(8) % 2, COURSE[0], COURSE[3])
-    assert headed_wrong({2: 2, 3: 2}, yaw, course) == {}
-    assert headed_wrong({2: 2}, np.full(8, np.nan), course) == {}
+    assert fit({2: 2, 3: 2}, yaw, course) == {}
+    assert fit({2: 2}, np.full(8, np.nan), course) == {}
+    assert fit({4: 2, 2: 2}, yaw, np.where(np.arange(8) == 4, np.nan, yaw)) == {2: True}, "no course"
 
 
 def test_another_heading_takes_the_tilt_along_and_is_known_as_a_course_is() -> None:

@@ -16,6 +16,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, position_assumed
 from geomosaic.survey.model import Warn
@@ -42,21 +43,8 @@ _YAW_LIES_DEG: Annotated[
 ] = 8.0
 _HALF_TURN_DEG: Annotated[
     float,
-    Because(
-        "degrees",
-        "about half a turn, and about a usual heading: less than halfway to the next quarter, and more than "
-        "crosswinds turn small drones",
-        CHOSEN,
-    ),
+    Because("degrees", "about half a turn: less than halfway to the next quarter", CHOSEN),
 ] = 30.0
-_TOGETHER: Annotated[
-    float,
-    Because(
-        "length of the mean of unit vectors",
-        "how well headings must go with courses to say what is usual, as in `matching.turned`: 1 where alike",
-        CHOSEN,
-    ),
-] = 0.7
 _SAME_PLACE_M: Annotated[
     float,
     Because(
@@ -142,9 +130,8 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
     are left out."""
     far, limit = _off_m(block, poses)
     turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
-    given, found = (
-        np.degrees(Rotation(p.rotations).yaw_pitch_roll()[0]) % 360.0 for p in (block.poses, poses)
-    )
+    given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (block.poses, poses))
+    given, found = (np.degrees(yaw_rad) % 360.0 for yaw_rad in (given_rad, found_rad))
     yaw_limit = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(block.poses.rotations_sd_rad[:, 2]))
     out = [
         Warn(
@@ -155,32 +142,20 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
         for i in np.flatnonzero(far > limit)
         if i not in strayed
     ]
-    head_down = _head_down(block, poses, turned)
+    half = np.flatnonzero(np.abs(np.abs(turned) - 180.0) < _HALF_TURN_DEG)
+    course_rad = np.radians(courses_deg(poses.positions_m, flight_lines(poses.positions_m)))
+    fits, _ = headings_fit(half.tolist(), given_rad, found_rad, course_rad)
     for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses)):
         if i in strayed:
             continue
         words = (
             f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}; set by its neighbours"
         )
-        if head_down[i]:
+        head_down = fits.get(int(i), False)
+        if head_down:
             words = "its pixels were turned by 180 degrees after the flight; laid so by its neighbours"
-        out.append(Warn("frame-turned" if head_down[i] else "yaw-wrong", block.names[i], words))
+        out.append(Warn("frame-turned" if head_down else "yaw-wrong", block.names[i], words))
     return out
-
-
-def _head_down(block: Block, poses: Poses, turned_deg: Floats) -> Bools:
-    """Frames half a turn from their told heading where that goes with their course as the others' headings
-    do, (n,): their image was turned. Nothing is said of platforms whose headings go with no course."""
-    course = np.radians(courses_deg(poses.positions_m, flight_lines(poses.positions_m)))
-    told, found = (
-        np.exp(1j * (Rotation(p.rotations).yaw_pitch_roll()[0] - course)) for p in (block.poses, poses)
-    )
-    half = np.abs(np.abs(turned_deg) - 180.0) < _HALF_TURN_DEG
-    others = ~half & np.isfinite(found)
-    usual = complex(np.mean(found[others])) if others.any() else 0j
-    if abs(usual) < _TOGETHER:
-        return np.zeros(len(half), dtype=bool)
-    return np.asarray(half & (np.cos(np.angle(told / usual)) > np.cos(np.radians(_HALF_TURN_DEG))))
 
 
 def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -119,7 +119,9 @@ def found_turned(
     turns = {i: quarters for i, quarters in turns.items() if not assumed[i]}
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
     course = np.where(assumed, np.nan, flown_courses_rad(nadir, costs, turns))
-    headings = headed_wrong(turns, yaw, course)
+    laid = yaw - np.pi / 2.0 * np.array([turns.get(i, 0) for i in range(n)])
+    fits, usual_rad = headings_fit(turns, yaw, laid, course)
+    headings = {i: float((course[i] + usual_rad) % (2.0 * np.pi)) for i, fit in fits.items() if not fit}
     turns = {i: quarters for i, quarters in turns.items() if i not in headings}
     if turns:
         edges = [(s.left, s.right) for s in seen]
@@ -218,25 +220,28 @@ def turned_frames(
     return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
 
 
-def headed_wrong(turns: dict[int, int], yaw_rad: Floats, course_rad: Floats) -> dict[int, float]:
-    """Frames found turned whose heading is what is wrong, not their image; and the heading (rad) that goes
-    with their course.
+def headings_fit(
+    turned: Collection[int], given_rad: Floats, laid_rad: Floats, course_rad: Floats
+) -> tuple[dict[int, bool], float]:
+    """Whether the given headings of frames whose images lie otherwise go with their courses as the other
+    frames' do; and the usual angle (rad) from course to heading.
 
-    An image turned after the flight keeps a heading that fits the course as the others' do; of a heading
-    that was kept from another line the turned one fits better. Only said where heading and course go together
-    in the frames that weren't turned; else a platform may fly backward, and the images count as turned.
+    An image turned after the flight keeps a heading that fits; of one that was kept from another line, what
+    the image says fits better. Nothing is said of a frame without a course, nor of any where heading and
+    course don't go together in the frames that lie as given: their platform may fly backward.
 
-    Args: yaw_rad, course_rad (n,) as tagged and as flown; NaN where unknown.
+    Args: turned: frames that lie otherwise; given_rad, laid_rad, course_rad (n,): headings as given and as
+        the images lie, and courses; NaN where unknown.
     """
-    off = np.exp(1j * (yaw_rad - course_rad))
-    known = np.isfinite(off)
-    straight = [i for i in range(len(off)) if known[i] and i not in turns]
-    usual = complex(np.mean(off[straight])) if straight else 0j
+    given, laid = (np.exp(1j * (yaw_rad - course_rad)) for yaw_rad in (given_rad, laid_rad))
+    straight = np.isfinite(laid)
+    straight[list(turned)] = False
+    usual = complex(np.mean(laid[straight])) if straight.any() else 0j
     if abs(usual) < _TOGETHER:
-        return {}
-    as_tagged = (off / usual).real
-    wrong = [i for i, q in turns.items() if known[i] and (off[i] * (-1j) ** q / usual).real > as_tagged[i]]
-    return {i: float((course_rad[i] + np.angle(usual)) % (2.0 * np.pi)) for i in wrong}
+        return {}, 0.0
+    known = [i for i in turned if np.isfinite(given[i] * laid[i])]
+    fits = {i: bool((given[i] / usual).real >= (laid[i] / usual).real) for i in known}
+    return fits, float(np.angle(usual))
 
 
 def turned_by_images(
