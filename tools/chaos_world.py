@@ -32,7 +32,10 @@ FLIGHT = SurveyPlan(
 )  # fmt: skip
 """More frames than workers, so that a stage can be hit in its middle."""
 LONGEST_S = 180.0
-_VOLATILE = ("timings_s", "peak_memory_mb", "cached_stages", "recorded_stages", "versions")
+_VOLATILE = (
+    *("timings_s", "memory_mb", "peak_memory_mb"),
+    *("cached_stages", "recorded_stages", "versions"),
+)
 """What run.json says of the clock and the way, not of the result."""
 
 
@@ -180,6 +183,7 @@ def result_of(run: Path) -> dict[str, str]:
     if (run / "run.json").exists():
         told = json.loads((run / "run.json").read_text())
         told.get("metrics", {}).pop("estimate", None)  # of the machine and its workers, not of the result
+        told.get("artefacts", {}).pop("report_file", None)  # it tells the time that the run took
         for name, value in told.items():
             if name not in _VOLATILE:
                 found.update(_parts(f"run.json {name}", value))
