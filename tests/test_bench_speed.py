@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quality_images import write_tif
 
 TOOLS = Path(__file__).parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
@@ -14,6 +15,7 @@ sys.path.insert(0, str(TOOLS))
 from bench_scale import BLOCKS, growth  # noqa: E402
 from bench_speed_judge import steps_of  # noqa: E402
 from bench_speed_measure import measured  # noqa: E402
+from bench_speed_parts import parts_of  # noqa: E402
 from bench_speed_table import Result, against_floor, behind, missed, side_by_side  # noqa: E402
 
 OURS = {"wall_s": 20.0, "peak_mb": 900.0, "frames_used": 18.0, "ssim": 0.98}
@@ -69,6 +71,33 @@ def test_a_seam_is_a_step_that_no_frame_shows_however_tones_were_evened() -> Non
     steps = steps_of(seamed, frames)
     assert len(steps) == 11 * 10 + 12 * 9
     assert (steps > 1.0).sum() == 12, "one for each row that the seam crosses"
+
+
+def test_mosaics_are_judged_on_the_same_squares_of_ground_which_most_of_them_show(tmp_path: Path) -> None:
+    west, north, gsd = 500000.0, 5200000.0, 0.1
+    pixels = np.full((1, 640, 960), 7, dtype=np.uint8)
+    left, coarse = np.zeros((640, 960), dtype=bool), np.zeros((320, 480), dtype=bool)
+    left[:, :500], coarse[:, 100:] = True, True
+    ortho = write_tif(tmp_path / "ortho.tif", pixels, west, north, gsd)
+    one = write_tif(tmp_path / "one.tif", pixels, west, north, gsd, valid=left)
+    other = write_tif(tmp_path / "other.tif", pixels[:, ::2, ::2], west, north, 2 * gsd, valid=coarse)
+
+    def squares(seed: int, number: int = 12):
+        return parts_of(ortho, [one, other], number, 64, 1.0, seed)
+
+    found = squares(3)
+    cols = (found.middles_m[:, 0] - west) / gsd
+    assert len(cols) == 12 and found.side_m == pytest.approx(6.4)
+    assert cols.min() - 32 >= 210 and cols.max() + 32 <= 490, "both show them, and a metre beside"
+    assert np.array_equal(found.middles_m, squares(3).middles_m)
+    assert not np.array_equal(found.middles_m, squares(4).middles_m)
+    assert len(squares(3, 149).middles_m) == 149 and squares(3, 150) is None
+    for fine, half in zip(found.windows(one, 32), found.windows(other, 32), strict=True):
+        assert (fine.width, fine.height, half.width, half.height) == (64, 64, 32, 32)
+        assert abs(fine.col_off - 2 * half.col_off) <= 32 and abs(fine.row_off - 2 * half.row_off) <= 32
+    far = write_tif(tmp_path / "far.tif", pixels, west + 1e4, north, gsd)
+    assert found.windows(far, 32) == []
+    assert all(w.col_off % 32 == w.row_off % 32 == 0 for w in found.windows(one, 32))
 
 
 def test_a_command_is_measured_with_what_it_starts_and_stopped_at_its_limits(tmp_path: Path) -> None:

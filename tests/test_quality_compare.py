@@ -9,6 +9,7 @@ import rasterio
 from quality_images import eight_bits, moved, north_up, texture, write_tif
 from rasterio.crs import CRS
 from rasterio.warp import Resampling, reproject, transform_bounds
+from rasterio.windows import Window
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality import compare as module
@@ -67,6 +68,15 @@ def test_blocks_do_not_show(tmp_path, monkeypatch):
     assert parts.figures.absolute_rmse_m == pytest.approx(whole.figures.absolute_rmse_m, abs=1e-4)
     np.testing.assert_allclose(parts.ssim_cells, whole.ssim_cells, atol=1e-5)
     assert whole.ssim_cells.shape == (16, 19)
+    asked = [Window(64, 96, 160, 96), Window(320, 0, 128, 128)]
+    some = compare(mosaic, reference, patch_px=32, step_px=32, search_px=16, parts=asked)
+    within = np.zeros(whole.ssim_cells.shape, dtype=bool)
+    within[3:6, 2:7] = within[:4, 10:14] = True
+    np.testing.assert_allclose(some.ssim_cells[within], whole.ssim_cells[within], atol=1e-5)
+    assert np.isnan(some.ssim_cells[~within]).all()
+    assert some.figures.measured == within.sum() == some.figures.asked
+    with pytest.raises(InputError, match="none of its parts"):
+        compare(mosaic, reference, parts=[])
 
 
 def test_a_reference_in_another_coordinate_system_and_at_another_pixel(tmp_path):

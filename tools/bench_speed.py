@@ -7,10 +7,12 @@ simulated ones of 12 MP, made once and kept in OUT, with nothing told but by the
 command, then the floor (`bench_speed_floor`: every frame decoded and warped once, one COG written), then the
 peers (tools/peers), each in an environment of its own, made from PyPI; what can't be had is left out and
 said. Time is of the whole process; memory of all its processes together, sampled; frames are read once
-before, so that all find them in memory. Simulated mosaics are judged against the true ortho, of the
-real ones the colour steps are measured (`bench_speed_judge`). Tables go to standard output, figures to
-OUT/speed.json. Exit code 1 if an aim is missed: the whole at most 2.5 times the floor, the mosaic with its
-COG (seams, composition, writing) 1.3 times, 1.5 GB, and no figure of any peer better.
+before, so that all find them in memory. Simulated mosaics are judged against the true ortho, on squares of
+ground that most programs show, drawn by the seed (`bench_speed_parts`; where there are no more than so many
+squares, on the whole); of the real ones the colour steps are measured (`bench_speed_judge`). Tables go to
+standard output, figures to OUT/speed.json. Exit code 1 if an aim is missed: the whole at most 2.5 times the
+floor, the mosaic with its COG (seams, composition, writing) 1.3 times, 1.5 GB, and no figure of any peer
+better.
 """
 
 from __future__ import annotations
@@ -20,12 +22,16 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench_speed_judge import Frames, against_truth, area_m2, placed, steps_figure
+import rasterio
+from bench_speed_judge import FAR_M, Frames, against_truth, area_m2, placed, steps_figure
 from bench_speed_measure import Taken, measured
+from bench_speed_parts import parts_of
 from bench_speed_table import Result, against_floor, missed, side_by_side
 from peers.environments import UnavailableError
 from peers.peer import PEERS, Peer
@@ -36,6 +42,10 @@ GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 TOOLS = Path(__file__).parent
 HEIGHT_M, ACROSS_M = 100.0, 100.0
 """Of simulated flights above the ground, and what a frame shows from side to side."""
+
+
+JUDGE_CACHE_MB = 256
+"""Of rasters that are judged: GDAL takes a twentieth of the memory by itself."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,15 @@ def simulated(out: Path, frames: int, width_px: int, seed: int) -> Flight:
     return Flight(name, folder / "frames", folder / "results", folder / "truth" / "ortho.tif")
 
 
+@dataclass(frozen=True)
+class Made:
+    """What a program took, and its mosaic, if it made one."""
+
+    result: Result
+    mosaic: Path | None = None
+    georeferenced: bool = True
+
+
 def run_ours(flight: Flight) -> tuple[Path, Taken, dict[str, Any]]:
     """The whole command into a new run folder."""
     run = flight.out / "run"
@@ -93,8 +112,8 @@ def run_floor(flight: Flight, run: Path) -> dict[str, float]:
     return dict(json.loads(taken.said.splitlines()[-1]))
 
 
-def run_peer(flight: Flight, peer: Peer, home: Path, judge: Judge, most_s: float, most_mb: float) -> Result:
-    """A peer's figures. Its mosaic stays in the flight's results, whatever else it has written goes."""
+def run_peer(flight: Flight, peer: Peer, home: Path, most_s: float, most_mb: float) -> Made:
+    """A peer's mosaic, which stays in the flight's results; whatever else it has written goes."""
     name = "".join(c if c.isalnum() else "-" for c in peer.name)
     out, log = flight.out / name, flight.out / f"{name}.log"
     shutil.rmtree(out, ignore_errors=True)
@@ -102,7 +121,7 @@ def run_peer(flight: Flight, peer: Peer, home: Path, judge: Judge, most_s: float
     try:
         command = peer.command(flight.frames, out, home)
     except UnavailableError as error:
-        return Result(peer.name, failed=f"left out: {error}")
+        return Made(Result(peer.name, failed=f"left out: {error}"))
     taken = measured(command, log, most_s=most_s, most_mb=most_mb)
     figures: dict[str, float] = {
         "wall_s": taken.wall_s,
@@ -110,42 +129,64 @@ def run_peer(flight: Flight, peer: Peer, home: Path, judge: Judge, most_s: float
         "peak_mb": taken.peak_mb,
     }
     if taken.failed:
-        return Result(peer.name, figures, failed=f"no mosaic: {taken.failed}")
+        return Made(Result(peer.name, figures, failed=f"no mosaic: {taken.failed}"))
     figures["frames_used"] = peer.frames_used(out)
-    figures |= judge.figures(out / peer.mosaic, peer.georeferenced)
     for path in out.iterdir():
         if path.name != peer.mosaic:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    return Result(peer.name, figures)
+    return Made(Result(peer.name, figures), out / peer.mosaic, peer.georeferenced)
 
 
 class Judge:
-    """Looks at mosaics of one flight, of which a run is solved."""
+    """Looks at the mosaics of one flight, of which a run is solved.
 
-    def __init__(self, flight: Flight, run: Path) -> None:
-        self._flight, self._ours = flight, run / "mosaic.tif"
+    One that lies nowhere is laid onto the truth or the run's mosaic; nothing is told of one that doesn't
+    fit, which is as good as none.
+    """
+
+    def __init__(self, flight: Flight, run: Path, made: Sequence[Made], asked: argparse.Namespace) -> None:
+        self._flight = flight
+        onto = flight.ortho or run / "mosaic.tif"
+        self._laid = {
+            m.result.name: m.mosaic
+            if m.georeferenced
+            else placed(m.mosaic, onto, m.mosaic.with_name("placed.vrt"))
+            for m in made
+            if m.mosaic
+        }
         self._frames = None if flight.ortho else Frames(run)
+        self._squares = None
+        if flight.ortho and asked.parts:
+            shown = [laid for laid in self._laid.values() if laid]
+            self._squares = parts_of(flight.ortho, shown, asked.parts, asked.part_px, FAR_M, asked.seed)
 
-    def figures(self, mosaic: Path, georeferenced: bool) -> dict[str, float]:
-        """Of one mosaic, by the keys of `bench_speed_table.COLUMNS`; what can't be told is not in it.
+    def words(self) -> str:
+        """What is judged."""
+        if self._squares is None:
+            return "Judged on the whole of each mosaic."
+        squares, side_m = len(self._squares.middles_m), self._squares.side_m
+        return f"Judged on {squares} squares of {side_m:.1f} m that most programs show; ground shown: of all."
 
-        One that lies nowhere is laid onto the truth or the run's mosaic; nothing is told of one that doesn't
-        fit, which is as good as none.
-        """
-        scratch = self._flight.out
-        laid: Path | None = mosaic
-        if not georeferenced:
-            laid = placed(mosaic, self._flight.ortho or self._ours, scratch / "placed.vrt")
+    def judged(self, made: Made) -> Result:
+        """With the figures of its mosaic, by the keys of `bench_speed_table.COLUMNS`; what can't be told is
+        not in it."""
+        laid = self._laid.get(made.result.name)
         if laid is None:
-            return {}
-        if self._flight.ortho:
-            return against_truth(laid, self._flight.ortho, scratch, georeferenced)
-        assert self._frames
+            return made.result
+        start = time.process_time()
         try:
-            return {"area_m2": area_m2(laid), "steps_grey": steps_figure(self._frames.steps(laid))}
+            found = self._figures(laid, made.georeferenced)
         except GeomosaicError as error:
-            print(f"{mosaic.parent.name}: {error}", file=sys.stderr)
-            return {}
+            print(f"{made.result.name}: {error}", file=sys.stderr)
+            return made.result
+        print(f"{made.result.name}: judged in {time.process_time() - start:.0f} s", file=sys.stderr)
+        return replace(made.result, figures={**made.result.figures, **found})
+
+    def _figures(self, laid: Path, georeferenced: bool) -> dict[str, float]:
+        if self._flight.ortho:
+            return against_truth(laid, self._flight.ortho, self._flight.out, georeferenced, self._squares)
+        assert self._frames
+        return {"area_m2": area_m2(laid), "steps_grey": steps_figure(self._frames.steps(laid))}
 
 
 def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
@@ -162,23 +203,17 @@ def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> tuple[dict[s
     peak_mb = max(r[0].peak_mb for r in rounds)
     lines = against_floor(floor, told["timings_s"], taken.wall_s, taken.processor_s, peak_mb)
     print(f"\n**{flight.name}**\n", *lines, sep="\n", flush=True)
-    judge = Judge(flight, run)
-    ours = Result(
-        "geomosaic",
-        {
-            "wall_s": taken.wall_s,
-            "processor_s": taken.processor_s,
-            "peak_mb": peak_mb,
-            "frames_used": told["frames"]["tied"] + told["frames"]["placed"],
-            **judge.figures(run / "mosaic.tif", True),
-        },
-    )
-    others = [
-        run_peer(flight, peer, home, judge, asked.peer_s, 1e3 * asked.peer_gb)
+    used = told["frames"]["tied"] + told["frames"]["placed"]
+    took = {"wall_s": taken.wall_s, "processor_s": taken.processor_s, "peak_mb": peak_mb, "frames_used": used}
+    made = [Made(Result("geomosaic", took), run / "mosaic.tif")]
+    made += [
+        run_peer(flight, peer, home, asked.peer_s, 1e3 * asked.peer_gb)
         for peer in (() if asked.no_peers else PEERS)
     ]
+    judge = Judge(flight, run, made, asked)
+    ours, *others = map(judge.judged, made)
     beside = side_by_side(ours, others)
-    print("", *beside, sep="\n", flush=True)
+    print("", *beside, "", judge.words(), sep="\n", flush=True)
     figures = {
         "floor": floor,
         "stages_s": told["timings_s"],
@@ -198,6 +233,8 @@ def main() -> int:
     ask.add_argument("--width-px", type=int, default=4000, help="of its frames, which are 4 : 3")
     ask.add_argument("--seed", type=int, default=1)
     ask.add_argument("--rounds", type=int, default=1, help="of the whole and the floor; the least counts")
+    ask.add_argument("--parts", type=int, default=12, help="squares that are judged; 0: the whole")
+    ask.add_argument("--part-px", type=int, default=1536, help="their side, of the true ortho's pixels")
     ask.add_argument("--no-peers", action="store_true")
     ask.add_argument("--peer-s", type=float, default=7200.0, help="a peer is stopped after so many seconds")
     ask.add_argument("--peer-gb", type=float, default=16.0, help="or if it holds so much")
@@ -214,10 +251,11 @@ def main() -> int:
     if asked.only != "real":
         flights.append(simulated(out, asked.frames, asked.width_px, asked.seed))
     results, good = {}, True
-    for flight in flights:
-        results[flight.name], reached = bench(flight, out / "peers", asked)
-        good &= reached
-        (out / "speed.json").write_text(json.dumps(results, indent=1))
+    with rasterio.Env(GDAL_CACHEMAX=JUDGE_CACHE_MB):
+        for flight in flights:
+            results[flight.name], reached = bench(flight, out / "peers", asked)
+            good &= reached
+            (out / "speed.json").write_text(json.dumps(results, indent=1))
     return 0 if good else 1
 
 

@@ -12,7 +12,7 @@ What blends hide over many cells is no step.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -20,10 +20,12 @@ import numpy as np
 import rasterio
 from affine import Affine
 from bench_speed_floor import solved
+from bench_speed_parts import Parts, valid_pixels
 from numpy.typing import NDArray
 from osgeo import gdal
 from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
+from rasterio.windows import Window
 from scipy.spatial import cKDTree
 
 from geomosaic.errors import GeomosaicError, InputError
@@ -43,6 +45,8 @@ FINE_PX = 8
 CELL = 8
 FAR_M, NEAR_PX = 6.0, 64
 """A mosaic is looked for that far off; after the best similarity, so many pixels around."""
+PATCH_PX = 64
+"""`compare`'s."""
 PATCH, BESIDE = 32, 5
 """Side of the patches, of the grid's pixels, by which a mosaic is laid onto another before its steps are
 measured; and how many of them count in a cell."""
@@ -69,26 +73,31 @@ def moved(raster: Path, by: Affine, to: Path) -> Path:
     return to
 
 
-def far_off(mosaic: Path, reference: Path, step_px: int) -> Comparison:
+def far_off(mosaic: Path, reference: Path, step_px: int, parts: Sequence[Window] | None = None) -> Comparison:
     """The comparison of few patches, looked for far off. Raises `GeomosaicError` without overlap."""
     with rasterio.open(mosaic) as tiff:
         search_px = min(int(FAR_M / tiff.res[0]), 512)
-    return compare(mosaic, reference, step_px=step_px, search_px=search_px)
+    return compare(mosaic, reference, step_px=step_px, search_px=search_px, parts=parts)
 
 
-def against_truth(mosaic: Path, ortho: Path, scratch: Path, georeferenced: bool) -> dict[str, float]:
+def against_truth(
+    mosaic: Path, ortho: Path, scratch: Path, georeferenced: bool, squares: Parts | None = None
+) -> dict[str, float]:
     """Displacements and SSIM of a georeferenced mosaic; empty where nothing of it is found in the ortho.
+
+    All but area_m2 is of the squares, if there are some, else of the whole.
 
     absolute_m: root mean square of the displacements. after_px, jumps_px: see `quality.figures`, after the
     best similarity, in pixels of the mosaic. ssim: after it too, and after one gain and offset.
     found: share of the patches that were found again. area_m2: true ground, by the similarity's scale.
     """
+    parts = squares and squares.windows(mosaic, PATCH_PX)
     try:
-        far = far_off(mosaic, ortho, step_px=512)
+        far = far_off(mosaic, ortho, 2 * PATCH_PX if parts else 8 * PATCH_PX, parts)
         if not np.isfinite(far.figures.similarity.scale):
             return {}
         true = moved(ortho, similarity_of(far.figures.similarity), scratch / "ortho-moved.vrt")
-        near = compare(mosaic, true, search_px=NEAR_PX, match_tone=True)
+        near = compare(mosaic, true, search_px=NEAR_PX, match_tone=True, parts=parts)
     except GeomosaicError:
         return {}
     figures = near.figures
@@ -141,9 +150,7 @@ def _small(raster: Path) -> tuple[NDArray[np.uint8], float]:
 def area_m2(mosaic: Path) -> float:
     """Ground that a mosaic shows, of a reduced read."""
     with rasterio.open(mosaic) as tiff:
-        scale = max(max(tiff.shape) // 2048, 1)
-        mask = tiff.dataset_mask(out_shape=(tiff.height // scale, tiff.width // scale))
-        return float((mask > 127).mean() * tiff.height * tiff.width * abs(tiff.transform.determinant))
+        return float(valid_pixels(tiff).mean() * tiff.height * tiff.width * abs(tiff.transform.determinant))
 
 
 class Frames:

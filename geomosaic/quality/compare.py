@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,6 +92,7 @@ def compare(
     search_px: int = 128,
     match_tone: bool = False,
     min_correlation: float = 0.5,
+    parts: Sequence[Window] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Compare two rasters on the mosaic's grid.
@@ -104,6 +105,7 @@ def compare(
             looked for, in the mosaic's pixels.
         match_tone: before SSIM, bring the mosaic's mean and contrast to the reference's (one gain and
             one offset for all of it); the displacements don't depend on either.
+        parts: windows of the mosaic, from whole steps on, that alone are compared. All of it without.
         progress: called with the blocks done and their number; may raise to stop.
     Raises:
         FileError: a file that isn't a raster, or has no georeference. InputError: no overlap.
@@ -118,23 +120,27 @@ def compare(
         gsd_m, metres = pixel_m(a, mosaic)
         pair = stack.enter_context(on_grid_of(a, b, reference))
         sizes = _Sizes(patch_px, step_px, search_px, min_correlation)
-        tones = _tones(a, pair, match_tone, mosaic, reference)
-        windows = list(blocks(a.height, a.width, max(step_px, _BLOCK_PX // step_px * step_px)))
-        parts: list[_Part] = []
+        side = max(step_px, _BLOCK_PX // step_px * step_px)
+        windows = list(blocks(a.height, a.width, side) if parts is None else parts)
+        if not windows:
+            raise InputError("none of its parts lies in the mosaic", file=reference, mend="give others")
+        glanced = [Window(0, 0, a.width, a.height)] if parts is None else windows
+        tones = _tones(a, pair, glanced, match_tone, mosaic, reference)
+        compared: list[_Part] = []
         for done, block in enumerate(windows):
             if progress:
                 progress(done, len(windows))
-            parts.append(_compare_block(a, pair, block, sizes, tones))
+            compared.append(_compare_block(a, pair, block, sizes, tones))
         if progress:
             progress(len(windows), len(windows))
-        if not any(p.shared_px for p in parts):
+        if not any(p.shared_px for p in compared):
             raise InputError(
                 "does not overlap the mosaic", file=reference, mend="give a reference of the same place"
             )
         t = a.transform
         affine = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f]]) * metres
         names = mosaic.name, reference.name
-        found = _assembled(parts, names, a.crs.to_string(), a.shape, affine, gsd_m, sizes)
+        found = _assembled(compared, names, a.crs.to_string(), a.shape, affine, gsd_m, sizes)
         over = registered(a.transform, found.figures.similarity, metres)
         if over is None:
             return found
@@ -278,15 +284,23 @@ def _assembled(
 
 
 def _tones(
-    mosaic: rasterio.DatasetReader, pair: WarpedVRT, match_tone: bool, path: Path, reference: Path
+    mosaic: rasterio.DatasetReader,
+    pair: WarpedVRT,
+    windows: Sequence[Window],
+    match_tone: bool,
+    path: Path,
+    reference: Path,
 ) -> _Tones:
     """Span of the values, and the mosaic's gain and offset against the reference, from reduced reads."""
-    scale = max(1.0, max(mosaic.shape) / _GLANCE_PX)
-    shape = (max(1, round(mosaic.height / scale)), max(1, round(mosaic.width / scale)))
-    a, a_valid = read_luma(mosaic, None, shape)
+    scale = max(1.0, *(np.sqrt(len(windows)) * max(w.width, w.height) / _GLANCE_PX for w in windows))
+    read: list[list[Any]] = []
+    for window in windows:
+        shape = max(1, round(window.height / scale)), max(1, round(window.width / scale))
+        images = read_luma(mosaic, window, shape), read_luma(pair, window, shape)
+        read.append([part.ravel() for image in images for part in image])
+    a, a_valid, b, b_valid = map(np.concatenate, zip(*read, strict=True))
     if not a_valid.any():
         raise FileError("has no valid pixel", file=path, mend="give a mosaic with pixels in it")
-    b, b_valid = read_luma(pair, None, shape)
     both = a_valid & b_valid
     if not both.any():
         raise InputError(
