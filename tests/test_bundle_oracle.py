@@ -118,6 +118,9 @@ class Oracle:
 
         rho(s) = c^2 log(1 + s^2 / c^2), times what makes of it the logarithm of a density: each image residual is
         shortened to a square root of rho.
+
+        How near: the least to a thousandth of the deviations; the other, of which the cost alone counts, to a
+        hundredth. The last iterations of a hundred and more would move nothing that is compared.
         """
         times = np.sqrt(self.shown * (FREEDOM + 2.0) / (FREEDOM * TELLS))[:, None]
         x = np.zeros(len(self.size))
@@ -144,13 +147,13 @@ class Oracle:
             )
             return np.concatenate([by.reshape(-1, len(free)), np.eye(len(free))])
 
-        def least(begin, c):
+        def least(begin, c, near):
             return least_squares(
-                rows, begin, slopes, method="lm", xtol=1e-9, ftol=1e-12, gtol=1e-15, args=(c,)
+                rows, begin, slopes, method="lm", xtol=near, ftol=1e-4 * near, gtol=1e-15, args=(c,)
             )
 
-        squares, c = least(np.zeros(len(self.free)), 1e4), np.sqrt(FREEDOM * TELLS)
-        near, apart = (least(begin, c) for begin in (self.of_solver()[self.free], squares.x))
+        squares, c = least(np.zeros(len(self.free)), 1e4, 1e-4), np.sqrt(FREEDOM * TELLS)
+        near, apart = least(self.of_solver()[self.free], c, 1e-5), least(squares.x, c, 1e-4)
         assert near.cost < apart.cost + 0.5
         return all_of(near.x)
 

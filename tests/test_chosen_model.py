@@ -12,7 +12,7 @@ from adjustment_blocks import fly, hills
 from geomosaic.adjustment.chain import fit_similarity
 from geomosaic.adjustment.left_out import Judged
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Settings
+from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.pipeline.artefacts import encode
@@ -32,6 +32,25 @@ def _bent_m(found_m: np.ndarray, true_m: np.ndarray) -> float:
     turn, shift = fit_similarity(found_m[:, :2], true_m[:, :2])
     left = true_m[:, :2] @ [1, 1j] - turn * (found_m[:, :2] @ [1, 1j]) - shift
     return float(np.sqrt(np.mean(np.abs(left) ** 2)))
+
+
+TURNING = {"points": 350, "relief": hills, "readout_s": 0.1, "rate_sd_rad_per_s": 0.2}
+"""Eight frames, 0.1 s at 0.2 rad/s: 20 px from the first row to the last, each frame another way."""
+
+
+def _solved_beside(folder: Path, workers: int) -> Adjusted:
+    """The frames of `TURNING` by the model that is chosen, as a run with so many workers solves them."""
+    with Workers(workers) as team:
+        context = Context(folder, stage_id="adjustment.solve", workers=team, key="a key")
+        adjusted = METHODS["bundle"](fly(3, 2, 4, **TURNING).block, Settings(), context)
+    assert len(list(folder.rglob("items/*/*"))) >= 3
+    return adjusted
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory: pytest.TempPathFactory) -> Adjusted:
+    """In one process."""
+    return _solved_beside(tmp_path_factory.mktemp("one"), 1)
 
 
 def test_a_block_that_is_told_all_is_solved_as_given() -> None:
@@ -70,13 +89,11 @@ def test_gusts_over_all_land_are_not_taken_for_a_camera_that_turns(seed: int) ->
     assert not [w for w in adjusted.warnings if w.code in ("model-chosen", "shutter-doubtful")]
 
 
-def test_frames_that_turn_while_they_are_read() -> None:
-    """0.1 s at 0.2 rad/s: 20 px from the first row to the last, each frame another way."""
-    flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
+def test_frames_that_turn_while_they_are_read(turning: Adjusted) -> None:
+    flown, adjusted = fly(3, 2, 4, **TURNING), turning
     given = METHODS["bundle"](flown.block, Settings(model="given"))
     assert given.model is None
     assert given.figures["sigma_px"] > 1.2
-    adjusted = METHODS["bundle"](flown.block, Settings())
     assert adjusted.model is not None
     assert adjusted.model.taken == ("turning",)
     assert {"given", "readout", "turning"} <= set(adjusted.model.names)
@@ -143,7 +160,7 @@ def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
 
 def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
     """The turns are told, how long the rows are read is not: begun at the span of the samples."""
-    flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
+    flown = fly(3, 2, 4, **TURNING)
     poses = replace(flown.block.poses, turns=Turns(0.14, flown.truth.turns.rad * 1.4))
     cameras = tuple(replace(c, readout_s=0.0) for c in flown.block.cameras)
     adjusted = METHODS["bundle"](replace(flown.block, cameras=cameras, poses=poses), Settings())
@@ -156,7 +173,7 @@ def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
 def test_the_zero_of_a_gyroscope_is_common_to_all_frames() -> None:
     """0.04 rad/s about the image's right in every frame's turns: taken off as one. (Keypoints good to 0.3 px
     don't tell it in eight frames: it stretches them all by 3 px.)"""
-    flown = fly(3, 2, 4, noise_px=0.1, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
+    flown = fly(3, 2, 4, noise_px=0.1, **TURNING)
     zero = np.linspace(-0.05, 0.05, 41)[:, None] * np.array([0.04, 0.0, 0.0])
     poses = replace(flown.block.poses, turns=Turns(0.1, flown.truth.turns.rad - zero))
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(model="given", turning=True))
@@ -243,13 +260,6 @@ def test_tracks_of_one_place_are_one_witness() -> None:
         assert its.beats(other) is sure
 
 
-def test_models_and_surfaces_side_by_side_are_those_of_one_process(tmp_path: Path) -> None:
-    flown = fly(3, 2, 4, points=350, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.2)
-    made = []
-    for workers in (1, 2):
-        with Workers(workers) as team:
-            context = Context(tmp_path / str(workers), stage_id="adjustment.solve", workers=team, key="a key")
-            made.append(METHODS["bundle"](flown.block, Settings(), context))
-            assert len(list((tmp_path / str(workers)).rglob("items/*/*"))) >= 3
-    assert encode(made[0]) == encode(made[1])
-    assert made[0].model is not None and made[0].model.taken == ("turning",)
+def test_models_and_surfaces_side_by_side_are_those_of_one_process(turning: Adjusted, tmp_path: Path) -> None:
+    assert encode(_solved_beside(tmp_path, 2)) == encode(turning)
+    assert turning.model is not None and turning.model.taken == ("turning",)
