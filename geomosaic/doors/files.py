@@ -38,6 +38,15 @@ def check_name(path: Path) -> None:
         raise FileError("its name is not in UTF-8", file=whole, mend="rename it") from error
 
 
+def mode_of(path: Path) -> int:
+    """The mode of what lies under a name that may be anybody's; 0 where nothing does, where it may not be
+    looked at, and where no file can have such a name."""
+    try:
+        return path.stat().st_mode
+    except (OSError, ValueError):
+        return 0
+
+
 def check_regular(path: Path, mend: str, named: str = "") -> None:
     """`FileError` for what is missing, or no regular file: a folder, a device or a pipe, which may never end.
 

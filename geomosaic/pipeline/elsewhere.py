@@ -7,12 +7,14 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
+from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.given import Given, files_of
 from geomosaic.pipeline.hashes import FileHashes
@@ -88,7 +90,7 @@ def _renamed(value: Any, texts: Mapping[str, str]) -> Any:
 def frames_gone(given: Mapping[int, Given]) -> list[Frame]:
     """Frames of the recorded survey whose files aren't where they were."""
     surveys = [v for g in given.values() for v in g.outputs.values() if isinstance(v, Survey)]
-    return [f for f in surveys[0].frames if not Path(f.path).is_file()] if surveys else []
+    return [f for f in surveys[0].frames if not S_ISREG(mode_of(Path(f.path)))] if surveys else []
 
 
 def first_with_thumbnails(recipe: Recipe, first: int) -> int:

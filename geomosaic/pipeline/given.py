@@ -8,8 +8,10 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from stat import S_ISDIR, S_ISREG
 from typing import Any
 
+from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError
 from geomosaic.pipeline.artefacts import decode, encode
 from geomosaic.pipeline.context import Notes, RunFile
@@ -84,14 +86,14 @@ class Given:
         """The files the recorded stage read, as far as they are still there, with their recorded hashes."""
         for entry in self.manifest().values():
             for path, mark in files_of(entry):
-                if path.is_file():
+                if S_ISREG(mode_of(path)):
                     yield path, mark
 
 
 def files_of(entry: Mapping[str, Any]) -> Iterator[tuple[Path, str]]:
     """The files of an input in a manifest, where they lay, and their hashes."""
     place, names = Path(str(entry["path"])), entry["files"]
-    alone = place.name in names and not place.is_dir()
+    alone = place.name in names and not S_ISDIR(mode_of(place))
     for name, mark in names.items():
         within = name if PurePath(name).is_absolute() else PurePath(name).name
         yield (place.parent if alone else place) / within, str(mark)
@@ -164,7 +166,7 @@ def bring_files(recipe: Recipe, given: Mapping[int, Given], folder: RunFolder) -
                     source = path_within(recorded_folder, file)
                 except ValueError as error:
                     raise FileError(str(error), file=recorded_folder) from error
-                if source.is_file() and (name in wanted or not file.startswith("work/")):
+                if S_ISREG(mode_of(source)) and (name in wanted or not file.startswith("work/")):
                     with folder.writing(file) as temporary:
                         shutil.copyfile(source, temporary, follow_symlinks=False)
                 elif name in wanted:
@@ -186,4 +188,4 @@ def _named_files(artefact: Any) -> list[str]:
 def missing_inputs(given: Iterable[Given]) -> list[Path]:
     """Files and folders that given stages read and that are no longer where they were."""
     paths = [Path(str(entry["path"])) for stage in given for entry in stage.manifest().values()]
-    return [path for path in dict.fromkeys(paths) if not path.exists()]
+    return [path for path in dict.fromkeys(paths) if not mode_of(path)]
