@@ -213,8 +213,9 @@ def test_both_stages_in_a_run_folder(run, tmp_path):
     context = Context(folder, stage_id="quality.compare", work_folder=tmp_path / "work")
     mosaic_file = context.run_file("mosaic.tif")
     params = QualityCompare.Params(reference=folder / "ortho <true>.tif", search_px=16)
-    given = {"mosaic_file": mosaic_file}
-    comparison = QualityCompare().run(given, params, context)["comparison"]
+    given = {"mosaic_file": mosaic_file, "mosaic": run["mosaic"]}
+    compared = QualityCompare().run(given, params, context)
+    comparison, seen = compared["comparison"], compared["reference_seen"]
     metrics = context.notes.metrics["quality"]
     assert metrics["absolute_rmse_m"] == pytest.approx(comparison.figures.absolute_rmse_m)
     assert 0.5 < metrics["ssim"]["ssim"] < 1.0
@@ -224,10 +225,13 @@ def test_both_stages_in_a_run_folder(run, tmp_path):
         folder, stage_id="export.report", work_folder=tmp_path / "work2", summary=run["summary"]
     )
     inputs = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic")}
-    given = {**inputs, "mosaic_file": mosaic_file, "comparison": comparison}
-    out = ExportReport().run(given, None, context)
+    given = {**inputs, "mosaic_file": mosaic_file, **compared}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("geomosaic.report.map_images.open_map", None)  # the reference isn't opened again
+        out = ExportReport().run(given, None, context)
     assert out["report_file"].name == "report.html"
-    assert "absolute RMSE" in (folder / "report.html").read_text(encoding="utf-8")
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "absolute RMSE" in page and seen.image.uri in page
 
 
 def test_frame_errors_against_the_truth_enter_the_metrics(run, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -11,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.enums import Resampling
-from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 
-from geomosaic.errors import GeomosaicError
+from geomosaic.doors.raster import reading
 from geomosaic.mosaic.grid import coarser
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.quality.rasters import open_map
@@ -44,17 +44,23 @@ def overlap_image(image: Glance, footprints_m: Sequence[Floats]) -> str:
     return data_uri("png", table[np.minimum(count, len(_COUNTS))])
 
 
-def reference_image(grid: OutputGrid, path: Path) -> Glance | None:
-    """The reference in the mosaic's box, reduced; nothing where it can't be read any more."""
+@dataclass(frozen=True)
+class ReferenceSeen:
+    """A reference as the report lays it beside the mosaic, so that nobody has to open it again; None where
+    there is no run's mosaic to lay it beside."""
+
+    image: Glance | None
+
+
+def reference_image(grid: OutputGrid, path: Path) -> Glance:
+    """The reference in the mosaic's box, reduced. Raises `FileError` if it can't be read."""
     coarse = coarser(grid, _REFERENCE_PX)
-    try:
-        with (
-            open_map(path) as raster,
-            WarpedVRT(
-                raster, crs=coarse.crs, transform=Affine.from_gdal(*coarse.geotransform),
-                width=coarse.width_px, height=coarse.height_px, resampling=Resampling.average, add_alpha=True,
-            ) as warped,
-        ):  # fmt: skip
-            return glance_of(warped, _REFERENCE_PX)
-    except (GeomosaicError, RasterioError, ValueError):
-        return None
+    with (
+        open_map(path) as raster,
+        reading(path),
+        WarpedVRT(
+            raster, crs=coarse.crs, transform=Affine.from_gdal(*coarse.geotransform),
+            width=coarse.width_px, height=coarse.height_px, resampling=Resampling.average, add_alpha=True,
+        ) as warped,
+    ):  # fmt: skip
+        return glance_of(warped, _REFERENCE_PX)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.matching.model import TiePoints
@@ -16,10 +15,12 @@ from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.frames import Beside, render_report
 from geomosaic.report.given import GivenMosaic
-from geomosaic.report.map_images import reference_image
+from geomosaic.report.map_images import ReferenceSeen
 from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.model import Survey
+
+_BESIDE: Final = ("given", "reference_seen")
 
 
 class ExportReport(Stage):
@@ -28,7 +29,7 @@ class ExportReport(Stage):
     id = "export.report"
     display_name = "Write the report"
     group = "Export"
-    version = 5
+    version = 6
     cached = False
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
@@ -37,6 +38,7 @@ class ExportReport(Stage):
     optional_inputs: ClassVar[dict[str, type]] = {
         "comparison": Comparison, "verdict": Verdict, "surface_file": RunFile, "confidence_file": RunFile,
         "terrain_file": RunFile, "surface_comparison": SurfaceComparison, "given": GivenMosaic,
+        "reference_seen": ReferenceSeen,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
     results: ClassVar[tuple[str, ...]] = ("report.html",)
@@ -53,22 +55,13 @@ class ExportReport(Stage):
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
             surface=_surface(inputs, context),
-            beside=_beside(inputs, context),
+            beside=Beside(*(inputs[name].image if name in inputs else None for name in _BESIDE)),
             summary=context.summary(),
             name=run_name(context),
         )
         with context.writing("report.html") as path:
             path.write_text(page, encoding="utf-8")
         return {"report_file": context.run_file("report.html")}
-
-
-def _beside(inputs: Mapping[str, Any], context: Context) -> Beside:
-    reference = None
-    if "comparison" in inputs:
-        steps = context.summary().get("recipe", {}).get("stages", [])
-        asked = [s["params"].get("reference") for s in steps if s["stage"] == "quality.compare"]
-        reference = reference_image(inputs["mosaic"].grid, Path(asked[0])) if asked and asked[0] else None
-    return Beside(inputs["given"].image if "given" in inputs else None, reference)
 
 
 def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | None:

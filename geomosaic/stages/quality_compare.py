@@ -10,12 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
 from geomosaic.quality.rasters import open_map
+from geomosaic.report.map_images import ReferenceSeen, reference_image
 from geomosaic.survey.model import Survey
 
 _LITTLE = 0.5
@@ -27,12 +29,12 @@ class QualityCompare(Stage):
     id = "quality.compare"
     display_name = "Compare with a reference"
     group = "Quality"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
     optional_inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "placement": Placement, "adjusted": Adjusted,
+        "survey": Survey, "placement": Placement, "adjusted": Adjusted, "mosaic": Mosaic,
     }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"comparison": Comparison}
+    outputs: ClassVar[dict[str, type]] = {"comparison": Comparison, "reference_seen": ReferenceSeen}
 
     class Params(StageParams):
         """See each parameter's help."""
@@ -87,7 +89,8 @@ class QualityCompare(Stage):
             )
         if params.truth is not None and "adjusted" in inputs:
             _report_frame_errors(inputs, params.truth, context)
-        return {"comparison": comparison}
+        seen = reference_image(inputs["mosaic"].grid, params.reference) if "mosaic" in inputs else None
+        return {"comparison": comparison, "reference_seen": ReferenceSeen(seen)}
 
 
 def _report_frame_errors(inputs: Mapping[str, Any], truth: Path, context: Context) -> None:
