@@ -283,6 +283,16 @@ def test_turns_of_an_image_turned_by_180_degrees() -> None:
     )
 
 
+@pytest.mark.parametrize(("quarters", "at"), [(1, [555.0, 123.0]), (2, [677.0, 555.0]), (3, [45.0, 677.0])])
+def test_a_turned_image_shows_the_same_rays_at_other_places(quarters: int, at: list[float]) -> None:
+    """Clockwise, by a lens that is neither even nor in the middle: where col 123, row 45 of 800 x 600 lies then."""
+    lens = replace(READ, principal_col_px=411.0, principal_row_px=287.0, k1=-0.05, p1=0.002, p2=-0.003)
+    pose, turned = (Rotation.from_yaw_pitch_roll(0.3, 0.1, -0.2).turned(q) for q in (0, quarters))
+    rays = [Pose(np.zeros(3), r).ray_from_image(c, px) for r, c, px in
+            ((pose, lens, [123.0, 45.0]), (turned, lens.turned(quarters), at))]  # fmt: skip
+    assert rays[1] == pytest.approx(rays[0], abs=1e-9)
+
+
 def test_turns_over_another_span() -> None:
     turns = Turns(0.2, np.array([[-0.02, 0.0, 0.0], [0.0, 0.0, 0.0], [0.06, 0.0, 0.0]]))
     assert turns.at([-0.05, 0.05, 0.2])[0][:, 0] == pytest.approx([-0.01, 0.03, 0.12])
