@@ -168,6 +168,7 @@ def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
     story = story_of(Recorder(tmp_path / "run.mcap"), tmp_path / "run.mcap")
     placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
     assert frame_labels(placed, adjusted) == ["a", "b| 61 m, heading 150 deg off", "c placed"]
+    assert frame_labels(placed, adjusted, {"b|.jpg"})[1] == "b| 61 m, image turned"
     assert worst_frames(story) == [2, 1, 0]
     text = frame_text(story, 1, ["its position was off"])
     assert "| east_m | 9.00 | 70.00 |" in text and "b\\|.jpg" in text and "- its position was off" in text

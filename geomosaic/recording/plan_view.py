@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, Final
 
 import numpy as np
@@ -29,6 +30,8 @@ _LEAST_NAMED_M: Final = 1.0
 """No move below it is named, however sure its position was given: names tell whole metres."""
 HEADING_OFF_DEG: Final = 30.0
 """From which a heading is said to be off: no sensor is that bad, a wrong tag is."""
+_TURNED: Final = "frame-turned:"
+"""How the warning of an image that was turned begins."""
 
 
 def draw_plan(story: Story, stream: Any) -> None:
@@ -56,7 +59,8 @@ def draw_plan(story: Story, stream: Any) -> None:
     far_sd = moves_in_sd(placed, adjusted)
     if adjusted.row:
         _draw_moves(stream, adjusted, at, far_sd)
-    labels, colours = frame_labels(placed, adjusted), frame_colours(placed, adjusted)
+    turned = {line.frame for line in story.log if line.text.startswith(_TURNED)}
+    labels, colours = frame_labels(placed, adjusted, turned), frame_colours(placed, adjusted)
     points = rerun.Points2D(
         at, colors=colours, radii=_ui(3.5 * thin), labels=labels, show_labels=False, draw_order=5.0
     )
@@ -136,8 +140,11 @@ def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats, far_sd: Floats) ->
     stream.log(f"{PLAN}/moved", arrows, static=True)
 
 
-def frame_labels(placed: ToldTable, adjusted: ToldTable) -> list[str]:
-    """Names without their endings, and behind a blank what is odd about a frame."""
+def frame_labels(placed: ToldTable, adjusted: ToldTable, turned: Collection[str] = ()) -> list[str]:
+    """Names without their endings, and behind a blank what is odd about a frame.
+
+    Args: turned: names of frames whose images were turned, which isn't their headings' fault.
+    """
     if not adjusted.row:
         return [_stem(name)[:_LONGEST_NAME] for name in placed.row]
     moved, far_sd = moves_m(adjusted), moves_in_sd(placed, adjusted)
@@ -145,7 +152,10 @@ def frame_labels(placed: ToldTable, adjusted: ToldTable) -> list[str]:
     out = []
     for k, name in enumerate(adjusted.row):
         odd = [f"{moved[k]:.0f} m"] if far_sd[k] > MOVE.good and moved[k] > _LEAST_NAMED_M else []
-        odd += [f"heading {off[k]:.0f} deg off"] if off[k] > HEADING_OFF_DEG else []
+        if name in turned:
+            odd.append("image turned")
+        elif off[k] > HEADING_OFF_DEG:
+            odd.append(f"heading {off[k]:.0f} deg off")
         status = adjusted.note[k] if adjusted.note else "tied"
         odd += [status] if status != "tied" else []
         out.append(" ".join([_stem(name)[:_LONGEST_NAME], ", ".join(odd)]).strip())

@@ -20,7 +20,7 @@ _LEAST_SHARE: Final = 0.004
 """Of a run's time: shorter stages aren't drawn."""
 BOUNDS: Final = {
     STAGES: ((-_NAMES, _WIDE + 10.0), (-_ROW, 13.0 * _ROW)),
-    STEPS: ((-15.0, _WIDE + 15.0), (-45.0, _HIGH + 60.0)),
+    STEPS: ((-60.0, _WIDE + 60.0), (-45.0, _HIGH + 60.0)),
     SPECTRUM: ((-20.0, _WIDE + 260.0), (-10.0, _HIGH + 20.0)),
 }
 """What views show of each, x and y: names are as large at any scale and need room."""
