@@ -293,6 +293,18 @@ def test_a_turned_image_shows_the_same_rays_at_other_places(quarters: int, at: l
     assert rays[1] == pytest.approx(rays[0], abs=1e-9)
 
 
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_turns_of_a_turned_image_are_about_the_same_axes_in_space(quarters: int) -> None:
+    rotation, turns = (
+        Rotation.from_yaw_pitch_roll(0.3, 0.1, -0.2),
+        Turns(0.1, np.array([[[-0.01, 0.02, -0.03]]])),
+    )
+    turned = turns.turned([0], quarters)
+    assert rotation.turned(quarters).matrix @ turned.rad[0, 0] == pytest.approx(
+        rotation.matrix @ turns.rad[0, 0], abs=1e-12
+    )
+
+
 def test_turns_over_another_span() -> None:
     turns = Turns(0.2, np.array([[-0.02, 0.0, 0.0], [0.0, 0.0, 0.0], [0.06, 0.0, 0.0]]))
     assert turns.at([-0.05, 0.05, 0.2])[0][:, 0] == pytest.approx([-0.01, 0.03, 0.12])
