@@ -1,7 +1,11 @@
 """What every test stands on, before numpy is imported."""
 
+from __future__ import annotations
+
 import os
 import signal
+
+import pytest
 
 # threads of the linear algebra would wait for each other on the cores that the tests share
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -9,3 +13,22 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 # a script's background job ignores Ctrl-C, and so would all its children
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+LONGEST = (
+    "test_chosen_model", "test_end_to_end", "test_strips_command", "test_bundle_oracle", "test_fuzz_short",
+    "test_bundle_covariance", "test_cli_staircase", "test_docs", "test_control", "test_bundle", "test_start",
+    "test_ccd_joint", "test_resume", "test_dirty", "test_recording_kills", "test_surface_matching",
+)  # fmt: skip
+"""Files that take longest go first: one that a worker is given last is what all wait for."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """pytest-xdist goes by how many tests a file has unless it is told not to."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files keep their tests together and in order."""
+    first = {name: i for i, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: first.get(item.path.stem, len(first)))
