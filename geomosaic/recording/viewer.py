@@ -16,6 +16,9 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicError, OutputError
 
+_TRIES = 4
+"""Of a screenshot: the viewer gives up after 15 s, and a busy machine paints slowly without a card."""
+
 
 def open_viewer(file: Path) -> None:
     """Shows an .rrd in Rerun's window until the user closes it."""
@@ -41,14 +44,17 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
             try:
                 client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
                 client.get_state()
-            except (RuntimeError, ConnectionError):
+            except (RuntimeError, OSError):
                 client = None
                 time.sleep(0.5)
         time.sleep(seconds)
-        try:
-            client.save_screenshot(str(png.absolute()))
-        except RuntimeError as error:
-            raise OutputError(f"no screenshot ({error})", file=png) from error
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                client.save_screenshot(str(png.absolute()))
+                break
+            except (RuntimeError, OSError) as error:
+                if not tries_left:
+                    raise OutputError(f"no screenshot ({error})", file=png) from error
 
 
 @contextmanager
