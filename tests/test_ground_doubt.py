@@ -13,7 +13,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.ground_doubt import LandDoubt, land_doubt, leaning_sd_px
+from geomosaic.quality.ground_doubt import LandDoubt, land_doubt, places_of
 
 HOME = LocalFrame(9.0, 48.0, 400.0)
 AT_M = MapProjection("EPSG:32632").map_from_geodetic(9.0, 48.0)
@@ -33,21 +33,15 @@ def doubt(owner: np.ndarray, ground: GroundSurface, known: GroundSurface | None 
     return land_doubt(owned(owner), FRAMES, HOME, ground, known or ground)
 
 
-def test_a_place_leans_by_its_height_s_deviation_and_its_angle() -> None:
-    """30 m beside the point below a frame 50 m up, 0.4 m of height are 0.24 m, 2.4 px."""
+def test_a_place_leans_by_the_angle_of_the_frame_that_gives_it() -> None:
+    """30 m beside the point below a frame 50 m up, and 470 m beside that of the other."""
     owner = np.zeros((61, 61))
     owner[30, 60] = owner[10, 30] = 1
-    far, east = leaning_sd_px(owned(owner), FRAMES, HOME, SURE, SURE)
-    assert east == pytest.approx(0.4 * 30.0 / 50.0 / 0.1, rel=2e-3)
-    assert far == pytest.approx(0.4 * 20.0 / 50.0 / 0.1, rel=2e-3)
-
-
-def test_the_frame_that_gives_a_place_counts() -> None:
-    owner = np.zeros((61, 61))
-    owner[30, 60] = 2
-    assert leaning_sd_px(owned(owner), FRAMES, HOME, SURE, SURE) == pytest.approx(
-        [0.4 * 470 / 50 / 0.1], rel=2e-3
-    )
+    at_m, tangent = places_of(owned(owner), FRAMES, HOME, SURE)
+    assert at_m[1] == pytest.approx([30.0, 0.0, 0.0], abs=0.6)
+    assert tangent == pytest.approx([20.0 / 50.0, 30.0 / 50.0], rel=2e-3)
+    _, tangent = places_of(owned(np.where(owner > 0, 2, 0)), FRAMES, HOME, SURE)
+    assert tangent[1] == pytest.approx(470.0 / 50.0, rel=2e-3)
 
 
 def test_of_equal_places_99_in_100_lie_within_2_58_deviations() -> None:
@@ -84,6 +78,19 @@ def test_what_was_matched_surely_beyond_tie_points_is_known() -> None:
     found = doubt(owner, sharp, SURE)
     assert found.ground_px == pytest.approx(2.5758 * 0.6, rel=2e-3)
     assert found.surface_share < 1e-5
+
+
+def test_a_surface_that_strays_about_the_ground_is_as_unsure_as_it_strays() -> None:
+    """0.3 m over a ground known to 0.05 m, by a matching that knows it to 0.4 m: 1.8 and 0.3 px."""
+    owner = np.zeros((61, 61))
+    owner[30, 60] = 1
+    known = replace(SURE, sd_m=np.full((5, 5), 0.05))
+    strayed = replace(SURE, kind="dense", up_m=np.full((5, 5), 0.3))
+    found = doubt(owner, strayed, known)
+    assert found.ground_px == pytest.approx(2.5758 * np.hypot(1.8, 0.3), rel=1e-2)
+    assert found.surface_share == pytest.approx(0.2113, abs=5e-3)
+    roof = replace(strayed, up_m=np.full((5, 5), 6.0))
+    assert doubt(owner, roof, known).ground_px == pytest.approx(2.5758 * 0.3, rel=0.2)
 
 
 def test_what_is_not_known_is_not_told() -> None:

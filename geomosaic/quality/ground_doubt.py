@@ -74,26 +74,29 @@ def land_doubt(
     """How far the land of a mosaic on `ground` may lie off; known: what was known before a surface was
     matched, the same without one.
 
-    The ground is as sure as the surer of both: woods and rims of roofs, of which a matched surface is unsure,
-    say nothing against the ground around and below. What they leave open is the surface's share, so that no
-    place is passed over.
+    Where a matched surface lies on the ground known before, the surer of both says how far it may be off: its
+    own deviation, or the other's with the distance between them. Elsewhere something stands on the ground (or
+    none knows it): rims of roofs and woods, of which the surface is unsure, say nothing against the ground
+    around, and what they leave open is the surface's share.
     """
-    known_px = leaning_sd_px(ownership, poses, work_frame, ground, known)
+    at_m, tangent = places_of(ownership, poses, work_frame, ground)
+    px_per_m = tangent / ownership.grid.gsd_m
+    known_px = px_per_m * known.sd_at(at_m[:, 0], at_m[:, 1])
     if ground.kind not in MATCHED:
         return LandDoubt(_kept_by_99(known_px), np.nan)
-    matched_px = leaning_sd_px(ownership, poses, work_frame, ground, ground)
+    matched_px = px_per_m * ground.sd_at(at_m[:, 0], at_m[:, 1])
+    apart_m = ground.up_at(at_m[:, 0], at_m[:, 1]) - known.up_at(at_m[:, 0], at_m[:, 1])
+    apart_px = px_per_m * np.abs(apart_m)
+    known_px = np.where(apart_px <= OFF_PX, np.hypot(known_px, apart_px), known_px)
     off = _beyond(OFF_PX, matched_px[np.isfinite(matched_px)])
     return LandDoubt(_kept_by_99(np.minimum(matched_px, known_px)), float(off.mean()) if off.size else np.nan)
 
 
-def leaning_sd_px(
-    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, sure: GroundSurface
-) -> Floats:
-    """Deviations of displacements, pixels of the mosaic, at places all over what frames give, (k,), by the
-    deviations of `sure`, NaN where it has none.
-
-    A place moves by its height's error times the tangent of the angle at which its frame looks at it.
-    """
+def places_of(
+    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface
+) -> tuple[Floats, Floats]:
+    """Places (k, 3) of the work frame, m, all over what frames give, and the tangents (k,) of the angles at
+    which their frames look at them: a place moves by its height's error times that."""
     grid, owner = ownership.grid, ownership.owner
     step = int(np.ceil(np.sqrt(owner.size / _MOST_PLACES)))
     owner = owner[::step, ::step]
@@ -104,8 +107,7 @@ def leaning_sd_px(
     given = owner > 0
     at_m = window.points_m()[given]
     sight = at_m - poses.positions_m[owner[given] - 1]
-    tangent = np.linalg.norm(sight[:, :2], axis=1) / np.maximum(-sight[:, 2], 1e-6)
-    return np.asarray(tangent * sure.sd_at(at_m[:, 0], at_m[:, 1]) / grid.gsd_m)
+    return at_m, np.linalg.norm(sight[:, :2], axis=1) / np.maximum(-sight[:, 2], 1e-6)
 
 
 def _kept_by_99(sd_px: Floats) -> float:
