@@ -12,6 +12,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import rasterio
 from bench_real_table import Row
 from numpy.typing import NDArray
 
@@ -30,6 +31,8 @@ GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 FRAME_PIXEL_M = 5.63
 """What a pixel of a frame covers in the mean; the orthos have it too: their pixels are frame pixels."""
 WANTED_PX = 0.5
+WANTED_NMAD_PX = 1.2
+"""Of heights, as on the ground of simulated towns."""
 MOVED_M, TURNED_DEG = 20.0, 0.5
 DRAWS = 3
 _LEAST_PATCHES = 20
@@ -67,13 +70,42 @@ def ngi(data: Path, out: Path) -> list[Row]:
     return rows
 
 
-def mosaic(folder: Path, pos: Path, run: Path, method: str) -> Path:
+def ngi_surface(data: Path, out: Path) -> list[Row]:
+    """The dense surface by the given poses against the DEM; none without the data."""
+    folder = data / "ngi"
+    if not folder.is_dir():
+        print(f"skipped: {folder} is missing")
+        return []
+    dem = folder / "dem.tif"
+    more = ["--surface", "dense", "--ortho", "surface", "--surface-reference", dem]
+    more += ["--set", "quality.surface.offset_m=0"]
+    run = mosaic(folder, folder / "ngi_xyz_opk.csv", out / "ngi-surface", "none", *more)
+    told = read_summary(run)
+    matched = told["metrics"]["quality"]["surface"]["by_support"]["matched"]
+    with rasterio.open(run / "surface_confidence.tif") as raster:
+        sd_m, views = raster.read(masked=True)
+    with rasterio.open(run / "surface_difference.tif") as raster:
+        off_m = np.abs(raster.read(1, masked=True))
+    there = (views.filled(0) > 0) & ~np.ma.getmaskarray(off_m)
+    within = [100.0 * float(np.mean((off_m < k * sd_m)[there])) for k in (1.0, 2.0)]
+    nmad_px = matched["nmad_m"] / FRAME_PIXEL_M
+    text = (
+        f"NMAD {nmad_px:.2f} frame px ({matched['nmad_m']:.1f} m), median {matched['median_m']:+.2f} m at "
+        f"{matched['n']:,} matched points; within 1 and 2 deviations {within[0]:.0f} and {within[1]:.0f} %; "
+        f"verdict {told['verdict']['grade']}: {told['verdict']['text']}"
+    )
+    return [
+        ("ngi, dense surface against the DEM", text, f"NMAD < {WANTED_NMAD_PX} px", nmad_px < WANTED_NMAD_PX)
+    ]
+
+
+def mosaic(folder: Path, pos: Path, run: Path, method: str, *more: object) -> Path:
     """The run folder of `geomosaic mosaic` on the frames with these poses and the DEM."""
     shutil.rmtree(run, ignore_errors=True)
     command = [
         GEOMOSAIC, "mosaic", folder, "-o", run, "--pos", pos, "--camera", folder / "ngi_int_param.yaml",
         "--dem", folder / "dem.tif", "--dem-offset", "0", "--adjust", method, "--gsd", str(FRAME_PIXEL_M),
-        "--pos-crs", (folder / "ngi_xyz_opk.prj").read_text().strip(),
+        "--pos-crs", (folder / "ngi_xyz_opk.prj").read_text().strip(), *map(str, more),
     ]  # fmt: skip
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return run

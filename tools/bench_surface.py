@@ -1,34 +1,39 @@
-"""How well the surface between frames is matched: simulated towns and their truth, a real flight's halves.
+"""How well the surface between frames is matched: simulated towns and their truth, real flights.
 
-    .venv/bin/python tools/bench_surface.py [--out DIR] [--seeds 5,7,11] [--small] [--real DIR]
+    .venv/bin/python tools/bench_surface.py [--out DIR] [--seeds 5,7,11] [--small] [--roofs] [--rival]
+                                            [--scale] [--real DIR | --no-real]
 
 Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 60 % overlap, hills of 10 m, houses with walls of
 3.5 to 10 m and hipped or level roofs, bridges, trees, through the whole command with cells of 4 ground
-pixels: the surface against the true heights, beside StereoSGBM on rectified pairs; the mosaic on it and
-the one on the ground through tie points against the true ortho. Of a real flight (18 frames of
-9 MP) seconds and memory of the stage, and mosaics of its odd and even frames on one surface, laid over
-each other; skipped without the data. Tables go to standard output and OUT/surface.json.
+pixels: the surface against the true heights, and how far the mosaic's land lies off beside what the verdict
+says of it. With --roofs the mosaic on the surface and the one on the ground through tie points against the
+true ortho, with --rival StereoSGBM on rectified pairs beside it, with --scale what 20, 60 and 200 small
+frames take, and whether one process and two give the same bytes. Of real data, skipped where they aren't:
+18 frames of 9 MP (seconds and memory of the stage, mosaics of odd and even frames laid over each other), and
+four over 600 m of relief against their DEM. Tables go to standard output and OUT/surface.json.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
+import time
 from dataclasses import asdict
 from pathlib import Path
 
 from bench_real_cloud import read_cloud, write_bare_ground
 from bench_real_halves import CRS, GSD_M, Wanted, halves
+from bench_real_ngi import ngi_surface
 from bench_real_table import Row, print_table
 from bench_surface_judge import Judged, judged
+from bench_surface_land import judged_land
 from bench_surface_rival import stereo_sgbm
 from bench_surface_roofs import Roofs, roofs
+from bench_surface_scale import called, scale
 
 from geomosaic.quality.surface import compare_surface
 
-GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 TOWN = ["--buildings-stand", "--trees-stand", "--buildings", "2", "--hipped-roofs", "--bridges", "--relief-m",
         "10", "--forward-overlap", "0.7", "--side-overlap", "0.6", "--lines", "3"]  # fmt: skip
 SIZE = ["--width-px", "2000", "--height-px", "1500", "--frames-per-line", "6"]
@@ -40,12 +45,12 @@ WANTED_CORNERS_PX = 2.0
 _CELL_PX, _BARE_REACH_M = 4.0, 1.0
 
 
-def town(out: Path, seed: int, size: list[str]) -> list[Row]:
+def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival: bool) -> list[Row]:
     """Rows of one simulated town."""
     survey, run = out / f"town-{seed}", out / f"run-{seed}"
     truth = survey / "truth"
     if not (truth / "truth.json").is_file():
-        _call("simulate", "frames", survey, *TOWN, *size, "--seed", seed)
+        called(out, "simulate", "frames", survey, *TOWN, *size, "--seed", seed)
     told = [
         "--pos",
         survey / "pos.csv",
@@ -55,20 +60,31 @@ def town(out: Path, seed: int, size: list[str]) -> list[Row]:
         truth / "ortho.tif",
     ]
     rows: list[Row] = []
-    for name, *how in (("tie points' ground", "ties"), ("surface", "dense", "--ortho", "surface")):
-        _call("mosaic", survey / "frames", *told, "-o", run, "--surface", *how, "--overwrite")
-        rows += _roof_rows(f"town {seed}, mosaic on the {name}", roofs(run / "mosaic.tif", truth))
+    took: list[str] = []
+    grounds = (("tie points' ground", "ties"),) * with_roofs + (("surface", "dense", "--ortho", "surface"),)
+    for name, *how in grounds:
+        taken = called(out, "mosaic", survey / "frames", *told, "-o", run, "--surface", *how, "--overwrite")
+        took.append(f"mosaic on the {name} {taken.processor_s:.0f}")
+        if with_roofs:
+            begun = time.process_time()
+            rows += _roof_rows(f"town {seed}, mosaic on the {name}", roofs(run / "mosaic.tif", truth))
+            took.append(f"roofs {time.process_time() - begun:.0f}")
+    begun = time.process_time()
     found, cell_m = judged(run, truth)
     (run / "judged.json").write_text(json.dumps({k: asdict(v) for k, v in found.items()}), encoding="utf-8")
     rows += [_class_row(f"town {seed}, {name}", name, of, cell_m) for name, of in found.items()]
-    rival, seconds = stereo_sgbm(run)
-    told_s = json.loads((run / "run.json").read_text(encoding="utf-8"))["timings_s"]["surface.dense"]
-    rows.append(
-        (f"town {seed}, seconds: surface.dense, StereoSGBM", f"{told_s:.1f}, {seconds:.1f}", "", True)
-    )
-    for name, of in judged(run, truth, rival)[0].items():
-        what, text, _, _ = _class_row(f"town {seed}, StereoSGBM, {name}", name, of, cell_m)
-        rows.append((what, text.split(";")[0], "", True))
+    land = judged_land(run, truth)
+    rows.append((f"town {seed}, land of the mosaic ({land.places:,} places)", *land.told()))
+    took.append(f"judging {time.process_time() - begun:.0f}")
+    if with_rival:
+        begun = time.process_time()
+        rival, _ = stereo_sgbm(run)
+        took.append(f"StereoSGBM {time.process_time() - begun:.0f}")
+        for name, of in judged(run, truth, rival)[0].items():
+            what, text, _, _ = _class_row(f"town {seed}, StereoSGBM, {name}", name, of, cell_m)
+            rows.append((what, text.split(";")[0], "", True))
+    stage_s = json.loads((run / "run.json").read_text(encoding="utf-8"))["timings_s"]["surface.dense"]
+    rows.append((f"town {seed}, processor s", f"{', '.join(took)}; surface.dense {stage_s:.1f} s", "", True))
     return rows
 
 
@@ -107,11 +123,11 @@ def flight(out: Path, data: Path) -> list[Row]:
     """Rows of the real flight; none without it."""
     frames = data / "brighton_beach" / "images"
     if not frames.is_dir():
-        print(f"{frames} is missing: no rows of the real flight")
+        print(f"skipped: {frames} is missing")
         return []
     run = out / "brighton"
     told = ["--gsd", GSD_M, "--crs", CRS, "--surface", "dense", "--ortho", "surface", "--overwrite"]
-    _call("mosaic", frames, "-o", run, *told)
+    called(out, "mosaic", frames, "-o", run, *told)
     summary = json.loads((run / "run.json").read_text(encoding="utf-8"))
     seconds = summary["timings_s"]["surface.dense"]
     matched, memory_mb = summary["metrics"]["surface"]["matched"], summary["peak_memory_mb"]
@@ -141,28 +157,29 @@ def _cloud_rows(run: Path, model: Path) -> list[Row]:
     return [("bare ground against the flight's point cloud", text, "", True)]
 
 
-def _call(*command: object) -> None:
-    subprocess.run([str(GEOMOSAIC), *map(str, command)], check=True, stdout=subprocess.DEVNULL)
-
-
 def main() -> int:
     """Prints the table; 1 where something is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/bench-surface"))
-    parser.add_argument("--seeds", default="5,7,11")
-    parser.add_argument("--real", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--seeds", default="5,7,11", help="of the towns; empty for none")
+    parser.add_argument("--real", type=Path, default=Path("../shared/data"), help="folder of the real data")
+    parser.add_argument("--no-real", action="store_true", help="towns alone")
+    parser.add_argument("--roofs", action="store_true", help="houses and bridges in the mosaics as well")
+    parser.add_argument("--rival", action="store_true", help="StereoSGBM as well")
+    parser.add_argument("--scale", action="store_true", help="20, 60 and 200 small frames as well")
     parser.add_argument(
         "--small", action="store_true", help="15 frames of 1000 x 750 px a town, to try the bench"
     )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    rows = [
-        row
-        for seed in given.seeds.split(",")
-        if seed
-        for row in town(given.out, int(seed), SMALL if given.small else SIZE)
-    ]
-    rows += flight(given.out, given.real)
+    asked = {"with_roofs": given.roofs, "with_rival": given.rival}
+    rows: list[Row] = []
+    for seed in filter(None, given.seeds.split(",")):
+        rows += town(given.out, int(seed), SMALL if given.small else SIZE, **asked)
+    if given.scale:
+        rows += scale(given.out)
+    if not given.no_real:
+        rows += ngi_surface(given.real, given.out) + flight(given.out, given.real)
     (given.out / "surface.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print_table(rows)
     return int(not all(good for *_, good in rows))

@@ -27,6 +27,8 @@ CLASSES = ("ground", "roofs", "trees", "edges", "beside trees")
 _FINE_M = 0.1
 _BAND_M = 1.0
 _LEAST_FRAMES = 3
+_AT_ONCE = 200_000
+"""Cells that are judged together: some 200 MB, whatever the size of the town."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +55,16 @@ def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[d
     survey: Survey = load_artefact(run, summary, "survey", Survey)
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)
     surface = other or load_artefact(run, summary, "surface", DenseSurface)
-    east, north = surface.cells.axes_m()
-    points = np.stack(np.broadcast_arrays(east, north[:, None], surface.up_m.astype(float)), axis=-1)
-    seen = np.zeros(surface.up_m.shape, dtype=int)
-    for pose, camera in zip(adjusted.poses, adjusted.cameras, strict=True):
-        col, row = np.moveaxis(pose.image_from_ground(camera, points), -1, 0)
-        seen += (col >= 0) & (col < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    true = _true_positions(truth, survey)
-    geodetic = survey.work_frame.geodetic_from_enu(_similarity(adjusted.poses.positions_m, true, points))
+    true = true_positions(truth, survey)
     told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
-    at = MapProjection(told["map_crs"]).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
-    height_m, kind = _land(told, at)
-    errors = geodetic[..., 2] - height_m
+    east, north = surface.cells.axes_m()
+    bands = []
+    for some in np.array_split(np.arange(len(north)), -(-surface.up_m.size // _AT_ONCE)):
+        points = np.stack(
+            np.broadcast_arrays(east, north[some, None], surface.up_m[some].astype(float)), axis=-1
+        )
+        bands.append((*errors_at(told, survey, adjusted, true, points), seen_by(adjusted, points)))
+    errors, kind, seen = (np.concatenate(parts) for parts in zip(*bands, strict=True))
     there = seen >= _LEAST_FRAMES
     errors -= np.median(errors[there & (kind == 0)])
     found = {}
@@ -80,7 +80,28 @@ def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[d
     return found, surface.cells.cell_m
 
 
-def _true_positions(truth: Path, survey: Survey) -> Floats:
+def errors_at(
+    told: dict[str, Any], survey: Survey, adjusted: Adjusted, true: Floats, points: Floats
+) -> tuple[Floats, NDArray[np.uint8]]:
+    """Height errors (m) of points (..., 3) of the work frame, and which of `CLASSES` lies there, after the
+    similarity that lays the solved projection centres on the true ones."""
+    geodetic = survey.work_frame.geodetic_from_enu(_similarity(adjusted.poses.positions_m, true, points))
+    at = MapProjection(told["map_crs"]).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
+    height_m, kind = _land(told, at)
+    return geodetic[..., 2] - height_m, kind
+
+
+def seen_by(adjusted: Adjusted, points: Floats) -> NDArray[np.int64]:
+    """How many frames see points (..., 3), whatever hides them."""
+    seen = np.zeros(points.shape[:-1], dtype=np.int64)
+    for pose, camera in zip(adjusted.poses, adjusted.cameras, strict=True):
+        col, row = np.moveaxis(pose.image_from_ground(camera, points), -1, 0)
+        seen += (col >= 0) & (col < camera.width_px) & (row >= 0) & (row < camera.height_px)
+    return seen
+
+
+def true_positions(truth: Path, survey: Survey) -> Floats:
+    """The true projection centres (n, 3) in the survey's work frame."""
     with (truth / "positions.csv").open(encoding="utf-8") as file:
         rows = {row["frame"]: row for row in csv.DictReader(file)}
     told = [

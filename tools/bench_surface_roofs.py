@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from rasterio.windows import Window
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.displacement import measure_displacements
@@ -80,6 +81,20 @@ _APART_M: Annotated[
 ] = 0.6
 
 
+_MOST_PX: Annotated[
+    int,
+    Because(
+        "px",
+        "side of the mosaic's middle in which roofs are judged: dozens of houses; more only take time and "
+        "memory",
+        CHOSEN,
+    ),
+] = 3000
+_MOST_PATCHES: Annotated[
+    int, Because("patches", "by which the mosaic is laid on the true ortho: four numbers", CHOSEN)
+] = 2000
+
+
 @dataclass(frozen=True)
 class Roofs:
     """Corners: how many, how many of them matched, RMSE and 90 % of what they are off (px); edges: pieces
@@ -123,11 +138,16 @@ def roofs(mosaic: Path, truth: Path) -> dict[str, Roofs]:
 def _registered(mosaic: Path, ortho: Path) -> tuple[Image, Image, Bools, rasterio.Affine]:
     """Both (rows, cols, 3) on the pixels of the true ortho that the mosaic covers, and where it does."""
     with rasterio.open(mosaic) as a, rasterio.open(ortho) as b:
-        window = rasterio.windows.from_bounds(*a.bounds, b.transform).round_offsets().round_lengths()
+        width, height = min(a.width, _MOST_PX), min(a.height, _MOST_PX)
+        middle = Window((a.width - width) // 2, (a.height - height) // 2, width, height)
+        bounds, affine = a.window_bounds(middle), a.window_transform(middle)
+        window = rasterio.windows.from_bounds(*bounds, b.transform).round_offsets().round_lengths()
         true = b.read((1, 2, 3), window=window, boundless=True, fill_value=0)
-        valid = (a.dataset_mask() > 0) & (b.read_masks(1, window=window, boundless=True) > 0)
-        image, affine = a.read((1, 2, 3)), a.transform
-    of = compare(mosaic, ortho, patch_px=48, step_px=48).vectors_m
+        valid = a.dataset_mask(window=middle) > 0
+        valid &= b.read_masks(1, window=window, boundless=True) > 0
+        image = a.read((1, 2, 3), window=middle)
+        step_px = max(48, round(np.sqrt(a.width * a.height / _MOST_PATCHES)))
+    of = compare(mosaic, ortho, patch_px=48, step_px=step_px).vectors_m
     still = np.ones(len(of), dtype=bool)
     for _ in range(5):
         similarity, _ = best_similarity(of[still, :2], of[still, 2:])
