@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -74,6 +75,20 @@ def test_other_texture_is_never_sure_and_a_flat_window_says_nothing() -> None:
     assert not find(np.full_like(windows, 90), image(unit, 1), at, shapes).sure.any()
     assert not find(windows, np.full((400, 420), 90, np.uint8), at, shapes).sure.any()
     assert find(windows[:0], image(unit, 1), at[:0], shapes[:0]).image_px.shape == (0, 2)
+
+
+def test_windows_that_lie_farther_than_four_pixels_are_not_sure() -> None:
+    """On ground so smooth that they are led there from anywhere."""
+    rough = np.random.default_rng(7).normal(size=(400, 420))
+    smooth = cv2.normalize(cv2.GaussianBlur(rough, (0, 0), 8.0), None, 0, 255, cv2.NORM_MINMAX).astype(
+        np.uint8
+    )
+    at = np.random.default_rng(8).uniform(60.0, 340.0, (200, 2))
+    shapes, windows = np.broadcast_to(np.eye(2), (200, 2, 2)), templates(smooth, at)
+    for aside_px, share in ((3.0, 0.9), (-3.0, 0.9), (5.0, 0.0), (-5.0, 0.0)):
+        for aside in np.eye(2) * aside_px:
+            sure = find(windows, smooth, at + aside, shapes).sure
+            assert sure.mean() > share if share else not sure.any(), aside
 
 
 def test_windows_do_not_depend_on_what_is_looked_for_with_them() -> None:
