@@ -48,9 +48,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SimulatedStrips:
 
 @pytest.fixture(scope="session")
 def run(scene: SimulatedStrips, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole run with the defaults."""
+    """A whole run with the defaults, as if at no time."""
     out = tmp_path_factory.mktemp("strips") / "run"
-    assert strips(scene.geometry, out) == 0
+    assert strips(scene.geometry, out, "--fixed-time") == 0
     return out
 
 
@@ -174,30 +174,32 @@ def test_the_misplacement_rate_counts_runs_by_method(
     assert geomosaic("misplacement", tmp_path / "worse") == 2
 
 
-def test_equal_runs_give_equal_bytes(scene: SimulatedStrips, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert strips(scene.geometry, tmp_path / name, "--fixed-time") == 0
-    for path in (tmp_path / "a").iterdir():
+def test_equal_runs_give_equal_bytes(scene: SimulatedStrips, run: Path, tmp_path: Path) -> None:
+    assert strips(scene.geometry, tmp_path / "again", "--fixed-time") == 0
+    for path in run.iterdir():
         if path.is_file() and path.name != "run.json":
-            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+            assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
 
 
 def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
-    scene: SimulatedStrips, tmp_path: Path
+    scene: SimulatedStrips, run: Path, tmp_path: Path
 ) -> None:
-    folder = tmp_path / "strips"
-    shutil.copytree(scene.geometry.parent, folder, ignore=shutil.ignore_patterns("truth"))
-    assert strips(folder / "geometry.yaml", tmp_path / "run") == 0
-    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=hard") == 0
-    told = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    again = tmp_path / "run"
+    shutil.copytree(run, again)
+    assert strips(scene.geometry, again, "--set", "mosaic.strips.blend=hard") == 0
+    told = json.loads((again / "run.json").read_text(encoding="utf-8"))
     assert "ccd.offsets" in told["cached_stages"] and "mosaic.strips" not in told["cached_stages"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        strip = rasterio.open(folder / "ccd2.tif", "r+")
-    with strip:
-        strip.write(np.full((1, 20, 20), 7, dtype=strip.dtypes[0]), window=Window(50, 50, 20, 20))
-    assert strips(folder / "geometry.yaml", tmp_path / "run", "--set", "mosaic.strips.blend=hard") == 0
-    told = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    whole = (scene.geometry.parent / "ccd2.tif").read_bytes()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            strip = rasterio.open(scene.geometry.parent / "ccd2.tif", "r+")
+        with strip:
+            strip.write(np.full((1, 20, 20), 7, dtype=strip.dtypes[0]), window=Window(50, 50, 20, 20))
+        assert strips(scene.geometry, again, "--set", "mosaic.strips.blend=hard") == 0
+    finally:
+        (scene.geometry.parent / "ccd2.tif").write_bytes(whole)
+    told = json.loads((again / "run.json").read_text(encoding="utf-8"))
     assert "ccd.offsets" not in told["cached_stages"]
 
 
