@@ -53,7 +53,10 @@ class Scene:
         for level in both:
             by = round(level.pixel_m / GSD_M)
             frames = [Sighted(s.pose, s.camera, by) for s in self.sighted]
-            pictures = [picture(_reduced(grey, by), None) for grey in self.greys]
+            pictures = [
+                picture(_reduced(grey, by), None, s.turn_rad)
+                for grey, s in zip(self.greys, self.sighted, strict=True)
+            ]
             tasks = level.tasks(frames, base, found[-1].up_m if found else None)
             order = tasks[::-1] if backwards else tasks
             done = {

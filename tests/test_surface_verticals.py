@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,9 +13,11 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.aggregation import aggregated, cheapest, ring
+from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import census
 from geomosaic.surface.costs import PER_BIT, census_costs
+from geomosaic.surface.tile import steps_about
 from geomosaic.surface.verticals import Sighted, Verticals
 from geomosaic.surface.visibility import asked_frames, hidden_below
 
@@ -112,6 +115,56 @@ def _seen(scene: np.ndarray, pose: Pose, height_m: float) -> np.ndarray:
     pixel_m = 40.0 / scene.shape[0]
     place = ((at[..., :2] + 20.0) / pixel_m).astype(int).clip(0, scene.shape[0] - 1)
     return np.asarray(scene[place[..., 1], place[..., 0]])
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_frames_of_any_heading_have_the_same_census(quarters: int) -> None:
+    """Lines are flown there and back: by its own rows and columns a frame is like none of the next line."""
+    grey = np.random.default_rng(4).integers(0, 255, (40, 50)).astype(np.uint8)
+    turned = census(np.rot90(grey, quarters), turn_rad=-quarters * np.pi / 2.0)
+    assert (np.rot90(census(grey), quarters) == turned)[4:-4, 4:-4].all()
+
+
+def test_headings_between_have_nearly_the_same_census() -> None:
+    noise = np.random.default_rng(4).integers(0, 255, (30, 30)).astype(np.uint8)
+    grey = cv2.resize(noise, (120, 120), interpolation=cv2.INTER_CUBIC)
+    by = cv2.getRotationMatrix2D((59.5, 59.5), 35.0, 1.0)
+    turned = cv2.warpAffine(grey, by, (120, 120), flags=cv2.INTER_CUBIC)
+    middle = slice(40, 80), slice(40, 80)
+    differing = []
+    for turn_rad in (np.radians(-35.0), 0.0):
+        back = cv2.warpAffine(
+            census(turned, turn_rad=turn_rad).view(np.float32),
+            by,
+            (120, 120),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        )
+        differing.append(float(np.bitwise_count(back.view(np.uint32) ^ census(grey))[middle].mean()))
+    assert differing[0] < 2.5 < 5.0 < differing[1]
+
+
+@pytest.mark.parametrize(("moved_m", "asked"), [(0.0, (0, 1, 2)), (0.5, (1, 2, 3))])
+def test_a_frame_that_lies_off_the_others_is_not_what_they_are_compared_with(moved_m, asked) -> None:
+    """Three to four pixels across the line, so that no height makes up for it."""
+    cells = Cells(-8.0, -8.0, 0.25, 64, 64)
+    scene = np.random.default_rng(1).integers(0, 255, (40, 40)).repeat(8, axis=0).repeat(8, axis=1)
+    poses = [looking_down(x, 0.0, yaw_deg=0.0) for x in (0.0, 10.0, -10.0, 20.0)]
+    taken = [looking_down(0.0, moved_m, yaw_deg=0.0), *poses[1:]]
+    seen = [census(_seen(scene.astype(np.uint8), pose, 5.0)) for pose in taken]
+    verticals = Verticals(cells, LEVEL, [Sighted(p, CAMERA, 1.0) for p in poses], -5.0, 30.0)
+    steps = np.broadcast_to(np.arange(-2, 12, dtype=np.int16)[:, None, None], (14, 64, 64))
+    block = slice(16, 48), slice(16, 48)
+    [(_, found)] = agreeing(verticals, seen, steps, 1.0, [(block, (0, 1, 2, 3))], 3)
+    assert found == asked
+
+
+def test_beside_a_wall_of_more_heights_than_are_looked_at_a_cell_has_those_of_its_side() -> None:
+    about = np.zeros((20, 40), dtype=np.float32)
+    about[:, 20:] = 100.0
+    steps = steps_about(about)
+    assert len(steps) < 100
+    assert (steps.min(axis=0) <= about - 4).all()
+    assert (steps.max(axis=0) >= about + 3).all()
 
 
 def test_a_ring_holds_each_height_at_its_own_place() -> None:

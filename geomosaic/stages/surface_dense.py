@@ -34,7 +34,7 @@ class SurfaceDense(Stage):
     id = "surface.dense"
     display_name = "Match the surface"
     group = "Surface"
-    version = 7
+    version = 8
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
@@ -119,7 +119,7 @@ def _matched(
     frames: list[Frame],
     above: Any,
 ) -> Heights:
-    looks = [_Look(frame, int(s.reduction)) for frame, s in zip(frames, sighted, strict=True)]
+    looks = [_Look(frame, int(s.reduction), s.turn_rad) for frame, s in zip(frames, sighted, strict=True)]
     pictures = context.stored(f"pictures of {name}", _picture, looks)
     tasks = level.tasks(sighted, base, above)
     items = (
@@ -135,15 +135,16 @@ def _matched(
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame, and by how much its pixels are reduced."""
+    """A frame, by how much its pixels are reduced, and how it is turned."""
 
     frame: Frame
     reduction: int
+    turn_rad: float
 
 
 def _picture(look: _Look) -> Picture:
     pixels, valid = read_pixels(look.frame, look.reduction, luma=True)
-    return picture(grey(pixels, valid), valid)
+    return picture(grey(pixels, valid), valid, look.turn_rad)
 
 
 def _heights(base: GroundSurface, tile: _Tile) -> Heights:

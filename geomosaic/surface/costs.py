@@ -26,7 +26,7 @@ _MOST_BITS: Annotated[
         CHOSEN,
     ),
 ] = 14
-_AGREEING: Annotated[
+AGREEING: Annotated[
     int,
     Because(
         "frames",
@@ -36,7 +36,7 @@ _AGREEING: Annotated[
         "with one, errors on the ground are a third larger",
     ),
 ] = 2
-_CHANCE_BITS: Annotated[
+CHANCE_BITS: Annotated[
     int,
     Because("bits", "that differ by chance", "half of the census's"),
 ] = 12
@@ -66,10 +66,10 @@ _NONE: Final = np.uint8(255)
 def _cost_of(frames: int, bits: int) -> int:
     if not frames:
         return UNSEEN_COST
-    return round(PER_BIT * (bits + _CHANCE_FRAMES * _CHANCE_BITS) / (frames + _CHANCE_FRAMES))
+    return round(PER_BIT * (bits + _CHANCE_FRAMES * CHANCE_BITS) / (frames + _CHANCE_FRAMES))
 
 
-_PER_FRAME: Final = _AGREEING * _MOST_BITS + 1
+_PER_FRAME: Final = AGREEING * _MOST_BITS + 1
 _COSTS: Final = np.array([_cost_of(*divmod(i, _PER_FRAME)) for i in range(256)], dtype=np.uint8)
 """By how many frames agree, times `_PER_FRAME`, and by how many bits they differ together."""
 _AT_ONCE: Annotated[
@@ -103,7 +103,7 @@ def census_costs(
             bent = verticals.bent(height_m)
             found = []
             for k in frames:
-                bits = _at(seen[k], *verticals.places(k, bent, at))
+                bits = sampled(seen[k], *verticals.places(k, bent, at))
                 if k in hidden_below_m:
                     bits[height_m < hidden_below_m[k][at]] = NOT_SEEN
                 found.append(bits)
@@ -120,12 +120,12 @@ def _cost(found: Sequence[Bits]) -> Bytes:
             break
         np.copyto(first, bits, where=lacking)
         of_first[lacking] = k
-    best = [np.full(first.shape, _NONE, dtype=np.uint8) for _ in range(_AGREEING)]
+    best = [np.full(first.shape, _NONE, dtype=np.uint8) for _ in range(AGREEING)]
     for k, bits in enumerate(found):
         differing = np.minimum(np.bitwise_count(bits ^ first), np.uint8(_MOST_BITS))
         differing[(bits >= NOT_SEEN) | (of_first == k)] = _NONE
         for rank, least in enumerate(best):
-            worse = np.maximum(differing, least) if rank + 1 < _AGREEING else differing
+            worse = np.maximum(differing, least) if rank + 1 < AGREEING else differing
             np.minimum(differing, least, out=least)
             differing = worse
     which = np.zeros(first.shape, dtype=np.uint8)
@@ -136,7 +136,7 @@ def _cost(found: Sequence[Bits]) -> Bytes:
     return costs.reshape(first.shape)
 
 
-def _at(view: Bits, cols: Floats32, rows: Floats32) -> Bits:
+def sampled(view: Bits, cols: Floats32, rows: Floats32) -> Bits:
     """The nearest pixels' census; floats are moved as they are."""
     flat = cols.reshape(-1, cols.shape[-1]), rows.reshape(-1, cols.shape[-1])
     border = cv2.BORDER_CONSTANT

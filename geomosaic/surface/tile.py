@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.aggregation import aggregated, cheapest, distinctness, ring
+from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import Bits, census
 from geomosaic.surface.costs import census_costs
@@ -23,6 +24,7 @@ from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
+Steps = NDArray[np.int16]
 MARGIN_CELLS: Annotated[
     int,
     Because(
@@ -82,6 +84,23 @@ _FRAMES: Annotated[
         "computed of a simulated town: edges of walls off by more than 1 m 26 % with five, 28 % with seven",
     ),
 ] = 5
+_CANDIDATES: Annotated[
+    int,
+    Because(
+        "frames",
+        "of which those are asked that agree: with fewer, those of one group may not be among them",
+        CHOSEN,
+    ),
+] = 8
+_AGREED_HEIGHTS: Annotated[
+    int,
+    Because(
+        "heights",
+        "about the level above's at which frames are asked whether they agree: it is good to half of its "
+        "cells, which are two",
+        CHOSEN,
+    ),
+] = 5
 
 
 @dataclass(frozen=True)
@@ -92,9 +111,9 @@ class Picture:
     census: Bits
 
 
-def picture(grey: Bytes, valid: Bytes | None) -> Picture:
-    """valid (rows, cols): 0 where a pixel is not, None where all are."""
-    return Picture(grey, census(grey, valid))
+def picture(grey: Bytes, valid: Bytes | None, turn_rad: float) -> Picture:
+    """valid (rows, cols): 0 where a pixel is not, None where all are; turn_rad: see `census`."""
+    return Picture(grey, census(grey, valid, turn_rad))
 
 
 @dataclass(frozen=True)
@@ -135,13 +154,20 @@ def matched(
 ) -> Heights:
     """Heights of cells, by the frames that see them, two at least."""
     verticals = Verticals(search.cells, base, frames, search.lowest_m, search.highest_m)
-    steps = _steps(search, verticals.base_m)
-    asked: Asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _FRAMES)
+    seen = [p.census for p in pictures]
+    asked: Asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _CANDIDATES)
     hidden: dict[int, Floats32] = {}
-    if search.about_m is not None:
+    if search.about_m is None:
+        steps = _all_steps(search, verticals.base_m.shape)
+        asked = agreeing(verticals, seen, steps, search.step_m, asked, _FRAMES)
+    else:
         about_m = search.about_m - verticals.base_m
+        about = np.asarray(about_m / np.float32(search.step_m), dtype=np.float32)
+        steps = steps_about(about)
+        near = ring(np.round(about).astype(np.int16) - np.int16(_AGREED_HEIGHTS // 2), _AGREED_HEIGHTS)
+        asked = agreeing(verticals, seen, near, search.step_m, asked, _FRAMES)
         hidden = hidden_from(verticals, asked, about_m, search.cells.cell_m)
-    costs = census_costs(verticals, [p.census for p in pictures], steps, search.step_m, asked, hidden)
+    costs = census_costs(verticals, seen, steps, search.step_m, asked, hidden)
     total = aggregated(costs, steps)
     height_m = _smoothed(cheapest(total, steps) * np.float32(search.step_m))
     inner = slice(MARGIN_CELLS, -MARGIN_CELLS), slice(MARGIN_CELLS, -MARGIN_CELLS)
@@ -170,19 +196,23 @@ def _within(asked: Asked, margin: int, cells: Cells) -> Asked:
     return found
 
 
-def _steps(search: Search, base_m: Floats32) -> NDArray[np.int16]:
-    """(heights, rows, cols) that are looked at."""
-    if search.about_m is None:
-        ends = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
-        found = np.arange(*ends, dtype=np.int16)
-        return np.broadcast_to(found[:, None, None], (len(found), *base_m.shape))
-    about = (search.about_m - base_m) / np.float32(search.step_m)
+def _all_steps(search: Search, shape: tuple[int, ...]) -> Steps:
+    """(heights, rows, cols) that are looked at where nothing is known."""
+    ends = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
+    found = np.arange(*ends, dtype=np.int16)
+    return np.broadcast_to(found[:, None, None], (len(found), *shape))
+
+
+def steps_about(about: Floats32) -> Steps:
+    """(heights, rows, cols) that are looked at, from the lowest to the highest (in steps over the base) of
+    the level above around a cell, and past them; where that is too much, about the cell's own."""
     window = np.ones((_ABOUT_CELLS, _ABOUT_CELLS), dtype=np.uint8)
     highest, lowest = cv2.dilate(about, window), cv2.erode(about, window)
     apart = float(np.quantile(highest - lowest, _WALLS_SHARE)) + _PAST_HEIGHTS
     count = 2 * round(min(max(apart, _NEAR_HEIGHTS), _MOST_HEIGHTS) / 2.0)
-    middle = np.round((highest + lowest) / 2.0).astype(np.int16)
-    return ring(middle - np.int16(count // 2), count)
+    middle, to_end = (highest + lowest) / 2.0, np.float32(count - _PAST_HEIGHTS) / 2.0
+    own = about.clip(np.minimum(lowest + to_end, middle), np.maximum(highest - to_end, middle))
+    return ring(np.round(own).astype(np.int16) - np.int16(count // 2), count)
 
 
 def _smoothed(height_m: Floats32) -> Floats32:

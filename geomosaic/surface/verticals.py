@@ -57,6 +57,12 @@ class Sighted:
     camera: Camera
     reduction: float
 
+    @property
+    def turn_rad(self) -> float:
+        """From east to the right side of the image, to the north."""
+        east, north = self.pose.rotation.matrix[:2, :2]
+        return float(np.arctan2(north[0] - east[1], east[0] + north[1]))
+
 
 class Verticals:
     """Verticals through a tile's cells, and where each of some frames sees their points."""

@@ -1,0 +1,92 @@
+"""Which of the frames that see a place show the same there: some lie a few pixels off the others.
+
+Where an adjustment leaves frames in groups, each right within itself, one of a small group is like hardly
+any other at any height; if all are compared with it, level land becomes noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.surface.census import NOT_SEEN, Bits
+from geomosaic.surface.costs import AGREEING, CHANCE_BITS, sampled
+from geomosaic.surface.verticals import Block, Verticals
+from geomosaic.surface.visibility import Asked
+
+Floats = NDArray[np.float64]
+Steps = NDArray[np.int16]
+_EVERY_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "of a square between those in which frames are compared: every one takes nine times as long",
+        CHOSEN,
+    ),
+] = 3
+_MARGIN_BITS: Annotated[
+    float,
+    Because(
+        "bits",
+        "by which the frame that agrees best may agree better than the steepest that still comes first: a "
+        "steep one sees more beside walls; frames 3 px off agree worse by 2 to 4",
+        CHOSEN,
+    ),
+] = 0.5
+_LEAST_SHARE: Annotated[
+    float,
+    Because(
+        "share",
+        "of the likeness of the frame most like the first that others need, to be asked before those less "
+        "like it",
+        CHOSEN,
+    ),
+] = 0.5
+
+
+def agreeing(
+    verticals: Verticals, seen: Sequence[Bits], steps: Steps, step_m: float, asked: Asked, most: int
+) -> list[tuple[Block, tuple[int, ...]]]:
+    """Of the frames that are asked in each block, the first that agrees with others, then those that agree
+    with it, then the rest; otherwise in their order, so many at most.
+
+    Args: seen: censuses of the verticals' frames. steps (heights, rows, cols): heights over the base in steps
+    of step_m, among which the right one is.
+    """
+    found = []
+    for at, frames in asked:
+        if len(frames) > AGREEING:
+            frames = _in_order(frames, _likeness(verticals, seen, steps, step_m, at, frames))
+        found.append((at, tuple(frames[:most])))
+    return found
+
+
+def _in_order(frames: Sequence[int], likeness: Floats) -> list[int]:
+    of_each = np.sort(likeness, axis=1)[:, -AGREEING:].mean(axis=1)
+    first = int(np.argmax(of_each >= of_each.max() - _MARGIN_BITS))
+    others = likeness[first] < _LEAST_SHARE * likeness[first].max()
+    return [frames[k] for k in sorted(range(len(frames)), key=lambda k: (k != first, others[k]))]
+
+
+def _likeness(
+    verticals: Verticals, seen: Sequence[Bits], steps: Steps, step_m: float, at: Block, frames: Sequence[int]
+) -> Floats:
+    """By how many bits fewer than by chance each two frames (frames, frames) differ over a block, at the
+    height at which they differ least; 0 on the diagonal."""
+    rows, cols = (slice(s.start, s.stop, _EVERY_CELLS) for s in at)
+    bent = verticals.bent(steps[:, rows, cols].astype(np.float32) * np.float32(step_m))
+    shape = len(frames), len(bent), -1
+    bits = np.stack([sampled(seen[k], *verticals.places(k, bent, (rows, cols))) for k in frames]).reshape(
+        shape
+    )
+    lacking = bits >= NOT_SEEN
+    found = np.zeros((len(frames), len(frames)))
+    for k in range(len(frames) - 1):
+        differing = np.bitwise_count(bits[k] ^ bits[k + 1 :])
+        differing[lacking[k] | lacking[k + 1 :]] = CHANCE_BITS
+        found[k, k + 1 :] = CHANCE_BITS - differing.mean(axis=2, dtype=np.float32).min(axis=1)
+    return np.asarray(found + found.T)
