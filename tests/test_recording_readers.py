@@ -6,15 +6,18 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from recording_scene import FRAMES, RECIPE, written
 
-from geomosaic.errors import FileError
-from geomosaic.recording import Recorder, read_recording
+from geomosaic.errors import FileError, OutputError
+from geomosaic.recording import Recorder, read_recording, viewer
 from geomosaic.recording.chips import Chip
 from geomosaic.recording.limits import RESIDUAL, badness
 from geomosaic.recording.list_view import frame_text, worst_frames
@@ -238,3 +241,30 @@ def test_of_many_frames_the_worst_have_large_thumbnails_and_the_others_small_one
                     assert shown is not None
                     sides.append(max(shown.shape))
     assert sorted(sides) == [160] * 99 + [256] * 200
+
+
+def test_a_screenshot_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine doesn't paint within Rerun's 15 s, which was a fault of the program."""
+    asked: list[str] = []
+    busy = [2]
+
+    class Client:
+        @staticmethod
+        def connect(url: str) -> Client:
+            return Client()
+
+        def get_state(self) -> None:
+            pass
+
+        def save_screenshot(self, path: str) -> None:
+            asked.append(path)
+            if len(asked) <= busy[0]:
+                raise TimeoutError("Deadline expired before operation could complete")
+
+    monkeypatch.setitem(sys.modules, "rerun.experimental", SimpleNamespace(ViewerClient=Client))
+    monkeypatch.setattr(viewer, "_viewer", lambda *_: nullcontext(SimpleNamespace(poll=lambda: None)))
+    viewer.screenshot(tmp_path / "a.rrd", tmp_path / "a.png", 0.0)
+    assert len(asked) == 3
+    busy[0] = 99
+    with pytest.raises(OutputError, match="no screenshot"):
+        viewer.screenshot(tmp_path / "a.rrd", tmp_path / "a.png", 0.0)
