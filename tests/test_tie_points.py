@@ -77,6 +77,19 @@ def test_other_texture_is_never_sure_and_a_flat_window_says_nothing() -> None:
     assert find(windows[:0], image(unit, 1), at[:0], shapes[:0]).image_px.shape == (0, 2)
 
 
+def test_windows_that_look_alike_by_less_than_four_fifths_are_not_sure() -> None:
+    """Noise of twice the contrast: four in ten settle, half a pixel off, and the likeness alone tells."""
+    dull = 128.0 + 0.4 * (image(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), 1) - 128.0)
+    noise = np.random.default_rng(9).normal(size=dull.shape)
+    at = np.random.default_rng(8).uniform(60.0, 340.0, (200, 2))
+    shapes, windows = np.broadcast_to(np.eye(2), (200, 2, 2)), templates(dull.astype(np.uint8), at)
+    little, much = (
+        find(windows, np.clip(dull + sd * noise, 0, 255).astype(np.uint8), at, shapes) for sd in (5.0, 40.0)
+    )
+    assert little.sure.mean() > 0.9 and much.sure.mean() < 0.02
+    assert np.median(np.abs(much.image_px - at)) < 0.6, "they are found all the same"
+
+
 def test_windows_that_lie_farther_than_four_pixels_are_not_sure() -> None:
     """On ground so smooth that they are led there from anywhere."""
     rough = np.random.default_rng(7).normal(size=(400, 420))
