@@ -78,7 +78,7 @@ def test_other_texture_is_never_sure_and_a_flat_window_says_nothing() -> None:
 
 
 def test_windows_that_look_alike_by_less_than_four_fifths_are_not_sure() -> None:
-    """Noise of twice the contrast: four in ten settle, half a pixel off, and the likeness alone tells."""
+    """Noise of nearly three times the contrast: four in ten settle, half a pixel off, and the likeness alone tells."""
     dull = 128.0 + 0.4 * (image(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), 1) - 128.0)
     noise = np.random.default_rng(9).normal(size=dull.shape)
     at = np.random.default_rng(8).uniform(60.0, 340.0, (200, 2))
