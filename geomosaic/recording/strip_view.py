@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.strip_figures import LIMIT_PX
@@ -13,6 +14,7 @@ from geomosaic.recording.reader import printable
 from geomosaic.recording.story import Story
 from geomosaic.recording.summary import largest_length
 
+Floats = NDArray[np.float64]
 LINE: Final = "line"
 STRIP_PLAN: Final = "/strip_plan"
 _INTERVAL_90 = 1.6449
@@ -68,8 +70,8 @@ def draw_strip_plan(story: Story, stream: Any) -> None:
     drawn = [metres.enu_from_geodetic(ring[:, 0], ring[:, 1], 0.0)[:, :2] * [1.0, -1.0] for _, ring in rings]
     colours = [(90, 170, 250) if k % 2 else (130, 200, 90) for k in range(len(drawn))]
     stream.log(f"{STRIP_PLAN}/outlines", rerun.LineStrips2D(drawn, colors=colours), static=True)
-    middles = [ring.mean(axis=0) for ring in drawn]
-    named = rerun.Points2D(middles, labels=[printable(n) for n, _ in rings], colors=colours, show_labels=True)
+    at = [_along(ring, (k + 1) / (len(drawn) + 1)) for k, ring in enumerate(drawn)]
+    named = rerun.Points2D(at, labels=[printable(n) for n, _ in rings], colors=colours, show_labels=True)
     stream.log(f"{STRIP_PLAN}/names", named, static=True)
 
 
@@ -107,3 +109,10 @@ def _last_left(recording: Recording) -> list[StripResidual]:
     """The latest of each pair of which anything was measured."""
     latest = {r.pair: r for r in recording.strip_residuals if np.isfinite(r.residual_px).any()}
     return [latest[pair] for pair in sorted(latest)]
+
+
+def _along(ring: Floats, share: float) -> Floats:
+    """The place (2,) at a share of a strip's length: names in the middles would lie on one another."""
+    along = ring[:, np.ptp(ring, axis=0).argmax()]
+    first, last = ring[along.argmin()], ring[along.argmax()]
+    return np.asarray(first + share * (last - first))
