@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from geomosaic.adjustment.residual_pattern import CELLS, ResidualPattern
-from geomosaic.quality.verdict import Verdict
+from geomosaic.quality.verdict import Evidence, Verdict
 from geomosaic.report.numbers import map_metres, short
 from geomosaic.report.page import Judged, markup
 from geomosaic.report.solved_plots import image_vectors
@@ -41,7 +41,7 @@ def verdict_section(survey: Survey, verdict: Verdict | None) -> VerdictSection:
     cause = f"{_sentence(verdict.cause)} " if verdict.cause else _GOOD * (verdict.grade == "good") + " "
     return VerdictSection(
         judged=Judged(verdict.grade, f"{cause}{_sentence(verdict.text)}", _sentence(verdict.mend)),
-        evidence=[(e.name, e.figure, e.grade, e.cause, e.mend) for e in verdict.evidence],
+        evidence=[_row(e) for e in verdict.evidence],
         seams=[
             (
                 names[seams.left[i]],
@@ -55,6 +55,11 @@ def verdict_section(survey: Survey, verdict: Verdict | None) -> VerdictSection:
         measured=f"{int(np.isfinite(length).sum())} of {len(length)}",
         patterns=[_pattern(survey, p) for p in verdict.patterns],
     )
+
+
+def _row(e: Evidence) -> tuple[str, str, str, str, str]:
+    """A warning that counts as evidence is named by its code, and is there or not: it has no figure."""
+    return e.name.replace("-", " "), e.figure if e.unit else "", e.grade, e.cause, e.mend
 
 
 def _sentence(words: str) -> str:
