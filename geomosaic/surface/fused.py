@@ -56,10 +56,10 @@ _DISTINCT_BITS: Annotated[
         "bits",
         "by which heights in and around a cell cost less than others, from which on they are kept even if no "
         "two frames look alike in small: crowns that wind moves",
-        "computed: waves of five simulated lakes reach 4.2 to 4.6; a real forest has 5.7, of which no frames "
-        "correlate by more than 0.3",
+        "computed: of the waves of six simulated lakes 95 in 100 cells stay below 4.25, all below 4.6; a "
+        "real forest has 5.2 to 5.7, of which no frames correlate by more than 0.3",
     ),
-] = 4.8
+] = 4.5
 _WITNESSES: Annotated[
     int,
     Because(
