@@ -59,6 +59,21 @@ def test_a_right_keypoint_goes_to_one_of_the_left_ones_that_look_the_same() -> N
         assert np.array_equal(twice[i], looks[j])
 
 
+@pytest.mark.parametrize(("nearer", "kept"), [(0.375, True), (0.425, False)])
+def test_lowes_ratio_is_one_of_distances(nearer: float, kept: bool) -> None:
+    """The nearest 0.375 or 0.425 away, the next one 0.5: three quarters pass where 0.8 is asked, 0.85 don't."""
+    one, two, three, other = np.eye(4, dtype=np.float32)
+
+    def aside(way: np.ndarray, distance: float) -> np.ndarray:
+        angle = 2.0 * np.arcsin(distance / 2.0)
+        return np.cos(angle) * one + np.sin(angle) * way
+
+    left = np.stack([one, other])
+    right = np.stack([aside(three, 0.5), aside(two, nearer)]).astype(np.float32)
+    i, j = mutual_nearest(left, right, 0.8)
+    assert ([0, 1] in np.column_stack([i, j]).tolist()) == kept
+
+
 @pytest.mark.parametrize("reduction", [2, 4])
 def test_a_reduced_image_gives_the_same_places(reduction: int) -> None:
     """Places are of the full frame: halving leaves no shift of half a reduced pixel or the like."""
