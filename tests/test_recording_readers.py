@@ -204,10 +204,15 @@ def test_names_on_the_plan_do_not_lie_on_one_another() -> None:
     far = np.zeros(1000)
     for k in (7, 8, 500):
         labels[k], far[k] = f"F{k:04d} 60 m", 12.0 + k
-    shown = names_apart(at, np.array([400.0, 250.0]), labels, far)
-    assert shown[0] == 500 and 8 in shown and 7 not in shown, "7 lies beside 8, which moved farther"
+    shown, places = names_apart(at, np.array([400.0, 250.0]), labels, far)
+    assert shown[0] == 500 and 8 in shown and 7 in shown, "7 lies beside 8, which moved farther: below it"
+    apart_pt = (places - at[shown]) * 2.4
+    assert apart_pt[shown.index(7)] == pytest.approx([0.0, 24.0])
+    assert np.delete(apart_pt, shown.index(7), axis=0) == pytest.approx(0.0, abs=1e-9)
     assert 50 < len(shown) < 400
-    boxes = np.array([[*(at[k] * 2.4), 7.5 * len(labels[k]), 24.0] for k in shown])
+    boxes = np.array(
+        [[*(place * 2.4), 7.5 * len(labels[k]), 24.0] for k, place in zip(shown, places, strict=True)]
+    )
     for i, (x, y, wide, high) in enumerate(boxes):
         across, down = np.abs(boxes[i + 1 :, :2] - [x, y]).T
         assert not ((across < (boxes[i + 1 :, 2] + wide) / 2.0) & (down < high)).any()

@@ -68,9 +68,9 @@ def draw_plan(story: Story, stream: Any) -> None:
     rings = [_drawn(ring) for what in ("placed", "adjusted") for _, ring in story.outlines.get(what, ())]
     every = np.concatenate([at, *rings])
     seen = every[np.isfinite(every).all(axis=1)]
-    shown = names_apart(at, np.ptp(seen, axis=0) if len(seen) else np.ones(2), labels, far_sd)
+    shown, named_at = names_apart(at, np.ptp(seen, axis=0) if len(seen) else np.ones(2), labels, far_sd)
     named = rerun.Points2D(
-        at[shown],
+        named_at,
         colors=colours[shown] // 2 + 128,
         radii=_ui(1.0),
         labels=[labels[k] for k in shown],
@@ -80,19 +80,27 @@ def draw_plan(story: Story, stream: Any) -> None:
     stream.log(f"{PLAN}/names", named, static=True)
 
 
-def names_apart(at: Floats, span_m: Floats, labels: list[str], far_sd: Floats) -> list[int]:
+def names_apart(at: Floats, span_m: Floats, labels: list[str], far_sd: Floats) -> tuple[list[int], Floats]:
     """Rows of those labels at (n, 2) that don't lie on one another where all of the plan, span_m (2,), is
-    seen: odd ones first, and of these the ones that moved farthest (n, in deviations)."""
-    at_pt = np.nan_to_num(at) * min(_ROOM / np.maximum(span_m, 1e-9))
+    seen, and their places: odd ones first, and of these the ones that moved farthest (n, in deviations).
+    For an odd one there may be room below or above."""
+    points_per_m = min(_ROOM / np.maximum(span_m, 1e-9))
+    at_pt = np.nan_to_num(at) * points_per_m
     wide = np.array([len(label) * _LETTER + _NAME_RIM for label in labels])
     odd = np.array([" " in label for label in labels])
     shown: list[int] = []
     moved = np.nan_to_num(far_sd) if len(far_sd) == len(labels) else np.zeros(len(labels))
     for k in np.lexsort((np.arange(len(labels)), -moved, ~odd)):
-        across, down = np.abs(at_pt[shown] - at_pt[k]).T
-        if not ((across < (wide[shown] + wide[k]) / 2.0) & (down < _NAME_HIGH)).any():
-            shown.append(int(k))
-    return shown
+        if not np.isfinite(at[k]).all():
+            continue
+        for rows in (0, 1, -1) if odd[k] else (0,):
+            place = at_pt[k] + [0.0, rows * _NAME_HIGH]
+            across, down = np.abs(at_pt[shown] - place).T
+            if not ((across < (wide[shown] + wide[k]) / 2.0) & (down < _NAME_HIGH)).any():
+                at_pt[k] = place
+                shown.append(int(k))
+                break
+    return shown, at_pt[shown] / points_per_m
 
 
 def _draw_pairs(story: Story, stream: Any, at: Floats, number: dict[str, int], thin: float) -> None:
