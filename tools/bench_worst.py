@@ -71,8 +71,10 @@ def judged(seed: int, dry: bool, varied: bool, out: Path) -> tuple[int, list[str
     named = [(f["code"], name) for f in said for name in f["frames"] if f["code"] != BARE]
     missed = [f"{c} {n}" for c, n in planted if not any(m == n and d in MEANS[c] for d, m in named)]
     false = [f"{c} {n}" for c, n in named if not any(m == n and c in MEANS[d] for d, m in planted)]
-    with rasterio.open(folder / "truth" / "cover.tif") as file:  # 1: water
-        share = float(np.mean(file.read(1) == 1))
+    cover, share = folder / "truth" / "cover.tif", 0.0
+    if cover.exists():
+        with rasterio.open(cover) as file:  # 1: water
+            share = float(np.mean(file.read(1) == 1))
     bare = any(f["code"] == BARE for f in said)
     if share >= WATER and not bare:
         missed.append(f"water, {100 * share:.0f} %")
