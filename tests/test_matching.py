@@ -74,6 +74,16 @@ def test_lowes_ratio_is_one_of_distances(nearer: float, kept: bool) -> None:
     assert ([0, 1] in np.column_stack([i, j]).tolist()) == kept
 
 
+def test_of_two_keypoints_that_like_the_same_one_the_nearer_is_tied() -> None:
+    """Whichever comes first; the other, whose nearest likes another better, is tied to nothing."""
+    one, far, near, other = np.eye(4, dtype=np.float32)
+    left = np.stack([one + 0.3 * far, one + 0.1 * near])
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    for order in ([0, 1], [1, 0]):
+        i, j = mutual_nearest(left[order], np.stack([one, other]), 0.8)
+        assert [order[k] for k in i] == [1] and j.tolist() == [0]
+
+
 @pytest.mark.parametrize("reduction", [2, 4])
 def test_a_reduced_image_gives_the_same_places(reduction: int) -> None:
     """Places are of the full frame: halving leaves no shift of half a reduced pixel or the like."""
