@@ -73,10 +73,11 @@ def test_residual_is_surveyed_minus_found() -> None:
     wrong = at + [0.3, -0.2, 0.5]
     seen = tuple(flown.seen(at))
     many = GroundControl("many", wrong, SD_M, True, seen)
+    loose = replace(many, name="loose", sd_m=np.array([0.5, 0.3, 0.8]))
     once = GroundControl("once", wrong, SD_M, True, seen[:1])
     behind = GroundControl("behind", wrong, SD_M, True, ())
-    block = replace(flown.block, poses=flown.truth, control=(many, once))
-    found = control_residuals(block, flown.truth, block.cameras, block.ground)
+    block = replace(flown.block, poses=flown.truth, control=(many, once, loose))
+    *found, badly_known = control_residuals(block, flown.truth, block.cameras, block.ground)
     assert [f.name for f in found] == ["many", "once"] and behind.observations == ()
     assert found[0].images == len(seen) > 3
     for f in found:
@@ -84,6 +85,7 @@ def test_residual_is_surveyed_minus_found() -> None:
     pixel = 0.5 * 0.1 / np.sqrt(len(seen))
     assert found[0].sd_m[0] == pytest.approx(np.hypot(pixel, 0.02), rel=0.3)
     assert found[1].sd_m[2] >= 0.5
+    assert badly_known.sd_m**2 - found[0].sd_m ** 2 == pytest.approx(loose.sd_m**2 - SD_M**2)
 
 
 @pytest.mark.parametrize(("relief", "seed", "blocks"), [(level, 0, 4), (hills, 10, 2)])
