@@ -56,9 +56,9 @@ def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path:
     planning = Planning(ownership, sources, seen, halo_px, REACH_PX)
     manner = Manner(BLENDS[blend], 3, "uint8")
     mixed = 0
-    for window in windows(grid, 256):
-        planned = planning.step(window)
+    for planned in planning.steps(windows(grid, 256)):
         step = planned.step
+        window = step.window
         mixed += len(step.parts) > 1
         numbers = [part.source.number for part in step.parts]
         gives = {n: exactly(whole[n], planned, of) for n, of in zip(numbers, planned.asked, strict=True)}
@@ -70,6 +70,8 @@ def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path:
         np.testing.assert_array_equal(found.source(), of_all.source())
         off = np.abs(found.pixels.astype(int) - of_all.pixels)
         assert off.max() <= 1 and np.count_nonzero(off) < 1e-5 * off.size, "halves, in another order of sums"
+        alone = next(planning.steps([window]))
+        assert alone.step == step and np.array_equal(alone.asked, planned.asked), "whatever else is planned"
     assert mixed > 5
 
 

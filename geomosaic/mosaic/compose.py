@@ -226,10 +226,9 @@ class _Walk:
         lying = dict(zip(sources, seen, strict=True))
         planning = Planning(self.ownership, sources, lying, halo_px, reach_px)
         plan, asking = [], Asking(lying)
-        for window in order:
+        for planned in planning.steps(order):
             if self.check_cancelled is not None:
                 self.check_cancelled()
-            planned = planning.step(window)
             asking.add(planned)
             plan.append(planned.step)
         return plan, asking.cells()

@@ -280,7 +280,7 @@ def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]
     """The frames that own any of a window or of the cells beside it, and in which of its planning cells each
     may own pixels, (k, h, w): those that meet its own cells or the ones beside them."""
     row, col, around = ownership.around(window)
-    owners = [n for n in np.unique(around).tolist() if n]
+    owners = [n for n in np.flatnonzero(np.bincount(around.ravel())).tolist() if n]
     side = ownership.cell_px
     first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
     first_col = window.col + np.arange(-(-window.width // CELL_PX)) * CELL_PX

@@ -8,6 +8,7 @@ and the collinearity equations itself, so neither tilt, distortion nor a rough D
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -132,26 +133,23 @@ def bare_window(
     height_px: int,
 ) -> GroundWindow:
     """The same without its relief: of flat ground all there is, else the ground's mean level there."""
-    u, v = np.meshgrid(np.linspace(-1.0, 1.0, _NODES), np.linspace(-1.0, 1.0, _NODES))
+    u, v, fit = _nodes()
     easting = west_m + (u + 1.0) / 2.0 * width_px * gsd_m
     northing = north_m - (v + 1.0) / 2.0 * height_px * gsd_m
     lonlat = MapProjection(crs).geodetic_from_map(easting, northing)
     lon, lat = lonlat[..., 0], lonlat[..., 1]
-    height = np.full(lon.shape, work_frame.height_ellipsoidal_m + float(ground.up_m.mean()))
+    level_m = work_frame.height_ellipsoidal_m + float(ground.up_m.mean())
+    base, above = work_frame.enu_from_geodetic(lon, lat, level_m + np.array([0.0, 1e3])[:, None, None])
+    vertical, rise = (above - base) / 1e3, np.zeros(lon.shape)
     for _ in range(_HEIGHT_ROUNDS):
-        enu = work_frame.enu_from_geodetic(lon, lat, height)
-        height += ground.up_at(enu[..., 0], enu[..., 1]) - enu[..., 2]
+        enu = base + rise[..., None] * vertical
+        rise += ground.up_at(enu[..., 0], enu[..., 1]) - enu[..., 2]
     if ground.kind != "flat":
-        height[:] = height.mean()
-    nodes = work_frame.enu_from_geodetic(lon, lat, height)
-    fit = np.linalg.lstsq(_terms(u, v).reshape(-1, 6), nodes.reshape(-1, 3), rcond=None)
-    polynomial = np.asarray(fit[0], dtype=np.float64)
+        rise[:] = rise.mean()
+    nodes = base + rise[..., None] * vertical
+    polynomial = np.asarray(fit @ nodes.reshape(-1, 3))
     middle = _NODES // 2
-    above = work_frame.enu_from_geodetic(
-        lon[middle, middle], lat[middle, middle], height[middle, middle] + 1e3
-    )
-    vertical = (above - nodes[middle, middle]) / 1e3
-    return GroundWindow(width_px, height_px, polynomial, vertical, None)
+    return GroundWindow(width_px, height_px, polynomial, vertical[middle, middle], None)
 
 
 class Sight:
@@ -286,8 +284,12 @@ def middles(n: int) -> Floats:
     return np.asarray((np.arange(n) + 0.5) * (2.0 / n) - 1.0, dtype=np.float64)
 
 
-def _terms(u: Floats, v: Floats) -> Floats:
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+@cache
+def _nodes() -> tuple[Floats, Floats, Floats]:
+    """u and v of the nodes where pyproj is asked, and the polynomial's terms (6, nodes) of values there."""
+    u, v = np.meshgrid(np.linspace(-1.0, 1.0, _NODES), np.linspace(-1.0, 1.0, _NODES))
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    return u, v, np.linalg.pinv(terms.reshape(-1, 6))
 
 
 def _surface(c: Floats, u: Floats, v: Floats, dtype: type[Any] = np.float64) -> NDArray[Any]:
