@@ -197,6 +197,22 @@ def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
     assert [e.figure for e in some.evidence if e.name == "surface unsure"] == ["7 %"]
 
 
+@pytest.mark.parametrize(("along", "sd_m"), [(1.0, 0.0), (-1.0, 0.4)])
+def test_a_frame_that_leans_back_as_it_moves_shows_the_same_ground(along: float, sd_m: float) -> None:
+    """2 mrad from 100 m are 0.2 m on the ground: to the west about north, to the north about east."""
+    east, north = np.array([0.2, 0.0, 0.0, 0.0, 2e-3, 0.0]), np.array([0.0, -0.2, 0.0, 2e-3, 0.0, 0.0])
+    east[:3], north[:3] = along * east[:3], along * north[:3]
+    block = outcome(pose_covariance=np.tile(np.outer(east, east) + np.outer(north, north), (5, 1, 1)))
+    verdict = verdict_of(block, NO_SEAMS, (), (range(5),), range(5), 100.0, NO_DOUBT)
+    assert verdict.absolute_sd_m == pytest.approx(sd_m, abs=1e-8)
+
+
+def test_at_a_limit_stands_the_better_grade() -> None:
+    limits = CRITERIA["image deviation"].good, CRITERIA["image deviation"].bad
+    for px, grades in zip(limits, (("good", "doubtful"), ("doubtful", "bad")), strict=True):
+        assert tuple(grade(outcome(figures={"sigma_px": v})) for v in (px, px * 1.001)) == grades
+
+
 def test_limits_grow_from_good_to_bad_and_have_reasons() -> None:
     assert all(c.good < c.bad and c.reason and c.mend for c in CRITERIA.values())
 
