@@ -167,6 +167,37 @@ def test_a_file_that_was_just_written_is_hashed_again(tmp_path: Path) -> None:
     assert FileHashes(memory).of_file(file) == first == fingerprint_of_bytes(b"one")
 
 
+@pytest.mark.parametrize("other", [None, 0, 1, 2, 3, 4], ids=str)
+def test_a_remembered_hash_counts_if_size_times_inode_and_device_are_as_they_were(
+    other: int | None, tmp_path: Path
+) -> None:
+    file, memory = tmp_path / "x", tmp_path / "hashes.json"
+    file.write_bytes(b"one")
+    status = file.stat()
+    mark = [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino, status.st_dev]
+    if other is not None:
+        mark[other] += 1
+    memory.write_text(json.dumps({str(file): [*mark, "remembered"]}))
+    found = FileHashes(memory).of_file(file)
+    assert found == ("remembered" if other is None else fingerprint_of_bytes(b"one"))
+
+
+def test_a_file_that_changes_while_it_is_hashed_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x"
+    file.write_bytes(b"one")
+    own = hashes.blake2b
+
+    def written_meanwhile(**options: int) -> object:
+        file.write_bytes(b"another")
+        return own(**options)
+
+    monkeypatch.setattr(hashes, "blake2b", written_meanwhile)
+    with pytest.raises(FileError, match="x: was changed while the run read it"):
+        FileHashes().of_file(file)
+
+
 def test_an_input_that_changes_during_the_run_is_named(tmp_path: Path) -> None:
     file = tmp_path / "x"
     file.write_bytes(b"one")
