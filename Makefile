@@ -24,7 +24,8 @@ demo: setup ## simulate a small survey and mosaic it; IMAGES=folder mosaics that
 	@if [ -n "$(IMAGES)" ]; then .venv/bin/geomosaic mosaic "$(IMAGES)" -o "$(OUT)"; \
 	else $(PY) tools/demo.py "$(OUT)"; fi
 
-test: setup lint types layers unit ## all checks and tests
+test: setup ## all checks and tests, two at a time: mypy takes one core while tests begin
+	$(MAKE) --no-print-directory -j2 lint types layers unit
 
 lint: setup ## ruff
 	.venv/bin/ruff check geomosaic tests tools examples
