@@ -56,10 +56,13 @@ def census(grey: Bytes, valid: Bytes | None = None, turn_rad: float = 0.0) -> Bi
     around = np.pad(grey, _REACH_PX, mode="reflect")
     halfway = {half: cv2.blur(around, tuple(1 + h for h in half), anchor=(0, 0)) for half in np.ndindex(2, 2)}
     found = np.zeros((rows, cols), dtype=np.uint32)
-    for bit, place in enumerate(_places(turn_rad)):
-        (col, row), half = _REACH_PX + place // 2, tuple(place % 2)
-        brighter = halfway[half][row : row + rows, col : col + cols] > grey
-        found |= brighter.astype(np.uint32) << np.uint32(bit)
+    for first, byte in enumerate(np.split(_places(turn_rad), BITS // 8)):
+        bits = np.zeros((rows, cols), dtype=np.uint8)
+        for bit, place in enumerate(byte):
+            (col, row), half = _REACH_PX + place // 2, tuple(place % 2)
+            brighter = cv2.compare(halfway[half][row : row + rows, col : col + cols], grey, cv2.CMP_GT)
+            bits |= np.asarray(brighter, dtype=np.uint8) & np.uint8(1 << bit)
+        found |= bits.astype(np.uint32) << np.uint32(8 * first)
     if valid is not None:
         found[valid == 0] = NOT_SEEN
     return found

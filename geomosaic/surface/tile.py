@@ -91,7 +91,7 @@ _CANDIDATES: Annotated[
         "of which those are asked that agree: with fewer, those of one group may not be among them",
         CHOSEN,
     ),
-] = 8
+] = 6
 _AGREED_HEIGHTS: Annotated[
     int,
     Because(
