@@ -62,7 +62,9 @@ class Team:
     def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
         argv = [sys.executable, "-m", "dask", what, "--scheduler-file", str(self._file), *words]
         with (self.folder / "dask.log").open("ab") as log:
-            environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+            environment = os.environ | {
+                "PYTHONPATH": os.pathsep.join(sys.path), "DASK_TEMPORARY_DIRECTORY": str(self.folder)
+            }  # fmt: skip
             return subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
 
 

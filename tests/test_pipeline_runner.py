@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_pipeline_toy import Numbers, recipe_file, registry
+from test_pipeline_toy import Numbers, PowerNumbers, recipe_file, registry
 
 from geomosaic.errors import (
     CancelledError,
@@ -120,6 +120,15 @@ def test_a_second_run_takes_everything_from_the_cache(toys: Toys) -> None:
     assert second["cached_stages"] == ["toy.read", "toy.power", "toy.sum", "toy.write"]
     for key in ("warnings", "metrics", "frames", "artefacts", "recipe", "inputs"):
         assert second[key] == first[key]
+
+
+def test_a_stage_of_a_higher_version_is_redone(toys: Toys, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its items; what takes the same results from it isn't."""
+    toys.run()
+    toys.done()
+    monkeypatch.setattr(PowerNumbers, "version", PowerNumbers.version + 1)
+    toys.run()
+    assert toys.done() == ["power", "item 1", "item 2", "item 3", "item 4", "tell"]
 
 
 def edit_numbers(toys: Toys) -> None:
@@ -446,11 +455,13 @@ def test_a_worker_that_dies_is_an_error_and_the_rest_is_kept(toys: Toys) -> None
 
 
 def test_the_work_is_the_same_wherever_it_is_done(toys: Toys) -> None:
-    distributed = pytest.importorskip("distributed")
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
     totals = []
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp", dashboard_address=None
-    ) as cluster:
+    one = {"n_workers": 1, "threads_per_worker": 2, "processes": False}
+    with (
+        dask.config.set({"temporary-directory": str(toys.folder)}),
+        distributed.LocalCluster(**one, protocol="tcp", dashboard_address="127.0.0.1:0") as cluster,
+    ):
         manners: dict[str, Any] = {"one": {}, "two": {"workers": 2}}
         manners["dask"] = {"dask": cluster.scheduler_address}
         for name, options in manners.items():
