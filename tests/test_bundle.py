@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -195,6 +195,12 @@ def test_log_undoes_exp_up_to_half_a_turn(share: float, axis: tuple[float, float
     assert exp_turn(found) == pytest.approx(exp_turn(vector), abs=1e-7)
 
 
+@cache
+def _solved(seed: int, relief=level) -> Adjusted:  # type: ignore[no-untyped-def]
+    """A block that more than one test looks at; not to be changed."""
+    return METHODS["bundle"](fly(seed, relief=relief).block, Settings())
+
+
 def _scale(adjusted: Adjusted, truth: Poses) -> float:
     """Size of the adjusted block over its true size."""
     found, true = (p - p.mean(axis=0) for p in (adjusted.poses.positions_m[:, :2], truth.positions_m[:, :2]))
@@ -218,17 +224,14 @@ def test_a_known_readout_leaves_steps_whole() -> None:
 @pytest.mark.parametrize("relief", [level, hills])
 def test_ground_does_not_shrink_a_block(relief) -> None:  # type: ignore[no-untyped-def]
     """The positions hold the scale: 1.5 m over a block of 18 frames is 0.8 %, in the mean of 4 less."""
-    scales = []
-    for seed in range(4):
-        flown = fly(seed, relief=relief)
-        scales.append(_scale(METHODS["bundle"](flown.block, Settings()), flown.truth))
+    scales = [_scale(_solved(seed, relief), fly(seed, relief=relief).truth) for seed in range(4)]
     assert np.mean(scales) == pytest.approx(1.0, abs=0.012)
 
 
 def test_image_noise_is_found_as_it_was_made() -> None:
     """0.3 px; Cauchy weights make it some 8 % less. A weak surface under the points must not count as
     if it measured each of them."""
-    sigmas = [METHODS["bundle"](fly(s, relief=hills).block, Settings()).figures["sigma_px"] for s in range(3)]
+    sigmas = [_solved(seed, hills).figures["sigma_px"] for seed in range(3)]
     assert np.mean(sigmas) == pytest.approx(0.285, abs=0.012)
 
 
