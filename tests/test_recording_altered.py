@@ -131,6 +131,13 @@ def test_a_lens_of_no_known_kind_is_no_artefact() -> None:
             decode(retold(data, b'"brown"', kind), Camera)
 
 
+def test_an_array_of_an_endless_number_is_no_artefact() -> None:
+    data = encode((np.arange(3), 1.5))
+    for old, new in ((b'"array":0', b'"array":Infinity'), (b'"array":0', b'"array":1e400')):
+        with pytest.raises(FileError, match="no whole artefact"):
+            decode(retold(data, old, new), tuple)
+
+
 def retold(data: bytes, old: bytes, new: bytes) -> bytes:
     """An artefact with other words in its tree."""
     out = io.BytesIO()

@@ -33,7 +33,7 @@ from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_o
 T = TypeVar("T")
 
 _NOT_WHOLE = (
-    *(ValueError, KeyError, TypeError, IndexError, AttributeError),
+    *(ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError),
     *(zipfile.BadZipFile, EOFError, RuntimeError, MemoryError),  # RuntimeError: encrypted, a later version
     *(SyntaxError, tokenize.TokenError),  # of an array's header, which numpy reads as a Python literal
 )
