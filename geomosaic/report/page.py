@@ -96,8 +96,8 @@ def _time_taken(summary: Mapping[str, Any]) -> list[Fact]:
     timings, memory = summary.get("timings_s", {}), summary.get("peak_memory_mb")
     if not timings:
         return []
-    note = f"peak memory {numbers.short(memory, 'MB')}" if memory else ""
-    return [("time taken", numbers.duration(sum(map(float, timings.values()))), note)]
+    note = f", peak memory {numbers.short(memory, 'MB')}" if memory else ""
+    return [("time taken", numbers.duration(sum(map(float, timings.values()))), f"without this page{note}")]
 
 
 @dataclass(frozen=True)
