@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -279,7 +280,7 @@ def tell(trials: list[Trial], seed: int, seconds: float, out: Path, own_disk: bo
     rows = []
     for name in ("frames", "flight", "strips", "all"):
         those = [t for t in trials if name in (t.what, "all")]
-        blows = Counter(b.split(" at ")[0].split(":")[0].split(" ->")[0] for t in those for b in t.blows)
+        blows = Counter(re.split(r" at |:| ->| \(", b)[0] for t in those for b in t.blows)
         bad = Counter(p for t in those for p in set(t.problems))
         row = {
             "runs of": name, "trials": len(those), "blows": sum(blows.values()),
