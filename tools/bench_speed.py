@@ -49,7 +49,7 @@ HEIGHT_M, ACROSS_M = 100.0, 100.0
 """Of simulated flights above the ground, and what a frame shows from side to side."""
 
 
-JUDGE_CACHE_MB = 256
+JUDGE_CACHE_BYTES = 256 << 20
 """Of rasters that are judged: GDAL takes a twentieth of the memory by itself."""
 
 
@@ -256,7 +256,7 @@ def main() -> int:
     if asked.only != "real":
         flights.append(simulated(out, asked.frames, asked.width_px, asked.seed))
     results, good = {}, True
-    with rasterio.Env(GDAL_CACHEMAX=JUDGE_CACHE_MB):
+    with rasterio.Env(GDAL_CACHEMAX=JUDGE_CACHE_BYTES):
         for flight in flights:
             results[flight.name], reached = bench(flight, out / "peers", asked)
             good &= reached
