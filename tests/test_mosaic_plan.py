@@ -19,7 +19,7 @@ from geomosaic.mosaic.ownership import Ownership, nearest_nadir, owned_cells
 from geomosaic.mosaic.plan import Planned, Planning, windows
 from geomosaic.mosaic.scene import CELL_PX, Scene
 from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
-from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.views import FrameView, frame_views
 from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
 
 GSD_M, REACH_PX, OWNER_CELL_PX = 0.06, 60.0, 8
@@ -116,3 +116,18 @@ def test_the_owners_of_a_window_are_those_of_its_cells_and_of_the_ones_beside_th
                 cols = np.arange(left // cell_px - 1, (left + CELL_PX - 1) // cell_px + 2).clip(0, 39)
                 beside = bool((owner[np.ix_(rows, cols)] == frame + 1).any())
                 assert beside == (frame in found and bool(found[frame][i, j])), (window, frame, i, j)
+
+
+def test_where_no_owner_sees_the_ground_the_nearer_nadir_point_gives_it() -> None:
+    """Less than any share of an owner's: of two frames below which pixels 10 and 50 lie, up to 30 the first."""
+    grid = OutputGrid("EPSG:32632", 5e5, 5e6, 1.0, 64, 8)
+    nobody = Ownership(grid, np.ones(2, dtype=bool), OWNER_CELL_PX, np.zeros((1, 8), np.int32))
+    window, every = Window(0, 0, 64, 8), (slice(0, 8), slice(0, 64))
+    share = [
+        FrameSource(
+            grid, nobody, FrameView(i, None, CAMERA, np.array([5e5 + at, 5e6 - 4.0]), None, 1.0)
+        ).share(window, *every)
+        for i, at in enumerate((10.0, 50.0))
+    ]
+    assert np.array_equal(share[0] > share[1], np.broadcast_to(np.arange(64) < 30, (8, 64)))
+    assert max(np.abs(s).max() for s in share) < 1e-4
