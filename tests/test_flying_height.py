@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from small_surveys import mosaic, small_survey, summary, warned
 
+from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.stage import Context
@@ -27,7 +28,8 @@ def _survey(heights: list[float | None]) -> Survey:
         )
         for i, (y, h) in enumerate(zip(lat, heights, strict=True))
     )  # fmt: skip
-    return Survey(frames, (), LocalFrame(11.0, 48.0, 0.0), "EPSG:32632")
+    camera = Camera("camera", 640, 480, 600.0, 320.0, 240.0)
+    return Survey(frames, (camera,), LocalFrame(11.0, 48.0, 0.0), "EPSG:32632")
 
 
 def test_neighbours_are_apart() -> None:

@@ -24,6 +24,7 @@ from geomosaic.errors import FileError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name, write
 from geomosaic.pipeline.context import RunFile
+from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -66,18 +67,32 @@ def test_arrays_come_back_with_type_shape_and_bytes(array: NDArray[Any]) -> None
     assert back.flags.writeable
 
 
-def test_a_survey_comes_back_equal() -> None:
+def a_survey() -> Survey:
     frame = Frame(
         "a b.jpg", "/x/a b.jpg", 4000, 3000, 3, "uint8", "cam",
         Position(7.125, 51.5, None, 80.25, 1.5, 1.25, 3.0, "exif"),
         Attitude(12.5, None, -0.25, 3.0, 0.5, "xmp"), time_s=1700000000.125,
     )  # fmt: skip
     camera = Camera("cam", 4000, 3000, 3666.5, 2000.25, 1499.75, k1=-0.1, focal_length_sd_px=math.inf)
-    survey = Survey((frame,), (camera,), LocalFrame(7.0, 51.0, 60.0), "EPSG:32632")
+    return Survey((frame,), (camera,), LocalFrame(7.0, 51.0, 60.0), "EPSG:32632")
+
+
+def test_a_survey_comes_back_equal() -> None:
+    survey = a_survey()
     back = decode(encode(survey), Survey)
     assert back == survey
     assert isinstance(back.frames[0].position, Position)
     assert content_of(back) == content_of(survey)
+
+
+def test_what_its_constructor_refuses_is_no_artefact() -> None:
+    endless = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((2, 2)))
+    object.__setattr__(endless, "up_m", np.array([[0.0, -np.inf], [0.0, 0.0]]))
+    blind = a_survey()
+    object.__setattr__(blind, "cameras", ())
+    for broken in (endless, blind):
+        with pytest.raises(FileError, match="no whole artefact"):
+            decode(encode(broken), type(broken))
 
 
 def test_equal_content_has_one_fingerprint_forever() -> None:

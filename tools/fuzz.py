@@ -1,7 +1,8 @@
 """Spoils files of every kind and gives them to geomosaic: nothing may fall, hang, grow or reach out.
 
 Each case is made of the seed, its kind and its number alone: `--seed S --only KIND --case I` makes it again.
-Failures stay in OUT/failures with their input and command; OUT/fuzz.json and OUT/fuzz.md hold the counts.
+Failures stay in OUT/failures with their input and command; OUT/fuzz.json and OUT/fuzz.md hold the counts, of
+what was done where Ctrl-C ended it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -121,18 +123,17 @@ def main(argv: list[str] | None = None) -> int:
         started = time.monotonic()
         trials.prepare()
         todo = plan(asked.cases, asked.only) if asked.case is None else [(asked.only, asked.case)]
-        for name, number in todo:
-            case = trials.case(KINDS[name], number)
-            cases.append(case)
-            failed = FAILURES & set(case.problems)
-            if failed or case.grade == "gross" or asked.case is not None:
-                trials.keep(case)
-                print(
-                    f"{case.kind} {case.number}: {', '.join((*case.problems, case.grade))}: {case.done[:90]}",
-                    flush=True,
-                )
-            if asked.minutes is not None and time.monotonic() - started > 60 * asked.minutes:
-                break
+        with suppress(KeyboardInterrupt):
+            for name, number in todo:
+                case = trials.case(KINDS[name], number)
+                cases.append(case)
+                failed = FAILURES & set(case.problems)
+                if failed or case.grade == "gross" or asked.case is not None:
+                    trials.keep(case)
+                    what = ", ".join((*case.problems, case.grade))
+                    print(f"{case.kind} {case.number}: {what}: {case.done[:90]}", flush=True)
+                if asked.minutes is not None and time.monotonic() - started > 60 * asked.minutes:
+                    break
         tell(cases, asked.seed, out, time.monotonic() - started, trials.box.closed)
     return int(any(FAILURES & set(case.problems) for case in cases))
 

@@ -38,7 +38,8 @@ _CHANGES = {
 }  # fmt: skip
 """Python's audit events by which files change: where the path and its folder's descriptor stand."""
 
-_HARMLESS = {"uname", sys.executable}  # what `platform` asks; gdal2tiles, which is this Python
+_HARMLESS = {"uname", "geomosaic.errors"}
+"""What `platform` asks; the program's own errors, which the executor pickles to see whether they can be."""
 
 Snapshot = dict[str, tuple[object, ...]]
 

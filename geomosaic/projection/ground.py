@@ -84,6 +84,11 @@ class GroundSurface:
     up_m: Grid
     sd_m: Grid | None = None
 
+    def __post_init__(self) -> None:
+        """Raises ValueError for endless heights; NaN is a height that isn't known."""
+        if np.isinf(self.up_m).any():
+            raise ValueError("endless heights of the ground")
+
     @property
     def has_walls(self) -> bool:
         """Whether it shows what stands on the ground, so that one place hides another."""

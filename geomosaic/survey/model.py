@@ -159,6 +159,11 @@ class Survey:
     band: str = ""
     other_bands: tuple[Band, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raises ValueError where a frame's camera is none of these."""
+        if not {f.camera for f in self.frames} <= {c.name for c in self.cameras}:
+            raise ValueError("frames of no known camera")
+
     @property
     def located(self) -> tuple[bool, ...]:
         """Which frames have a position that was observed."""
