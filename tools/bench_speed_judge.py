@@ -113,7 +113,10 @@ def against_truth(
 
 
 def placed(image: Path, reference: Path, to: Path) -> Path | None:
-    """An image that lies nowhere, laid onto a georeferenced raster by keypoints; None where they disagree."""
+    """An image that lies nowhere, its fourth band its mask, laid onto a georeferenced raster by keypoints.
+
+    None where they disagree.
+    """
     (small, scale), (other, other_scale) = _small(image), _small(reference)
     sift, matcher = cv2.SIFT_create(20_000), cv2.BFMatcher()
     (a, of_a), (b, of_b) = (sift.detectAndCompute(i, None) for i in (small, other))
@@ -132,7 +135,7 @@ def placed(image: Path, reference: Path, to: Path) -> Path | None:
     with rasterio.open(reference) as tiff:
         crs, transform = tiff.crs.to_wkt(), tiff.transform
     onto = transform @ Affine.scale(1.0 / other_scale) @ Affine(*found.ravel()) @ Affine.scale(scale)
-    vrt = gdal.Translate(str(to), str(image), format="VRT")
+    vrt = gdal.Translate(str(to), str(image), format="VRT", options="-colorinterp red,green,blue,alpha")
     vrt.SetProjection(crs)
     vrt.SetGeoTransform(onto.to_gdal())
     return to
