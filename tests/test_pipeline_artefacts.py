@@ -95,6 +95,13 @@ def test_what_its_constructor_refuses_is_no_artefact() -> None:
             decode(encode(broken), type(broken))
 
 
+def test_a_whole_number_longer_than_any_array_has_is_no_figure() -> None:
+    survey = a_survey()
+    object.__setattr__(survey.frames[0].attitude, "roll_deg", 10**39)
+    with pytest.raises(FileError, match="holds what"):
+        decode(encode(survey), Survey)
+
+
 def test_equal_content_has_one_fingerprint_forever() -> None:
     assert content_of((1, 2.5, "ö", None, np.array([[1, 2], [3, 4]], np.int16))) == (PINNED, {"ö"})
     column = np.asfortranarray(np.array([[1, 2], [3, 4]], np.int16))

@@ -23,7 +23,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from hashlib import blake2b
 from pathlib import Path
-from typing import IO, Any, BinaryIO, TypeVar
+from typing import IO, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_o
 
 T = TypeVar("T")
 
+_WORD_BITS: Final = 64
+"""Of whole numbers: arrays have none that are longer."""
 _NOT_WHOLE = (
     *(ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError),
     *(zipfile.BadZipFile, EOFError, RuntimeError, MemoryError),  # RuntimeError: encrypted, a later version
@@ -223,10 +225,10 @@ def _fits(value: Any, annotation: Any) -> bool:
         return (inside[-1:] == (...,) or len(value) == len(inside)) and all(map(_fits, value, each))
     if origin is dict and isinstance(value, dict):
         return all(_fits(k, inside[0]) and _fits(v, inside[1]) for k, v in value.items())
+    if isinstance(value, int) and annotation in (int, float):
+        return not isinstance(value, bool) and value.bit_length() <= _WORD_BITS
     if annotation is float:
-        return isinstance(value, float | int) and not isinstance(value, bool)
-    if annotation is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+        return isinstance(value, float)
     kind = origin or annotation
     if not isinstance(kind, type) or kind is object:
         return True
