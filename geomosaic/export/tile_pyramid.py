@@ -142,7 +142,7 @@ def write_pyramid(pyramid: Pyramid, threads: int, progress: Progress | None) -> 
 def halved(pixels: Pixels) -> Pixels:
     """Means of 2 x 2 pixels (rows, cols, 4), each counted by its opacity, the last band."""
     size = pixels.shape[1] // 2, pixels.shape[0] // 2
-    if pixels[..., 3].all() and pixels[..., 3].min() == 255:
+    if pixels[..., 3].min() == 255:
         return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
     opacity = pixels[..., 3:].astype(np.float32)
     weighed = cv2.resize(pixels[..., :3] * opacity, size, interpolation=cv2.INTER_AREA)
