@@ -22,8 +22,8 @@ PARENT = "from geomosaic.cli.memory import keep_freed_memory; keep_freed_memory(
 CHILD = "import subprocess, sys; subprocess.run([sys.executable, '-c', sys.argv[1]], check=True)"
 
 
-def faults(code: str, *words: str, **said: str) -> int:
-    """Pages that the system gave while arrays were made for the third time."""
+def figure(code: str, *words: str, **said: str) -> int:
+    """What a program prints: of `FAULTS`, pages that the system gave while arrays were made for the third time."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MALLOC_")} | said
     command = [sys.executable, "-c", code, *words]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
@@ -31,11 +31,20 @@ def faults(code: str, *words: str, **said: str) -> int:
 
 
 def test_arrays_take_memory_again() -> None:
-    assert faults(FAULTS) > 10_000
-    assert faults(PARENT + FAULTS) < 1_000
-    assert faults(PARENT + CHILD, FAULTS) < 1_000
+    assert figure(FAULTS) > 10_000
+    assert figure(PARENT + FAULTS) < 1_000
+    assert figure(PARENT + CHILD, FAULTS) < 1_000
 
 
 def test_what_the_environment_says_stays() -> None:
     said = {"MALLOC_TRIM_THRESHOLD_": "131072", "MALLOC_MMAP_THRESHOLD_": "131072"}
-    assert faults(PARENT + FAULTS, **said) > 10_000
+    assert figure(PARENT + FAULTS, **said) > 10_000
+
+
+def test_what_a_process_held_is_without_what_the_one_held_that_started_it() -> None:
+    asks = "from geomosaic.pipeline.executor import peak_memory_bytes; print(peak_memory_bytes())"
+    starts = (
+        "import subprocess, sys; import numpy as np; held = np.ones(1 << 26)\n"
+        f"print(subprocess.run([sys.executable, '-c', {asks!r}], preexec_fn=int, capture_output=True).stdout.decode())"
+    )
+    assert 10e6 < figure(starts) < 250e6

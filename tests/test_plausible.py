@@ -58,8 +58,9 @@ def limited(*arguments: object) -> tuple[int, str, float]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 30, 1 << 30))
 
     code = (
-        "import sys, resource; from geomosaic.cli.main import main; code = main(sys.argv[1:]); "
-        "print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr); sys.exit(code)"
+        "import sys; from geomosaic.cli.main import main; code = main(sys.argv[1:]); "
+        "from geomosaic.pipeline.executor import peak_memory_bytes; "
+        "print('peak', peak_memory_bytes(), file=sys.stderr); sys.exit(code)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
@@ -67,7 +68,7 @@ def limited(*arguments: object) -> tuple[int, str, float]:
     )  # fmt: skip
     lines = done.stderr.splitlines()
     peaks = [int(line.split()[1]) for line in lines if line.startswith("peak ")]
-    return done.returncode, done.stderr, (peaks[0] << 10) / 1e9 if peaks else float("nan")
+    return done.returncode, done.stderr, peaks[0] / 1e9 if peaks else float("nan")
 
 
 def copied(
