@@ -71,24 +71,19 @@ def warm() -> None:
     """Imports all that commands import late, so that each child finds it there."""
     names = [
         *("geomosaic.pipeline.runner", "geomosaic.pipeline.finished", "geomosaic.pipeline.given"),
-        *("geomosaic.recording.inspection_tables", "geomosaic.recording.compare", "geomosaic.cli.progress"),
-        *("geomosaic.recording.pictures", "geomosaic.pipeline.elsewhere", "geomosaic.recording.repair"),
+        *("geomosaic.pipeline.recorded_solve", "geomosaic.pipeline.elsewhere", "geomosaic.recording.repair"),
+        *("geomosaic.recording.inspection_tables", "geomosaic.recording.difference_tables"),
+        *("geomosaic.recording.compare", "geomosaic.recording.pictures", "geomosaic.recording.worst"),
+        *("geomosaic.cli.main", "geomosaic.cli.app", "geomosaic.cli.plan", "geomosaic.cli.progress"),
+        *("typer._adapters", "typer._click._textwrap", "typer._click.decorators"),
+        *("scipy.ndimage", "scipy.optimize", "scipy.sparse.linalg", "scipy.spatial"),
+        *("exifread", "defusedxml.ElementTree", "pydantic.type_adapter"),
+        *("shellingham", "rich._emoji_codes", "encodings.cp437"),
         *(
-            "scipy.ndimage",
-            "scipy.optimize",
-            "scipy.sparse.linalg",
-            "scipy.spatial",
-            "exifread",
-            "defusedxml.ElementTree",
+            ("rerun", "rerun.blueprint", "geomosaic.recording.view")
+            if importlib.util.find_spec("rerun")
+            else ()
         ),
-        *(
-            "geomosaic.cli.app",
-            "pydantic.type_adapter",
-            "shellingham",
-            "rich._emoji_codes",
-            "encodings.cp437",
-        ),
-        *(("rerun", "rerun.blueprint") if importlib.util.find_spec("rerun") else ()),
         *("jinja2", "osgeo.ogr", "osgeo.osr", "cv2", "shapely", "rich.progress", "platform", "uuid"),
     ]
     for name in names:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import io
 import os
 import shutil
 import sys
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -15,6 +18,7 @@ from fuzz_mutations import Nasty
 from fuzz_verdict import Difference, Result, difference, problems, result_of, stray_lines
 from trial_box import Box, Ended, changes, snapshot
 
+from geomosaic.cli.main import main
 from geomosaic.errors import GeomosaicError
 
 _MOST = ("seconds", "cpu_s", "peak_mb")
@@ -57,7 +61,8 @@ class Trials:
         self.templates = self.folder / "templates"
 
     def prepare(self) -> None:
-        """Makes the base inputs and the finished runs in a child: this process stays as it was born."""
+        """Makes the base inputs and the finished runs in a child: this process stays as it was born, but for
+        what reading the unspoiled recording warms in it, so that not every child has to warm it again."""
         pid = os.fork()
         if pid == 0:
             code = 1
@@ -71,6 +76,12 @@ class Trials:
         for name in ("survey", "tiffs", "strips"):
             shutil.copytree(self.folder / "base" / name, self.templates / name / "in")
         self._finished_run()
+        self._new_box(KINDS["recording"])
+        files = [str(self.box.path("in") / name) for name in ("rec/run.mcap", "other.mcap")]
+        for argv in (["inspect", files[0], "--json"], ["inspect", files[0]], ["diff", *files, "--json"]):
+            with redirect_stdout(io.StringIO()):
+                main(argv)
+        gc.freeze()
 
     def _finished_run(self) -> None:
         self._new_box(KINDS["pos"])

@@ -42,6 +42,8 @@ _HARMLESS = {"uname", "geomosaic.errors"}
 """What `platform` asks; the program's own errors, which the executor pickles to see whether they can be."""
 
 Snapshot = dict[str, tuple[object, ...]]
+_digests: dict[tuple[int, int], tuple[tuple[int, int], str]] = {}
+"""Content by device and inode, and of what size and time of change (nobody can set it) it was."""
 
 
 @dataclass(frozen=True)
@@ -82,15 +84,25 @@ def snapshot(folder: Path, without: Sequence[str] = ()) -> Snapshot:
             elif stat.S_ISLNK(kind):
                 found[name] = ("link", str(Path(entry.path).readlink()))
             elif stat.S_ISREG(kind):
-                large = said.st_size > _HASHED_BYTES
-                data = b"" if large else Path(entry.path).read_bytes()
-                digest = blake2b(data, digest_size=16).hexdigest()
-                found[name] = ("file", said.st_size, said.st_mtime_ns, stat.S_IMODE(said.st_mode), digest)
+                mode = stat.S_IMODE(said.st_mode)
+                found[name] = ("file", said.st_size, said.st_mtime_ns, mode, _digest(entry.path, said))
             else:
                 found[name] = ("device", kind)
 
     walk(folder, "")
     return found
+
+
+def _digest(path: str, said: os.stat_result) -> str:
+    """The content's hash, read again only where the system says that the file was touched."""
+    if said.st_size > _HASHED_BYTES:
+        return ""
+    inode, state = (said.st_dev, said.st_ino), (said.st_size, said.st_ctime_ns)
+    known = _digests.get(inode)
+    if known is None or known[0] != state:
+        known = state, blake2b(Path(path).read_bytes(), digest_size=16).hexdigest()
+        _digests[inode] = known
+    return known[1]
 
 
 def changes(before: Snapshot, after: Snapshot) -> list[str]:
