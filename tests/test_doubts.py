@@ -38,3 +38,15 @@ def test_a_survey_that_looks_aside_keeps_its_frames() -> None:
     aside = exp_turn(np.radians(np.tile([45.0, 0.0, 0.0], (len(block.names), 1))))
     poses = _moved(replace(block.poses, rotations=aside @ block.poses.rotations), 4, 200.0, 31.0)
     assert strayed_frames(block, poses, np.ones(len(poses))) == {}
+
+
+def test_a_position_is_judged_by_how_positions_were_found_to_scatter() -> None:
+    """25 m off where 5 m is the default of the source, and the others agree to 1 m: wrong, if its own place
+    is known; by what is stated it might be right."""
+    block = fly(1).block
+    given = replace(block.poses, positions_sd_m=np.full((len(block.poses), 3), 5.0))
+    for scatter, own_m, named in ((1.0, 0.2, []), (0.3, 0.2, [block.names[4]]), (0.3, 4.5, [])):
+        found = _moved(block.poses, 4, 25.0, 0.0)
+        found = replace(found, positions_sd_m=np.full((len(found), 3), own_m))
+        said = lying_tags(replace(block, poses=given), found, scatter=scatter)
+        assert [w.frame for w in said if w.code == "position-wrong"] == named, (scatter, own_m)

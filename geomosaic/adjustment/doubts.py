@@ -41,7 +41,7 @@ _YAW_LIES_DEG: Annotated[
         CHOSEN,
     ),
 ] = 8.0
-_HALF_TURN_DEG: Annotated[
+HALF_TURN_DEG: Annotated[
     float,
     Because("degrees", "about half a turn: less than halfway to the next quarter", CHOSEN),
 ] = 30.0
@@ -125,14 +125,21 @@ def _off_m(block: Block, poses: Poses) -> tuple[Floats, Floats]:
     return far, _POSITION_LIES * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
 
 
-def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> list[Warn]:
+def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatter: float = 1.0) -> list[Warn]:
     """Frames whose POS the block contradicts far beyond its deviation, with before and after; not those that
-    are left out."""
+    are left out.
+
+    Stated deviations are often a default on the careful side: where the solve found that positions scatter
+    less, a position is judged by that, together with what is not known of its frame.
+
+    Args: scatter: of positions in plan, times the stated deviation, as the solve found it.
+    """
     far, limit = _off_m(block, poses)
-    turned = np.degrees(log_turn(poses.rotations @ np.swapaxes(block.poses.rotations, 1, 2))[:, 2])
+    known_m = np.hypot(scatter * block.poses.positions_sd_m[:, 0], poses.positions_sd_m[:, 0])
+    limit = np.minimum(limit, _POSITION_LIES * np.maximum(np.median(far), known_m))
+    off_deg, most_deg = headings_off_deg(block.poses, poses)
     given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (block.poses, poses))
     given, found = (np.degrees(yaw_rad) % 360.0 for yaw_rad in (given_rad, found_rad))
-    yaw_limit = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(block.poses.rotations_sd_rad[:, 2]))
     out = [
         Warn(
             "position-wrong",
@@ -142,10 +149,10 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
         for i in np.flatnonzero(far > limit)
         if i not in strayed
     ]
-    half = np.flatnonzero(np.abs(np.abs(turned) - 180.0) < _HALF_TURN_DEG)
+    half = np.flatnonzero(np.abs(np.abs(off_deg) - 180.0) < HALF_TURN_DEG)
     course_rad = np.radians(courses_deg(poses.positions_m, flight_lines(poses.positions_m)))
     fits, _ = headings_fit(half.tolist(), given_rad, found_rad, course_rad)
-    for i in np.flatnonzero((np.abs(turned) > yaw_limit) & ~heading_assumed(block.poses)):
+    for i in np.flatnonzero((np.abs(off_deg) > most_deg) & ~heading_assumed(block.poses)):
         if i in strayed:
             continue
         words = (
@@ -156,6 +163,13 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = ()) -> lis
             words = "its pixels were turned by 180 degrees after the flight; laid so by its neighbours"
         out.append(Warn("frame-turned" if head_down else "yaw-wrong", block.names[i], words))
     return out
+
+
+def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
+    """By how much each frame turned about the vertical, (n,), and by how much its heading may be off."""
+    turned = np.degrees(log_turn(found.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2])
+    most = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(given.rotations_sd_rad[:, 2]))
+    return turned, most
 
 
 def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:

@@ -350,7 +350,7 @@ def _outcome(work: _Work) -> Adjusted:
         cameras=tuple(bundle.cameras[k] for k in block.lens_of),
         ground=found.ground,
         warnings=(
-            *lying_tags(block, bundle.poses, strayed),
+            *lying_tags(block, bundle.poses, strayed, bundle.factors.horizontal),
             *strayed.values(),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *height_drift(given, bundle.poses, np.unique(seen.frame)).warnings(given),

@@ -224,7 +224,7 @@ def headings_fit(
     turned: Collection[int], given_rad: Floats, laid_rad: Floats, course_rad: Floats
 ) -> tuple[dict[int, bool], float]:
     """Whether the given headings of frames whose images lie otherwise go with their courses as the other
-    frames' do; and the usual angle (rad) from course to heading.
+    frames' do; and the usual angle (rad) from course to heading, NaN if there is none.
 
     An image turned after the flight keeps a heading that fits; of one that was kept from another line, what
     the image says fits better. Nothing is said of a frame without a course, nor of any where heading and
@@ -238,7 +238,7 @@ def headings_fit(
     straight[list(turned)] = False
     usual = complex(np.mean(laid[straight])) if straight.any() else 0j
     if abs(usual) < _TOGETHER:
-        return {}, 0.0
+        return {}, np.nan
     known = [i for i in turned if np.isfinite(given[i] * laid[i])]
     fits = {i: bool((given[i] / usual).real >= (laid[i] / usual).real) for i in known}
     return fits, float(np.angle(usual))

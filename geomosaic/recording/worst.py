@@ -13,8 +13,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from geomosaic.adjustment.doubts import HALF_TURN_DEG, headings_off_deg
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.matching.turned import headings_fit, righted
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed
 from geomosaic.recording.bare_ground import BARE, bare_shares
@@ -23,22 +25,7 @@ from geomosaic.recording.solved import Solved
 from geomosaic.recording.tabled import warned
 from geomosaic.survey.names import some
 
-_AGAINST_RAD: Annotated[
-    float,
-    Because(
-        "rad",
-        "by which a frame stands against its line: half a turn to an eighth, so that no crosswind counts",
-        CHOSEN,
-    ),
-] = np.radians(135.0)
-_AGREE_DEG: Annotated[
-    float,
-    Because("degrees", "by which a given heading may be off to agree: as compasses are at most", CHOSEN),
-] = 20.0
 _LEAST_OTHERS: Annotated[int, Because("frames", "of a line that say how it stands", CHOSEN)] = 3
-_TOGETHER: Annotated[
-    float, Because("length of the mean of unit vectors", "how well a line's headings go together", CHOSEN)
-] = 0.9
 
 
 @dataclass(frozen=True)
@@ -183,31 +170,38 @@ def _word(times: float) -> str:
 
 
 def _against_their_lines(solved: Solved) -> Iterator[Fault]:
-    """Frames whose image stands on its head beside the others of their line, and that weren't righted."""
+    """Frames whose image stands on its head beside the others of their line, and that weren't righted; by the
+    rule by which the adjustment tells turned images from wrong headings."""
     if solved.adjusted is None or solved.prior is None:
         return
-    at_m = solved.adjusted.poses.positions_m[:, :2]
-    lines = flight_lines(at_m)
-    yaw = Rotation(solved.adjusted.poses.rotations).yaw_pitch_roll()[0]
-    off = np.exp(1j * (yaw + np.pi / 2.0 * np.array(solved.turned) - np.radians(courses_deg(at_m, lines))))
-    given = ~heading_assumed(solved.prior.poses) & np.isfinite(off)
-    fits = np.abs(solved.yawed_deg) < _AGREE_DEG
-    turned = {frame for code, frame, _ in solved.warned if code == "frame-turned"}
-    for i in (i for i in np.flatnonzero(given) if solved.names[i] not in turned):
-        others = np.flatnonzero(given & fits & (np.array(lines) == lines[i]) & (np.arange(len(lines)) != i))
-        usual = complex(np.mean(off[others])) if len(others) >= _LEAST_OTHERS else 0j
-        if abs(usual) < _TOGETHER or abs(np.angle(off[i] / usual)) < _AGAINST_RAD:
-            continue
-        here, there = (np.degrees(yaw[i] + turn) % 360.0 for turn in (0.0, np.angle(usual / off[i])))
-        tags = "its tags say so, too" if fits[i] else "its tags say neither"
-        text = (
-            f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, theirs "
-            f"{there:.0f}; {tags}): its pixels were turned after the flight, or the camera turned about there"
-        )
-        sure = f"sure that it stands so: {len(others)} others of its line don't"
-        yield Fault(
-            "against-its-line", (solved.names[i],), text, sure, "no need: it is used as it stands", 35.0
-        )
+    quarters = {i: q for i, q in enumerate(solved.turned) if q}
+    given, found = righted(solved.prior.poses, quarters), solved.adjusted.poses
+    off_deg, most_deg = headings_off_deg(given, found)
+    lines = np.array(flight_lines(found.positions_m[:, :2]))
+    course = np.radians(courses_deg(found.positions_m, tuple(lines)))
+    laid = Rotation(found.rotations).yaw_pitch_roll()[0] + np.pi / 2.0 * np.array(solved.turned)
+    laid[heading_assumed(given)] = np.nan
+    odd = np.abs(off_deg) > most_deg
+    told = {frame for code, frame, _ in solved.warned if code == "frame-turned"}
+    for line in np.unique(lines):
+        mine = np.flatnonzero(lines == line)
+        for i in mine:
+            others = ~odd[mine] & (mine != i) & np.isfinite(laid[mine] - course[mine])
+            if solved.names[i] in told or others.sum() < _LEAST_OTHERS:
+                continue
+            _, usual = headings_fit(np.flatnonzero(~others), laid[mine], laid[mine], course[mine])
+            here, there = np.degrees([laid[i], usual + course[i]]) % 360.0
+            if not abs(abs(here - there) - 180.0) < HALF_TURN_DEG:
+                continue
+            tags = "its tags say neither" if odd[i] else "its tags say so, too"
+            text = (
+                f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, "
+                f"theirs {there:.0f}; {tags}): its pixels were turned after the flight, or the camera turned "
+                "about there"
+            )
+            sure = f"sure that it stands so: {others.sum()} others of its line don't"
+            mend = "no need: it is used as it stands"
+            yield Fault("against-its-line", (solved.names[i],), text, sure, mend, 35.0)
 
 
 def _bare_ground(solved: Solved) -> Iterator[Fault]:
