@@ -45,6 +45,8 @@ COLUMNS = (
     *("differs, warned", "differs, small", "differs, gross", "stray lines"),
 )
 FAILURES = set(COLUMNS[3:15])
+TOLD_EVERY = 500
+"""Cases after which a line says how far it is."""
 
 
 def plan(cases: int, only: str | None) -> list[tuple[str, int]]:
@@ -127,6 +129,10 @@ def main(argv: list[str] | None = None) -> int:
                     trials.keep(case)
                     what = ", ".join((*case.problems, case.grade))
                     print(f"{case.kind} {case.number}: {what}: {case.done[:90]}", flush=True)
+                if len(cases) % TOLD_EVERY == 0:
+                    print(
+                        f"{len(cases)} of {len(todo)} cases, {time.monotonic() - started:.0f} s", flush=True
+                    )
                 if asked.minutes is not None and time.monotonic() - started > 60 * asked.minutes:
                     break
         tell(cases, asked.seed, out, time.monotonic() - started, trials.box.closed)
