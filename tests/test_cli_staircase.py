@@ -232,3 +232,14 @@ def test_the_front_door_needs_no_numpy() -> None:
     code = "import sys, geomosaic.cli.app; print([m for m in ('numpy', 'cv2', 'osgeo') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_workers_are_made_ready_before_anything_heavy_is_imported() -> None:
+    code = (
+        "import sys, geomosaic.cli.mosaic as m, geomosaic.pipeline.executor as e\n"
+        "e.prepare_workers = lambda modules: print(*modules, 'numpy' in sys.modules)\n"
+        "m.prepare(['survey.read', 'matching.sift', 'no.such'], 2, None)\n"
+        "m.prepare(['survey.read'], 1, None)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["geomosaic.stages.matching_sift", "geomosaic.stages.survey_read", "False"]

@@ -12,7 +12,8 @@ import pytest
 from test_pipeline_toy import PowerNumbers, ReadNumbers, distribution
 
 from geomosaic.errors import PluginError, UnknownNameError
-from geomosaic.pipeline.registry import GROUP, Registry, check_stage
+from geomosaic.pipeline.announced import GROUP
+from geomosaic.pipeline.registry import Registry, check_stage
 from geomosaic.pipeline.stage import Stage, StageParams
 
 

@@ -167,7 +167,6 @@ def mosaic(
     live: Live = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
-    prepare(STAGES, workers, dask)
     given: dict[str, dict[str, Any]] = {
         "survey.read": {
             "frames": frames,
@@ -206,6 +205,7 @@ def mosaic(
         "export.surface": surface != "dense",
     }
     stages = [id for id in STAGES if not unasked.get(id)]
+    prepare(stages, workers, dask)
     recipe = recipe_of("mosaic", f"frames of {frames.name}", stages, given, seed, set)
     output = output or beside(frames, "mosaic")
     recorded = record_options(record, private, private_places, live)
@@ -337,8 +337,8 @@ def recipe_of(
 
 def prepare(stages: Iterable[str], workers: int | None, dask: str | None) -> None:
     """Has workers made ready, if there are to be some on this machine, while the recipe is read."""
+    from geomosaic.pipeline.announced import modules_of
     from geomosaic.pipeline.executor import prepare_workers
-    from geomosaic.pipeline.registry import installed
 
     if dask is None and (workers or cores()) > 1:
-        prepare_workers(installed().modules(stages))
+        prepare_workers(modules_of(stages))

@@ -9,11 +9,11 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
 from geomosaic.errors import BindingsError, PluginError, UnknownNameError
+from geomosaic.pipeline.announced import GROUP
 from geomosaic.pipeline.artefacts import dataclasses_in
 from geomosaic.pipeline.params import StageParams, describe_params
 from geomosaic.pipeline.stage import Stage
 
-GROUP = "geomosaic.stages"
 _ID = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
 
 
@@ -118,10 +118,6 @@ class Registry:
             raise PluginError(f"stage {id} can't be loaded from {_origin(entries[0])}: {reason}") from error
         self._stages[id] = check_stage(stage, id=id)
         return self._stages[id]
-
-    def modules(self, ids: Iterable[str]) -> list[str]:
-        """The modules of installed stages, none of them imported for it."""
-        return sorted({entry.module for id in ids for entry in self._entries.get(id, ())})
 
     def all(self) -> tuple[list[type[Stage]], dict[str, str]]:
         """Every stage that works, and why each of the others doesn't, by id."""
