@@ -20,7 +20,7 @@ from geomosaic.pipeline.artefacts import content_of, encode
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.kept import Kept, Lent
+from geomosaic.pipeline.kept import Kept, Lent, Spared
 
 
 @dataclass(frozen=True)
@@ -256,3 +256,27 @@ def test_a_worker_at_rest_forgets_what_it_recalled(tmp_path: Path) -> None:
             time.sleep(0.2)
         assert workers.memory_bytes() <= most - (60 << 20)
         assert workers.result(workers.submit(recalled, large)) == 8 << 20
+
+
+def test_what_spares_work_counts_for_nothing(tmp_path: Path) -> None:
+    """It lies by the type and the file's content, alike for every stage; it is there or not; it names nothing."""
+    (tmp_path / "a").write_text("1")
+    (tmp_path / "b").write_text("1")
+    (tmp_path / "c").write_text("2")
+    one, other = (
+        Context(tmp_path / "run", stage_id=id, key="k", hashes=FileHashes()) for id in ("a.b", "c.d")
+    )
+    there = one.spared(Keypoints, str(tmp_path / "a"))
+    assert there.found() is None
+    there.leave(Keypoints(np.arange(3.0)))
+    for found in (there, other.spared(Keypoints, str(tmp_path / "b"))):
+        known = found.found()
+        assert known is not None and known.at.tolist() == [0.0, 1.0, 2.0]
+    assert other.spared(Keypoints, str(tmp_path / "c")).found() is None
+    assert content_of([there, 1])[0] == content_of([Spared(Keypoints, None), 1])[0]
+    assert there.path is not None
+    there.path.write_bytes(b"spoiled")
+    assert there.found() is None
+    byhand = Context(tmp_path / "run").spared(Keypoints, str(tmp_path / "a"))
+    byhand.leave(Keypoints(np.arange(3.0)))
+    assert byhand.found() is None

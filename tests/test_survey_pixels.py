@@ -14,10 +14,13 @@ from rasterio.transform import Affine
 from survey_files import exif_block, image, write_jpeg
 
 from geomosaic.errors import FileError, InputError
+from geomosaic.survey import pixels as pixels_room
+from geomosaic.survey.damage import decoded, looked_at
 from geomosaic.survey.folder import masks
 from geomosaic.survey.header import read_header
 from geomosaic.survey.model import Attitude, Frame, Position
 from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import LEAST_PX, Small, small_of
 
 
 def frame(path: Path, mask: Path | None = None) -> Frame:
@@ -209,3 +212,36 @@ def test_brightness_alone(tmp_path: Path) -> None:
     assert np.abs(grey[..., 0] - colour @ np.array([0.299, 0.587, 0.114])).mean() < 1.0
     tiff = frame(write_tiff(tmp_path / "a.tif", pixels))
     assert np.array_equal(read_pixels(tiff, luma=True)[0], pixels)
+
+
+class Lying:
+    """What was left of a frame, and how often it was found."""
+
+    def __init__(self, small: Small | None) -> None:
+        self.small, self.asked = small, 0
+
+    def found(self) -> Small | None:
+        self.asked += 1
+        return self.small
+
+    def leave(self, result: Small) -> None:
+        raise AssertionError
+
+
+@pytest.mark.parametrize("bands", [1, 3])
+def test_what_was_left_of_a_frame_is_what_decoding_it_gives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bands: int
+) -> None:
+    path = write_jpeg(tmp_path / "a.jpg", image(LEAST_PX + 5, LEAST_PX - 3, bands))
+    half = looked_at(str(path))[1]
+    assert half is not None
+    asked = [{"reduction": 2, "luma": True}, {"reduction": 8}, {"reduction": 4}, {"reduction": 1}]
+    anew = [read_pixels(frame(path), **how)[0] for how in asked]  # type: ignore[arg-type]
+    decodes: list[int] = []
+    monkeypatch.setattr(pixels_room, "decoded", lambda *of: decodes.append(1) or decoded(*of))
+    for how, wanted in zip(asked, anew, strict=True):
+        lying = Lying(small_of(half))
+        assert np.array_equal(read_pixels(frame(path), spare=lying, **how)[0], wanted)  # type: ignore[arg-type]
+        assert np.array_equal(read_pixels(frame(path), spare=Lying(None), **how)[0], wanted)  # type: ignore[arg-type]
+    assert len(decodes) == 6  # neither of the first two where they lie
+    assert anew[0].shape == (-(-(LEAST_PX - 3) // 2), -(-(LEAST_PX + 5) // 2), 1)

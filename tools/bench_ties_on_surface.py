@@ -45,6 +45,7 @@ from geomosaic.stages.adjustment_solve import block_of
 from geomosaic.stages.keypoints import Sight, frame_brightness
 from geomosaic.surface.model import DenseSurface
 from geomosaic.survey.model import Survey
+from geomosaic.survey.small import Unseen
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -136,7 +137,7 @@ def surface_ties(run: Run) -> Tracks:
     used = [i for i, status in enumerate(run.adjusted.status) if status != "rejected"]
     sight, cell_m = Sight(LONGEST_PX), run.surface.cells.cell_m
     shrunk = np.array([sight.reduction(f) for f in run.survey.frames])
-    greys = {i: frame_brightness(sight, run.survey.frames[i]).grey for i in used}
+    greys = {i: frame_brightness(sight, Unseen(run.survey.frames[i])).grey for i in used}
     points, slope = sure_cells(run.surface)
     looks = {i: seen(run, i, points, float(TEMPLATE_PX * shrunk[i])) for i in used}
     slant, first = np.full(len(points), np.inf), np.full(len(points), -1)

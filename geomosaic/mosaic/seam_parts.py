@@ -18,6 +18,7 @@ from geomosaic.mosaic.views import FrameView
 from geomosaic.projection.resample import resample
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import Spare
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -113,11 +114,12 @@ class Band:
 
 @dataclass(frozen=True)
 class Glimpse:
-    """What is to be looked at, and by how much the frame's pixels are reduced for it."""
+    """What is to be looked at, by how much the frame's pixels are reduced for it, and where they may lie."""
 
     frame: Frame
     reduction: int
     band: Band
+    spare: Spare | None = None
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,7 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> P
     at = slice(top + down[0], top + down[-1] + 1), slice(left + across[0], left + across[-1] + 1)
     cols, rows, may = cells.cols_px[at], cells.rows_px[at], may[inner]
     may &= (cols > 0) & (cols < frame.width_px) & (rows > 0) & (rows < frame.height_px)
-    pixels, valid = read_pixels(frame, job.reduction)
+    pixels, valid = read_pixels(frame, job.reduction, spare=job.spare)
     pixels = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
     col, row = (np.ascontiguousarray(a / job.reduction, dtype=np.float32) for a in (cols, rows))
     values = resample(np.ascontiguousarray(pixels), col, row, "bilinear").astype(np.float32)

@@ -28,6 +28,7 @@ from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import Spare
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -171,10 +172,11 @@ def evened(pixels: NDArray[Any], darker: Floats32, white: float, dtype: str) -> 
 
 @dataclass(frozen=True)
 class Sampling:
-    """A frame, and where it is to be sampled: image_px (n, 2) col and row."""
+    """A frame, where it is to be sampled: image_px (n, 2) col and row; and where it may lie small."""
 
     frame: Frame
     image_px: Floats
+    spare: Spare | None = None
 
 
 @dataclass(frozen=True)
@@ -241,7 +243,7 @@ def sampled(job: Sampling) -> Samples:
     """Decodes a frame once, reduced, and takes its means about the places."""
     frame = job.frame
     reduction = _reduction(frame.width_px, frame.height_px)
-    pixels, valid = read_pixels(frame, reduction)
+    pixels, valid = read_pixels(frame, reduction, spare=job.spare)
     cols, rows = (np.ascontiguousarray(job.image_px[:, [k]] / reduction, dtype=np.float32) for k in (0, 1))
     smooth = cv2.blur(pixels, (3, 3), borderType=cv2.BORDER_REPLICATE).reshape(pixels.shape)
     values = resample(smooth, cols, rows, "bilinear")[:, 0].astype(np.float32)

@@ -16,10 +16,10 @@ from geomosaic.errors import CancelledError, FileError
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.items import Items, Progress
-from geomosaic.pipeline.kept import Kept, left_on_disk
+from geomosaic.pipeline.kept import Kept, Spared, left_on_disk
 from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.pipeline.run_folder import WORK, RunFolder
-from geomosaic.recording.fingerprints import fingerprint_of_bytes
+from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -124,6 +124,7 @@ class Context:
         self.kept: list[Path] = []
         self._workers = workers or Workers()
         self._hashes = hashes or FileHashes()
+        self._key = key
         self.seed = seed
         self._on_progress = on_progress
         self._on_note = on_note
@@ -257,6 +258,14 @@ class Context:
         which reads it once in each worker as long as it is wanted again soon.
         """
         return self._items.mapped(name, function, items, None, left_on_disk, stay=True)
+
+    def spared(self, returns: type[Result], path: str) -> Spared[Result]:
+        """Where a stage may leave what it came to know of a file, and another one may find it: by the type of
+        it and the file's content. It goes when the run is finished."""
+        if not self._key:
+            return Spared(returns, None)
+        mark = fingerprint_of_json([returns.__name__, self._hashes.of_file(Path(path))])
+        return Spared(returns, self._folder.within(f"{WORK}/spared/items/{mark[:2]}/{mark[2:]}"))
 
     @contextmanager
     def spooled(

@@ -131,6 +131,31 @@ class Kept(Reference, Generic[Result]):
             files.remove(self.path)
 
 
+@dataclass(frozen=True)
+class Spared(Reference, Generic[Result]):
+    """Where a result may lie that spares who finds it some work, and changes nothing of what comes out: it
+    counts for nothing in the names of others, and who doesn't find it does that work."""
+
+    returns: Any
+    path: Path | None
+    mark: str = field(default="", init=False)
+
+    def leave(self, result: Result) -> None:
+        """Puts it there."""
+        if self.path is not None:
+            with files.refusals_named(self.path), files.writing(self.path) as place, place.open("wb") as file:
+                write(result, file)
+
+    def found(self) -> Result | None:
+        """The result, if it is there and whole."""
+        if self.path is None:
+            return None
+        try:
+            return typing.cast(Result, _read(self.path, lambda file: decode(file, self.returns)))
+        except FileError:
+            return None
+
+
 def left_on_disk(kept: Kept[Result]) -> Kept[Result]:
     """Without its bytes in memory, if they are on the disk."""
     return Kept(kept.returns, kept.mark, kept.path, None if kept.path is not None else kept.data)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import Wholeness, coarsened, looked_at
 from geomosaic.survey.jpeg import parse_structure
+from geomosaic.survey.small import HALF, LEAST_PX, Spare, small_of
 
 _MOST_PX: Final = 4096
 """Of a side of a recorded image: chips at full resolution are below it; a file of some bytes may claim 30,000
@@ -26,11 +27,21 @@ class Seen:
     thumbnail: bytes
 
 
-def seen(path: str) -> Seen:
-    """Decodes a frame once, for both. Raises: as `looked_at`."""
-    wholeness, half = looked_at(path)
+@dataclass(frozen=True)
+class Looking:
+    """A frame's file, and where what it shows small is left for others."""
+
+    path: str
+    spare: Spare
+
+
+def seen(looking: Looking) -> Seen:
+    """Decodes a frame once, for all of it. Raises: as `looked_at`."""
+    wholeness, half = looked_at(looking.path)
     if half is None:
         return Seen(wholeness, b"")
+    if HALF * min(half.shape[:2]) >= LEAST_PX:
+        looking.spare.leave(small_of(half))
     return Seen(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 

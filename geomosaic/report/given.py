@@ -26,11 +26,14 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.report.glance import Glance, glance, stretched
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import Spare, Unseen
 
 _REDUCTIONS: Final = (8, 4, 2)
 
 Spooled = Callable[..., AbstractContextManager[Sequence[Any]]]
 """`Context.spooled`."""
+Spares = Callable[[Frame], Spare]
+"""Where what a frame shows small may lie."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,12 @@ class GivenMosaic:
 
 
 def given_image(
-    survey: Survey, placement: Placement, ground: GroundSurface, longest_px: int, spooled: Spooled
+    survey: Survey,
+    placement: Placement,
+    ground: GroundSurface,
+    longest_px: int,
+    spooled: Spooled,
+    spares: Spares,
 ) -> Glance | None:
     """The mosaic as positions and attitudes alone would have it, without tones and blending.
 
@@ -57,7 +65,8 @@ def given_image(
     views = frame_views(survey.work_frame, survey.map_crs, placement.poses, cameras, used, ground)
     try:
         grid = output_grid(survey.map_crs, without_flung(views, own_m)[0], own_m, names)
-        return _composed(survey, placement, ground, used, coarser(grid, longest_px), spooled)
+        unseen = [Unseen(frame, spares(frame)) for frame in survey.frames]
+        return _composed(survey, unseen, placement, ground, used, coarser(grid, longest_px), spooled)
     except CancelledError:
         raise
     except GeomosaicError:
@@ -66,6 +75,7 @@ def given_image(
 
 def _composed(
     survey: Survey,
+    unseen: Sequence[Unseen],
     placement: Placement,
     ground: GroundSurface,
     used: list[bool],
@@ -78,7 +88,7 @@ def _composed(
     paths = [f.path for f in survey.frames]
     with TemporaryDirectory(prefix="geomosaic-") as name:
         folder = Path(name)
-        with spooled("reduced frames", shrink, survey.frames, paths) as reduced:
+        with spooled("reduced frames", shrink, unseen, paths) as reduced:
             small = tuple(
                 _written(one.load(), frame, folder / f"{i}.tif")
                 for i, (one, frame) in enumerate(zip(reduced, survey.frames, strict=True))
@@ -104,9 +114,9 @@ class Small:
     valid: NDArray[np.bool_] | None
 
 
-def small_frame(reduction: int, frame: Frame) -> Small:
+def small_frame(reduction: int, unseen: Unseen) -> Small:
     """A frame whose pixels are means of so many a side."""
-    pixels, valid = read_pixels(frame, reduction)
+    pixels, valid = read_pixels(unseen.frame, reduction, spare=unseen.spare)
     pixels = pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1]
     known = None if valid is None else valid > 0
     if pixels.dtype != np.uint8:

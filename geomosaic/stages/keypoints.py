@@ -21,6 +21,7 @@ from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import Small, Unseen
 
 Floats = NDArray[np.float64]
 
@@ -49,9 +50,10 @@ class Brightness:
     valid: Bytes | None
 
 
-def frame_brightness(sight: Sight, frame: Frame) -> Brightness:
+def frame_brightness(sight: Sight, unseen: Unseen) -> Brightness:
     """Decodes a frame."""
-    pixels, valid = read_pixels(frame, sight.reduction(frame), luma=sight.band is None)
+    reduction, luma = sight.reduction(unseen.frame), sight.band is None
+    pixels, valid = read_pixels(unseen.frame, reduction, luma=luma, spare=unseen.spare)
     return Brightness(grey(pixels, valid, sight.band), valid)
 
 
@@ -68,7 +70,8 @@ class Picture:
 def pictured(context: Context, sight: Sight, frames: Sequence[Frame]) -> Iterator[list[Picture]]:
     """Frames decoded once for all that is done in the block. Then they go: a few MB each, and decoded again
     sooner than so much is kept; if the block fails, the next run finds them."""
-    decoded = context.stored("brightness", partial(frame_brightness, sight), frames)
+    unseen = [Unseen(frame, context.spared(Small, frame.path)) for frame in frames]
+    decoded = context.stored("brightness", partial(frame_brightness, sight), unseen)
     yield [Picture(kept, sight.reduction(frame)) for kept, frame in zip(decoded, frames, strict=True)]
     for kept in decoded:
         kept.forget()

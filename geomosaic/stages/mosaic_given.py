@@ -9,7 +9,8 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.report.given import GivenMosaic, given_image
-from geomosaic.survey.model import Survey
+from geomosaic.survey.model import Frame, Survey
+from geomosaic.survey.small import Small, Spare
 
 
 class MosaicGiven(Stage):
@@ -22,6 +23,7 @@ class MosaicGiven(Stage):
     id = "mosaic.given"
     display_name = "Compose by positions alone"
     group = "Mosaic"
+    version = 2
     beside: ClassVar[bool] = True
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -44,6 +46,11 @@ class MosaicGiven(Stage):
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """On a grid of its own, which holds what the frames would see."""
         survey, ground, placement = (inputs[name] for name in self.inputs)
-        longest_px = params.longest_px
-        image = given_image(survey, placement, ground, longest_px, context.spooled) if longest_px else None
+        if params.longest_px == 0:
+            return {"given": GivenMosaic(None)}
+
+        def spare(frame: Frame) -> Spare:
+            return context.spared(Small, frame.path)
+
+        image = given_image(survey, placement, ground, params.longest_px, context.spooled, spare)
         return {"given": GivenMosaic(image)}

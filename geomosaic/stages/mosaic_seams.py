@@ -29,6 +29,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.survey.model import Survey
+from geomosaic.survey.small import Small
 
 _SEEN = 0.98  # of an area; what is less isn't cells cut at its edge
 _MENDED = "polygons that cross themselves were mended; is the mosaic's edge the one that was meant?"
@@ -40,7 +41,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 7
+    version = 8
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -173,7 +174,8 @@ class MosaicSeams(Stage):
             for band in bands(scene, nearest, nearest_m, views):
                 finer = nearest.cell_px * scene.grid.gsd_m / band.view.gsd_m
                 reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
-                yield Glimpse(survey.frames[band.view.frame], reduction, band)
+                frame = survey.frames[band.view.frame]
+                yield Glimpse(frame, reduction, band, context.spared(Small, frame.path))
 
         look = partial(glimpsed, replace(scene, views=()), nearest.cell_px, tones)
         parts = context.map("seams", look, glimpses(), keys=[v.frame for v in views])

@@ -15,6 +15,7 @@ from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
+from geomosaic.survey.small import Small
 
 _EVEN = ("auto", "always", "never")
 
@@ -25,7 +26,7 @@ class MosaicTones(Stage):
     id = "mosaic.tones"
     display_name = "Even the tones"
     group = "Mosaic"
-    version = 6
+    version = 7
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"tones": Tones}
 
@@ -80,7 +81,10 @@ class MosaicTones(Stage):
         """Of all sightings, (m, b)."""
         seen = np.unique(places.frame).tolist()
         mine = [np.flatnonzero(places.frame == i) for i in seen]
-        jobs = [Sampling(survey.frames[i], places.image_px[m]) for i, m in zip(seen, mine, strict=True)]
+        jobs = [
+            Sampling(survey.frames[i], places.image_px[m], context.spared(Small, survey.frames[i].path))
+            for i, m in zip(seen, mine, strict=True)
+        ]
         found = context.map("tones", sampled, jobs, keys=seen)
         values = np.full((len(places.frame), bands), np.nan, dtype=np.float32)
         for m, samples in zip(mine, found, strict=True):

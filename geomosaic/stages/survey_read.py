@@ -8,13 +8,14 @@ from typing import Any, ClassVar
 
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
-from geomosaic.recording.thumbnail import Seen, seen, thumbnail
+from geomosaic.recording.thumbnail import Looking, Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness
 from geomosaic.survey.folder import frame_folders, project_files
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
+from geomosaic.survey.small import Small
 from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
 
@@ -101,7 +102,8 @@ class SurveyRead(Stage):
         looks: dict[str, Kept[Seen]] = {}
 
         def inspect(paths: list[str]) -> list[Wholeness]:
-            looks.update(zip(paths, context.stored("looking for damage", seen, paths), strict=True))
+            items = [Looking(path, context.spared(Small, path)) for path in paths]
+            looks.update(zip(paths, context.stored("looking for damage", seen, items), strict=True))
             return [looks[path].load().wholeness for path in paths]
 
         survey = read_survey(params.frames, **given, inspect=inspect, progress=context.progress)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
@@ -18,6 +17,7 @@ from geomosaic.survey.damage import decoded
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
+from geomosaic.survey.small import HALF, Spare, brightness, means, padded
 
 Mask = NDArray[np.uint8]
 
@@ -32,7 +32,9 @@ REDUCTIONS: Annotated[
 _MEND: Final = "copy it again from the camera, or take it out of the folder"
 
 
-def read_pixels(frame: Frame, reduction: int = 1, *, luma: bool = False) -> tuple[NDArray[Any], Mask | None]:
+def read_pixels(
+    frame: Frame, reduction: int = 1, *, luma: bool = False, spare: Spare | None = None
+) -> tuple[NDArray[Any], Mask | None]:
     """A frame's pixels (rows, cols, bands) in the file's own type, and its mask of valid pixels.
 
     Bands are in the file's order (red, green, blue for colour); an alpha band goes into the mask.
@@ -40,11 +42,11 @@ def read_pixels(frame: Frame, reduction: int = 1, *, luma: bool = False) -> tupl
     where a pixel is valid and 0 where not, None where all are.
 
     A reduced pixel is the mean of reduction x reduction full ones, so that in corner-origin
-    coordinates `reduced = full / reduction`; sizes are rounded up. JPEG is reduced while decoding. A
+    coordinates `reduced = full / reduction`; sizes are rounded up. JPEG is halved while decoding. A
     reduced pixel is valid where all full ones are.
 
     Args: reduction: 1, 2, 4 or 8; luma: of a JPEG in colour one band is enough, its brightness by ITU-R
-    BT.601, which it holds by itself; other files give all of theirs.
+    BT.601; other files give all of theirs. spare: where a JPEG's pixels may lie already.
     Raises: `FileError` when the file can't be decoded whole; `ValueError` for another reduction.
     """
     if reduction not in REDUCTIONS:
@@ -56,10 +58,12 @@ def read_pixels(frame: Frame, reduction: int = 1, *, luma: bool = False) -> tupl
     bands = frame.bands
     if path.suffix.lower() in JPEG_SUFFIXES:
         bands = 1 if luma else bands
-        pixels, valid = _decode_jpeg(path, frame, bands, reduction), None
+        small = None if spare is None or reduction == 1 else spare.found()
+        pixels = None if small is None else small.at(reduction, luma=luma)
+        pixels, valid = _decode_jpeg(path, frame, bands, reduction) if pixels is None else pixels, None
     else:
         pixels, valid = _read_tiff(path, frame.whole_rows)
-        pixels = _mean(pixels, reduction)
+        pixels = means(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)
     if pixels.shape != expected:
         raise FileError(f"has changed: {pixels.shape} pixels instead of {expected}", file=path, mend=_MEND)
@@ -79,7 +83,10 @@ def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArra
         raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
     parse_structure(data, path, whole=frame.whole_rows is None)  # what is missing is filled with grey
     try:
-        return decoded(data, bands, reduction)
+        if reduction == 1:
+            return decoded(data, bands)
+        half = decoded(data, frame.bands, HALF)
+        return means(brightness(half) if bands == 1 else half, reduction // HALF)
     except ValueError as error:
         raise FileError("the JPEG can't be decoded", file=path, mend=_MEND) from error
 
@@ -123,22 +130,9 @@ def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
         return valid
 
 
-def _padded(array: NDArray[Any], reduction: int) -> NDArray[Any]:
-    rows, cols = (-n % reduction for n in array.shape[:2])
-    return np.pad(array, [(0, rows), (0, cols), *[(0, 0)] * (array.ndim - 2)], mode="edge")
-
-
-def _mean(pixels: NDArray[Any], reduction: int) -> NDArray[Any]:
-    if reduction == 1:
-        return pixels
-    padded = _padded(pixels, reduction)
-    size = (padded.shape[1] // reduction, padded.shape[0] // reduction)
-    return np.atleast_3d(cv2.resize(padded, size, interpolation=cv2.INTER_AREA)).reshape(size[1], size[0], -1)
-
-
 def _least(valid: Mask, reduction: int) -> Mask:
     if reduction == 1:
         return valid
-    padded = _padded(valid, reduction)
-    rows, cols = (n // reduction for n in padded.shape)
-    return np.asarray(padded.reshape(rows, reduction, cols, reduction).min(axis=(1, 3)))
+    whole = padded(valid, reduction)
+    rows, cols = (n // reduction for n in whole.shape)
+    return np.asarray(whole.reshape(rows, reduction, cols, reduction).min(axis=(1, 3)))
