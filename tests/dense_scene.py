@@ -17,10 +17,11 @@ from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.standing import heights_on_grid
 from geomosaic.simulate.survey import landscape_of, world_of
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.fused import fused
+from geomosaic.surface.fused import RIM_CELLS, Counted, fused
+from geomosaic.surface.joined import joined, rimmed
 from geomosaic.surface.levels import Level, levels
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.tile import Heights, matched, picture
+from geomosaic.surface.tile import matched, picture
 from geomosaic.surface.verticals import Sighted
 
 GSD_M = 0.1
@@ -45,28 +46,32 @@ class Scene:
 
     def matched(
         self, cells: Cells, base: GroundSurface | None = None, backwards: bool = False
-    ) -> tuple[DenseSurface, Heights, Level]:
-        """The surface, the heights as matched, and the fine level."""
+    ) -> tuple[DenseSurface, Counted, Level]:
+        """The surface, what its cells count, and the fine level."""
         base = base or self.base
-        found: list[Heights] = []
+        above = None
         both = levels(cells, self.flying_m)
         for level in both:
             by = round(level.pixel_m / GSD_M)
             frames = [Sighted(s.pose, s.camera, by) for s in self.sighted]
             pictures = [
-                picture(_reduced(grey, by), None, s.turn_rad)
-                for grey, s in zip(self.greys, self.sighted, strict=True)
+                picture(grey, None, s.turn_rad, by) for grey, s in zip(self.greys, self.sighted, strict=True)
             ]
-            tasks = level.tasks(frames, base, found[-1].up_m if found else None)
-            order = tasks[::-1] if backwards else tasks
+            tasks = level.tasks(frames, base, above)
             done = {
                 t.tile: matched(
                     t.search, base, [frames[k] for k in t.frames], [pictures[k] for k in t.frames]
                 )
-                for t in order
+                for t in (tasks[::-1] if backwards else tasks)
             }
-            found.append(level.together(base, tasks, [done[t.tile] for t in tasks]))
-        return fused(found[-1], cells, base), found[-1], both[-1]
+            above = level.together(base, tasks, [done[t.tile] for t in tasks])
+        reach_m = both[-1].lowest_m, both[-1].highest_m
+        parts = []
+        for tile in done:
+            near = rimmed(tile, cells, base, [(t, h) for t, h in done.items() if t.touches(tile, RIM_CELLS)])
+            parts.append((tile, fused(near, tile.around(cells, RIM_CELLS), base, reach_m)))
+        counted = sum((part.counted for _, part in parts), Counted())
+        return joined(cells, base, parts), counted, both[-1]
 
     def truth(self, surface: DenseSurface) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
         """Errors (m) of each cell, and what is there: 0 ground, 1 a roof, 2 a crown; 3 within 1 m of a wall,
@@ -120,13 +125,6 @@ def scene(out: Path, **plan: Any) -> Scene:
     level_m = world.relief.base_m - flight.work_frame.height_ellipsoidal_m
     base = GroundSurface("flat", 0.0, 0.0, 1.0, np.full((1, 1), level_m))
     return Scene(full, greys, sighted, base, 50.0)
-
-
-def _reduced(grey: NDArray[np.uint8], by: int) -> NDArray[np.uint8]:
-    import cv2
-
-    size = grey.shape[1] // by, grey.shape[0] // by
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _with_edges(kind: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from dense_scene import GSD_M, Scene, scene
 from small_surveys import geomosaic, small_survey, summary
 
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.finished import load_artefact
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages import surface_dense as stage_module
+from geomosaic.stages.surface_dense import SurfaceDense
+from geomosaic.surface import levels as levels_module
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.doubts import doubts
 from geomosaic.surface.fused import fused
 from geomosaic.surface.levels import levels
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.refinement import UNSEEN
 from geomosaic.surface.tile import Heights
+from geomosaic.survey.model import Survey
 
 GROUND, ROOF, CROWN, WALL = range(4)
 
@@ -91,10 +100,9 @@ def test_two_frames_have_to_look_alike_where_three_need_not(seeing: int, alike: 
         np.full(shape, seeing, dtype=np.uint8),
         np.full(shape, 5.5, dtype=np.float32),
     )
-    surface = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat)
-    inner = slice(10, -10), slice(10, -10)
-    assert ((surface.views[inner] > 0) == kept).all()
-    assert np.allclose(surface.up_m[inner], 20.0 if kept else 0.0)
+    part = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat, (-5.0, 30.0))
+    assert ((part.views > 0) == kept).all()
+    assert np.allclose(part.over_m, 20.0 if kept else 0.0)
 
 
 @pytest.mark.parametrize(("every", "kept"), [(25, False), (6, True)])
@@ -111,10 +119,9 @@ def test_groves_with_some_sure_cells_stay_where_water_with_fewer_is_held(every: 
         np.full(shape, 3, dtype=np.uint8),
         np.full(shape, 2.5, dtype=np.float32),
     )
-    surface = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat)
-    inner = slice(10, -10), slice(10, -10)
-    assert np.allclose(surface.up_m[inner], 8.0 if kept else 0.0)
-    assert surface.ground().up_m.dtype == np.float32
+    part = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat, (-5.0, 30.0))
+    assert np.allclose(part.over_m, 8.0 if kept else 0.0)
+    assert part.over_m.dtype == part.sd_m.dtype == np.float32
 
 
 def test_tiles_end_where_two_frames_do(town: Scene) -> None:
@@ -140,50 +147,106 @@ def test_tiles_in_any_order_give_the_same_bytes(town: Scene, found) -> None:
 
 
 def test_cells_that_no_frame_sees_keep_the_base(town: Scene) -> None:
-    surface, heights, level = town.matched(town.cells(20.0, 500.0, 500.0))
+    surface, counted, level = town.matched(town.cells(20.0, 500.0, 500.0))
     assert (surface.views == 0).all()
     assert np.allclose(surface.up_m, town.base.up_m)
-    told = dict(doubts(surface, heights, town.base, level))
+    told = dict(doubts(counted, level))
     assert list(told) == ["surface-not-matched"]
 
 
 def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
     middle = town.sighted[1].pose.position_m[:2]
     pair = replace(town, sighted=town.sighted[1:3], greys=town.greys[1:3])
-    surface, heights, level = pair.matched(pair.cells(16.0, *middle))
+    surface, counted, level = pair.matched(pair.cells(16.0, *middle))
     errors_m, kind = pair.truth(surface)
     seen = (pair.frames_seeing(surface) == 2) & (kind == GROUND)
     assert float(np.median(np.abs(errors_m[seen]))) < GSD_M
-    told = dict(doubts(surface, heights, pair.base, level))
+    told = dict(doubts(counted, level))
     assert "surface-two-views" in told
 
 
 def test_hills_beyond_the_search_are_told_and_a_base_that_knows_them_finds_them(town: Scene, found) -> None:
     deep = GroundSurface("flat", 0.0, 0.0, 1.0, town.base.up_m - 17.0)
-    surface, heights, level = town.matched(town.cells(24.0), deep)
-    told = dict(doubts(surface, heights, deep, level))
+    _, counted, level = town.matched(town.cells(24.0), deep)
+    told = dict(doubts(counted, level))
     assert told.keys() & {"surface-out-of-reach", "surface-not-matched"}
-    told = dict(doubts(found[0], found[1], town.base, found[2]))
+    told = dict(doubts(*found[1:]))
     assert not told
 
 
 def test_water_stays_as_it_was(tmp_path) -> None:
     lake = scene(tmp_path, water_share=1.0, frames_per_line=3)
-    surface, heights, level = lake.matched(lake.cells(24.0))
-    looked_at = heights.alike > UNSEEN
+    surface, counted, level = lake.matched(lake.cells(24.0))
     land = np.abs(lake.truth(surface)[0]) > 1.0
-    assert float(np.mean(surface.views[looked_at] > 0)) < 0.3
+    assert counted.looked_at > 1000
+    assert counted.share < 0.3
     assert float(np.mean(land)) < 0.1
-    told = dict(doubts(surface, heights, lake.base, level))
+    told = dict(doubts(counted, level))
     assert "surface-not-matched" in told
 
 
-def test_one_and_two_workers_write_the_same_surface(tmp_path) -> None:
-    survey = small_survey(tmp_path / "town", buildings=2.0, buildings_stand=True, frames_per_line=3)
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs of the same frames by one process and by two."""
+    out = tmp_path_factory.mktemp("flown")
+    survey = small_survey(out / "town", buildings=2.0, buildings_stand=True, frames_per_line=3)
     for workers in (1, 2):
-        run = tmp_path / str(workers)
         asked = ("--workers", workers, "--surface", "dense", "--pos", survey.pos, "--camera", survey.camera)
-        assert geomosaic("mosaic", survey.frames, "-o", run, *asked) == 0
-    one, two = ((tmp_path / name / "surface.tif").read_bytes() for name in "12")
+        assert geomosaic("mosaic", survey.frames, "-o", out / str(workers), *asked) == 0
+    return out
+
+
+def test_one_and_two_workers_write_the_same_surface(flown: Path) -> None:
+    one, two = ((flown / name / "surface.tif").read_bytes() for name in "12")
     assert one == two
-    assert summary(tmp_path / "1")["metrics"]["surface"]["matched"] > 0.3
+    assert summary(flown / "1")["metrics"]["surface"]["matched"] > 0.3
+
+
+def test_a_killed_run_goes_on_with_the_tile_it_was_at(flown: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any tile: of the coarse level, of the fine one, and of the surface."""
+    told = summary(flown / "1")
+    inputs = {
+        name: load_artefact(flown / "1", told, of, kind)
+        for name, of, kind in (
+            ("survey", "survey", Survey),
+            ("adjusted", "adjusted", Adjusted),
+            ("ground", "prior_ground", GroundSurface),
+        )
+    }
+    monkeypatch.setattr(levels_module, "TILE_CELLS", 64)
+    made: list[str] = []
+    last: list[int] = []
+
+    def counting(name: str) -> None:
+        own = getattr(stage_module, name)
+
+        @wraps(own)
+        def work(*given: Any) -> Any:
+            if last and len(made) == last[0]:
+                raise KeyboardInterrupt
+            made.append(name)
+            return own(*given)
+
+        monkeypatch.setattr(stage_module, name, work)
+
+    for name in ("_heights", "_part"):
+        counting(name)
+
+    def run(folder: str) -> DenseSurface:
+        context = Context(flown / folder, key="some", work_folder=flown / folder / "work")
+        found = SurfaceDense().run(inputs, SurfaceDense.Params(), context)["surface"]
+        assert isinstance(found, DenseSurface)
+        return found
+
+    whole, tiles = run("undisturbed"), len(made)
+    assert tiles > 12
+    made.clear()
+    for at in (1, tiles // 2, tiles - 2):
+        last[:] = [at]
+        with pytest.raises(KeyboardInterrupt):
+            run("killed")
+    last.clear()
+    again = run("killed")
+    assert len(made) == tiles
+    assert again.up_m.tobytes() == whole.up_m.tobytes()
+    assert again.sd_m.tobytes() == whole.sd_m.tobytes()

@@ -13,10 +13,10 @@ from geomosaic.surface.doubts import doubts
 
 def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
     line = scene(tmp_path, lines=1, frames_per_line=3, forward_overlap=0.45)
-    surface, heights, level = line.matched(line.cells(12.0))
+    surface, counted, level = line.matched(line.cells(12.0))
     assert line.frames_seeing(surface).max() == 2
     assert surface.views.max() <= 2
-    told = dict(doubts(surface, heights, line.base, level))
+    told = dict(doubts(counted, level))
     assert told.keys() & {"surface-two-views", "surface-not-matched"}
     assert np.isfinite(surface.up_m).all()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -15,17 +15,18 @@ from geomosaic.matching.features import grey
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
-from geomosaic.projection.ground import GroundSurface, node_spacing_m
-from geomosaic.surface.cells import Cells
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.doubts import doubts
-from geomosaic.surface.fused import fused, unmatched
-from geomosaic.surface.levels import Level, levels
+from geomosaic.surface.fused import RIM_CELLS, Counted, Part, fused
+from geomosaic.surface.joined import joined, rimmed
+from geomosaic.surface.levels import Level, Task, cells_over, levels
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.refinement import UNSEEN
 from geomosaic.surface.tile import Heights, Picture, Search, matched, picture
 from geomosaic.surface.verticals import Sighted
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import REDUCTIONS, read_pixels
+from geomosaic.survey.small import Small, Spare
 
 
 class SurfaceDense(Stage):
@@ -34,7 +35,7 @@ class SurfaceDense(Stage):
     id = "surface.dense"
     display_name = "Match the surface"
     group = "Surface"
-    version = 9
+    version = 10
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
@@ -67,32 +68,42 @@ class SurfaceDense(Stage):
         seen = seen[np.isfinite(seen).all(axis=1)]
         if not len(seen):
             raise InputError("no frame sees the ground", mend="run without --surface dense")
-        low, high = seen.min(axis=0), seen.max(axis=0)
         wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
-        cell_m = node_spacing_m(low, high, wanted_m)
-        if cell_m > wanted_m:
-            text = f"cells of {cell_m:.3g} m instead of {wanted_m:.3g} m: as many as one surface may have"
+        cells = cells_over(seen.min(axis=0), seen.max(axis=0), wanted_m)
+        if cells.cell_m > wanted_m:
+            text = (
+                f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: as many as one surface may have"
+            )
             context.warn("surface-coarse", "", text)
-        cols, rows = np.ceil((high - low) / cell_m).astype(int).tolist()
-        cells = Cells(float(low[0]), float(low[1]), cell_m, rows, cols)
+        context.metric("surface.cell_m", cells.cell_m)
         if len(used) < 2:
             context.warn("surface-not-matched", "", "one frame shows no surface: it is as before")
-            return {"ground": base, "surface": unmatched(cells, base)}
+            surface = joined(cells, base, ())
+            return {"ground": surface.ground(), "surface": surface}
         places = adjusted.poses.positions_m[used]
         flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
-        frames = [survey.frames[i] for i in used]
-        found: list[Heights] = []
-        for number, level in enumerate(levels(cells, flying_m)):
-            looks = [(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
-            sighted = [Sighted(*look) for look in looks]
-            above = found[-1].up_m if found else None
-            found.append(_matched(context, f"level {number + 1}", level, base, sighted, frames, above))
-        surface = fused(found[-1], cells, base)
-        looked_at = found[-1].alike > UNSEEN
-        for code, text in doubts(surface, found[-1], base, level):
+        both = levels(cells, flying_m)
+        sighted = [
+            [Sighted(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
+            for level in both
+        ]
+        looks = [
+            _Look(
+                survey.frames[i],
+                int(coarse.reduction),
+                int(fine.reduction),
+                fine.turn_rad,
+                context.spared(Small, survey.frames[i].path),
+            )
+            for i, coarse, fine in zip(used, *sighted, strict=True)
+        ]
+        kept = context.stored("pictures", _pictures, looks)
+        surface, counted = _matched(context, both, base, sighted, kept)
+        for pictures in kept:
+            pictures.forget()
+        for code, text in doubts(counted, both[-1]):
             context.warn(code, "", text)
-        context.metric("surface.cell_m", cell_m)
-        context.metric("surface.matched", float((surface.views > 0).sum() / max(looked_at.sum(), 1)))
+        context.metric("surface.matched", counted.share)
         return {"ground": surface.ground(), "surface": surface}
 
 
@@ -101,51 +112,92 @@ def _reduction(level: Level, gsd_m: float) -> int:
     return min(REDUCTIONS, key=lambda r: abs(np.log(r * gsd_m / level.pixel_m)))
 
 
+def _matched(
+    context: Context,
+    levels: Sequence[Level],
+    base: GroundSurface,
+    sighted: Sequence[Sequence[Sighted]],
+    pictures: Sequence[Kept[Pictures]],
+) -> tuple[DenseSurface, Counted]:
+    """Tiles of the coarse level, of the fine one, and what is kept of those with what lies around: each is
+    made once, whoever makes it, and lies on the disk until the surface is whole."""
+    coarse, fine = levels
+    of_coarse, of_fine = sighted
+
+    def items(tasks: Sequence[Task], frames: Sequence[Sighted]) -> Iterator[_Tile]:
+        for t in tasks:
+            yield _Tile(t.search, tuple(frames[k] for k in t.frames), tuple(pictures[k] for k in t.frames))
+
+    tasks = coarse.tasks(of_coarse, base, None)
+    work, keys = partial(_heights, base), [(t.tile.row, t.tile.col) for t in tasks]
+    found = context.map("coarse tiles", work, items(tasks, of_coarse), keys=keys)
+    above = coarse.together(base, tasks, found)
+    tasks = fine.tasks(of_fine, base, above)
+    tiles, keys = [t.tile for t in tasks], [(t.tile.row, t.tile.col) for t in tasks]
+    with context.spooled("fine tiles", work, items(tasks, of_fine), keys) as heights:
+        near = (
+            _Near(
+                tile, tuple((o, h) for o, h in zip(tiles, heights, strict=True) if o.touches(tile, RIM_CELLS))
+            )
+            for tile in tiles
+        )
+        keeping = partial(_part, base, fine.cells, (fine.lowest_m, fine.highest_m))
+        with context.spooled("tiles of the surface", keeping, near, keys) as parts:
+            surface = joined(fine.cells, base, zip(tiles, (p.load() for p in parts), strict=True))
+            counted = sum((p.load().counted for p in parts), Counted())
+    return surface, counted
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A frame, by how much its pixels are reduced for the coarse level and for the fine one, how it is
+    turned, and where it may lie small."""
+
+    frame: Frame
+    coarse: int
+    fine: int
+    turn_rad: float
+    spare: Spare | None
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """A frame as both levels look at it."""
+
+    coarse: Picture
+    fine: Picture
+
+
+def _pictures(look: _Look) -> Pictures:
+    pixels, valid = read_pixels(look.frame, look.fine, luma=True, spare=look.spare)
+    shown = grey(pixels, valid)
+    by = look.coarse // look.fine
+    return Pictures(picture(shown, valid, look.turn_rad, by), picture(shown, valid, look.turn_rad))
+
+
 @dataclass(frozen=True)
 class _Tile:
     """What is looked for, how the frames that are asked look, and their pictures."""
 
     search: Search
     frames: tuple[Sighted, ...]
-    pictures: tuple[Kept[Picture], ...]
-
-
-def _matched(
-    context: Context,
-    name: str,
-    level: Level,
-    base: GroundSurface,
-    sighted: list[Sighted],
-    frames: list[Frame],
-    above: Any,
-) -> Heights:
-    looks = [_Look(frame, int(s.reduction), s.turn_rad) for frame, s in zip(frames, sighted, strict=True)]
-    pictures = context.stored(f"pictures of {name}", _picture, looks)
-    tasks = level.tasks(sighted, base, above)
-    items = (
-        _Tile(t.search, tuple(sighted[k] for k in t.frames), tuple(pictures[k] for k in t.frames))
-        for t in tasks
-    )
-    keys = [(t.tile.row, t.tile.col) for t in tasks]
-    found = context.map(f"tiles of {name}", partial(_heights, base), items, keys=keys)
-    for kept in pictures:
-        kept.forget()
-    return level.together(base, tasks, found)
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A frame, by how much its pixels are reduced, and how it is turned."""
-
-    frame: Frame
-    reduction: int
-    turn_rad: float
-
-
-def _picture(look: _Look) -> Picture:
-    pixels, valid = read_pixels(look.frame, look.reduction, luma=True)
-    return picture(grey(pixels, valid), valid, look.turn_rad)
+    pictures: tuple[Kept[Pictures], ...]
 
 
 def _heights(base: GroundSurface, tile: _Tile) -> Heights:
-    return matched(tile.search, base, tile.frames, [p.look() for p in tile.pictures])
+    seen = [p.look() for p in tile.pictures]
+    return matched(tile.search, base, tile.frames, [p.fine if tile.search.fine else p.coarse for p in seen])
+
+
+@dataclass(frozen=True)
+class _Near:
+    """A tile, and the heights of it and of those about it."""
+
+    tile: Tile
+    heights: tuple[tuple[Tile, Kept[Heights]], ...]
+
+
+def _part(base: GroundSurface, cells: Cells, reach_m: tuple[float, float], near: _Near) -> Part:
+    tile = near.tile
+    found = rimmed(tile, cells, base, ((other, kept.look()) for other, kept in near.heights))
+    return fused(found, tile.around(cells, RIM_CELLS), base, reach_m)

@@ -63,6 +63,12 @@ class Tile:
         """Its place among the cells."""
         return slice(self.row, self.row + self.rows), slice(self.col, self.col + self.cols)
 
+    def touches(self, other: Tile, margin: int) -> bool:
+        """Whether another one has any of its cells, or of so many on every side."""
+        rows = self.row - margin < other.row + other.rows and other.row < self.row + self.rows + margin
+        cols = self.col - margin < other.col + other.cols and other.col < self.col + self.cols + margin
+        return rows and cols
+
     def around(self, cells: Cells, margin: int) -> Cells:
         """Its cells and so many on every side, past the grid's edge as well."""
         return cells.part(

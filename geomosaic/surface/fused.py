@@ -1,7 +1,8 @@
-"""One surface of what was matched and what was known before, and how sure it is."""
+"""What of the heights that were matched is kept, and how sure it is."""
 
 from __future__ import annotations
 
+from dataclasses import astuple, dataclass
 from typing import Annotated, Final
 
 import cv2
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.refinement import SURE, UNSEEN
 from geomosaic.surface.tile import Heights
 
@@ -107,22 +107,51 @@ _NOISE_CELLS: Annotated[
         "_SD_CELLS, see there",
     ),
 ] = 0.4
-_KEPT: Annotated[
-    float,
-    Because(
-        "share",
-        "of the height over the base that is kept with every doubling of the distance to a sure cell: with 1 "
-        "a roof's height would run out to sea, with less holes in a roof become pits",
-        CHOSEN,
-    ),
-] = 0.6
+RIM_CELLS: Final = 12
+"""About a tile, that `fused` looks at: what is kept asks six around, and evening four around that."""
+_END_CELLS: Annotated[
+    float, Because("cells", "of height from an end of what is searched that count as its end", CHOSEN)
+] = 4.0
 
 
-def fused(found: Heights, cells: Cells, base: GroundSurface) -> DenseSurface:
-    """What was matched; where nothing around was matched surely the base, raised by what lies around."""
+@dataclass(frozen=True)
+class Counted:
+    """Cells: looked_at, that two frames see; matched, with a view; beyond, of these at an end of what was
+    searched, or past it; alike, where frames are alike; by_two, of these where only two are."""
+
+    looked_at: int = 0
+    matched: int = 0
+    beyond: int = 0
+    alike: int = 0
+    by_two: int = 0
+
+    def __add__(self, other: Counted) -> Counted:
+        return Counted(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    @property
+    def share(self) -> float:
+        """Of what two frames see, what was matched."""
+        return self.matched / max(self.looked_at, 1)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What was matched of a tile's cells, (rows, cols) each: over_m, the height over the base, 0 where it is
+    held; sd_m, NaN where it is; views, as a surface's."""
+
+    over_m: Floats32
+    sd_m: Floats32
+    views: NDArray[np.uint8]
+    counted: Counted
+
+
+def fused(found: Heights, cells: Cells, base: GroundSurface, reach_m: tuple[float, float]) -> Part:
+    """What is kept of the heights of cells that have `RIM_CELLS` others on every side.
+
+    Args: reach_m: from where to where over the base heights were searched.
+    """
     east, north = cells.axes_m()
     base_m = base.up_at(east, north[:, None]).astype(np.float32)
-    base_sd_m = np.nan_to_num(base.sd_at(east, north[:, None])).astype(np.float32)
     window = (_AROUND_CELLS, _AROUND_CELLS)
     sure = (found.alike >= SURE).astype(np.float32)
     support = cv2.blur(sure, window, borderType=cv2.BORDER_CONSTANT)
@@ -130,18 +159,16 @@ def fused(found: Heights, cells: Cells, base: GroundSurface) -> DenseSurface:
     distinct = witnessed & (found.distinct >= _DISTINCT_BITS)
     supported = np.where(witnessed, support >= _SUPPORT, (found.alike >= SURE) & (support >= _SUPPORT_OF_TWO))
     kept = (supported | distinct) & (found.alike > UNSEEN)
-    views = np.maximum(found.views, np.where(distinct, _LEAST_VIEWS, 0).astype(np.uint8))
-    weight = kept.astype(np.float32)
+    views = np.where(kept, np.maximum(found.views, np.uint8(_LEAST_VIEWS) * distinct), np.uint8(0))
     over_m = _even(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
-    filled_m = _filled(over_m * weight, weight)
-    varying = _filled(over_m**2 * weight, weight) - filled_m**2
-    held_sd_m = np.hypot(base_sd_m, np.sqrt(np.maximum(varying, 0.0)))
-    return DenseSurface(
-        cells,
-        base_m + filled_m,
-        np.where(kept, _sd_m(found, cells.cell_m, window), held_sd_m).astype(np.float32),
-        np.where(kept, views, np.uint8(0)),
-    )
+    sd_m = np.where(kept, _sd_m(found, cells.cell_m, window), np.float32(np.nan))
+    inner = slice(RIM_CELLS, -RIM_CELLS), slice(RIM_CELLS, -RIM_CELLS)
+    over_m, sd_m, views = (np.ascontiguousarray(a[inner]) for a in (over_m * kept, sd_m, views))
+    ends_m = np.array(reach_m) + np.array([1.0, -1.0]) * _END_CELLS * cells.cell_m
+    matched, alike = views > 0, found.views[inner]
+    beyond = matched & ((over_m < ends_m[0]) | (over_m > ends_m[1]))
+    of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike < _WITNESSES)
+    return Part(over_m, sd_m, views, Counted(*(int(cells.sum()) for cells in of)))
 
 
 def _sd_m(found: Heights, cell_m: float, window: tuple[int, int]) -> Floats32:
@@ -155,30 +182,8 @@ def _sd_m(found: Heights, cell_m: float, window: tuple[int, int]) -> Floats32:
     return np.asarray(np.sqrt(own**2 + (_ASIDE_CELLS * lean) ** 2 + wrong**2), dtype=np.float32)
 
 
-def unmatched(cells: Cells, base: GroundSurface) -> DenseSurface:
-    """The base, where nothing is matched."""
-    east, north = cells.axes_m()
-    up, sd = base.up_at(east, north[:, None]), base.sd_at(east, north[:, None])
-    return DenseSurface(
-        cells, up.astype(np.float32), sd.astype(np.float32), np.zeros(up.shape, dtype=np.uint8)
-    )
-
-
 def _even(over_m: Floats32, cell_m: float) -> Floats32:
     """Without the noise of single cells; edges stay."""
     return np.asarray(
         cv2.bilateralFilter(over_m, _EVENED_CELLS, _NOISE_CELLS * cell_m, _EVENED_CELLS / 4.0), np.float32
     )
-
-
-def _filled(values: Floats32, weight: Floats32) -> Floats32:
-    """Values (rows, cols) where weight is 1; where it is less, those of coarser and coarser cells around."""
-    if min(values.shape) < 2 or weight.min() >= 1.0:
-        return values
-    size = tuple(-(-n // 2) for n in values.shape[::-1])
-    share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-    mean = cv2.resize(values * weight, size, interpolation=cv2.INTER_AREA)
-    mean = np.where(share > 0.0, mean / np.maximum(share, np.float32(1e-6)), np.float32(0.0))
-    coarse = _filled(np.asarray(mean, np.float32), np.asarray(np.minimum(share * 2.0, 1.0), np.float32))
-    around = cv2.resize(coarse, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(weight * values + (1.0 - weight) * np.float32(_KEPT) * around, dtype=np.float32)

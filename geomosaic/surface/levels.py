@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells, Tile
-from geomosaic.surface.tile import MARGIN_CELLS, Heights, Search, unseen
+from geomosaic.surface.joined import up_on
+from geomosaic.surface.tile import MARGIN_CELLS, Heights, Search
 from geomosaic.surface.verticals import Sighted
 
+Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 TILE_CELLS: Annotated[
     int,
@@ -48,6 +50,17 @@ _TALL_M: Annotated[
 _HIGHEST: Annotated[
     float, Because("flying heights", "nearer to the camera than that nothing is matched", CHOSEN)
 ] = 0.6
+
+
+MOST_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "of the rectangle about a surface: 8 bytes each go to every worker that lays frames on it, 9 are "
+        "held while it is made; 160 frames of 10 MP have as many at 4 ground pixels",
+        CHOSEN,
+    ),
+] = 16_000_000
 
 
 @dataclass(frozen=True)
@@ -86,16 +99,12 @@ class Level:
         found = cv2.remap(above, *np.meshgrid(col, row), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found)
 
-    def together(self, base: GroundSurface, tasks: Iterable[Task], found: Iterable[Heights]) -> Heights:
-        """All cells' heights; the base's, and nothing alike, where no two frames look."""
-        east, north = self.cells.axes_m()
-        up = base.up_at(east, north[:, None]).astype(np.float32)
-        whole = unseen(up)
+    def together(self, base: GroundSurface, tasks: Iterable[Task], found: Iterable[Heights]) -> Floats32:
+        """All cells' heights (rows, cols); the base's where no two frames look."""
+        up = up_on(base, self.cells)
         for task, heights in zip(tasks, found, strict=True):
-            at = task.tile.at
-            up[at], whole.distinct[at] = heights.up_m, heights.distinct
-            whole.alike[at], whole.views[at], whole.seeing[at] = heights.alike, heights.views, heights.seeing
-        return whole
+            up[task.tile.at] = heights.up_m
+        return up
 
 
 @dataclass(frozen=True)
@@ -113,6 +122,14 @@ _PLACES: Annotated[
 ] = 9
 _BY: Final = 2
 """Fine cells along a coarse one's side."""
+
+
+def cells_over(low_m: Floats, high_m: Floats, wanted_m: float) -> Cells:
+    """An even number of rows and cols over the rectangle between two corners (2,), of the side that is wanted
+    or as much more as keeps to `MOST_CELLS`."""
+    cell_m = node_spacing_m(low_m, high_m, wanted_m, MOST_CELLS)
+    cols, rows = (_BY * int(n) for n in np.ceil((high_m - low_m) / (_BY * cell_m)))
+    return Cells(float(low_m[0]), float(low_m[1]), cell_m, max(rows, _BY), max(cols, _BY))
 
 
 def levels(cells: Cells, flying_m: float) -> list[Level]:

@@ -169,9 +169,9 @@ class TerrainModel:
     def ground(self) -> GroundSurface:
         """As what rays are projected on: a node in each cell's middle."""
         east, north = self.cells.axes_m()
-        corner = float(east[0]), float(north[0])
-        up, sd = self.up_m.astype(np.float64), self.sd_m.astype(np.float64)
-        return GroundSurface(TERRAIN, *corner, self.cells.cell_m, up, sd)
+        return GroundSurface(
+            TERRAIN, float(east[0]), float(north[0]), self.cells.cell_m, self.up_m, self.sd_m
+        )
 
 
 def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainModel:

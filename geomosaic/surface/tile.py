@@ -21,6 +21,7 @@ from geomosaic.surface.refinement import UNSEEN, likeness, refined
 from geomosaic.surface.sharpening import sharpened
 from geomosaic.surface.verticals import Sighted, Verticals
 from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
+from geomosaic.survey.small import means, padded
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
@@ -111,8 +112,14 @@ class Picture:
     census: Bits
 
 
-def picture(grey: Bytes, valid: Bytes | None, turn_rad: float) -> Picture:
-    """valid (rows, cols): 0 where a pixel is not, None where all are; turn_rad: see `census`."""
+def picture(grey: Bytes, valid: Bytes | None, turn_rad: float, by: int = 1) -> Picture:
+    """The mean of by x by pixels each. valid (rows, cols): 0 where a pixel is not, None where all are;
+    turn_rad: see `census`."""
+    if by > 1:
+        grey = np.asarray(means(grey[..., None], by)[..., 0], dtype=np.uint8)
+        if valid is not None:
+            least = cv2.erode(padded(valid, by), np.ones((by, by), np.uint8), anchor=(0, 0))
+            valid = np.ascontiguousarray(least[::by, ::by])
     return Picture(grey, census(grey, valid, turn_rad))
 
 

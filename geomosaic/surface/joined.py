@@ -1,0 +1,128 @@
+"""One surface of the parts that were matched and of what was known before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.cells import Cells, Tile
+from geomosaic.surface.fused import RIM_CELLS, Part
+from geomosaic.surface.model import DenseSurface
+from geomosaic.surface.tile import Heights, unseen
+
+Floats32 = NDArray[np.float32]
+_BAND_ROWS: Final = 256
+"""Of cells that are worked on at once; an even number."""
+_KEPT: Annotated[
+    float,
+    Because(
+        "share",
+        "of the height over the base that is kept with every doubling of the distance to a sure cell: with 1 "
+        "a roof's height would run out to sea, with less holes in a roof become pits",
+        CHOSEN,
+    ),
+] = 0.6
+
+
+def rimmed(tile: Tile, cells: Cells, base: GroundSurface, near: Iterable[tuple[Tile, Heights]]) -> Heights:
+    """Heights of a tile's cells and of `RIM_CELLS` on every side, by the tiles near it that hold them; the
+    base's, and nothing alike, elsewhere."""
+    found = unseen(up_on(base, tile.around(cells, RIM_CELLS)))
+    row, col = tile.row - RIM_CELLS, tile.col - RIM_CELLS
+    for other, heights in near:
+        (to_rows, of_rows), (to_cols, of_cols) = (
+            _shared(first, size, at, count)
+            for first, size, at, count in (
+                (row, tile.rows + 2 * RIM_CELLS, other.row, other.rows),
+                (col, tile.cols + 2 * RIM_CELLS, other.col, other.cols),
+            )
+        )
+        for name, values in vars(found).items():
+            values[to_rows, to_cols] = getattr(heights, name)[of_rows, of_cols]
+    return found
+
+
+def _shared(first: int, size: int, at: int, count: int) -> tuple[slice, slice]:
+    """Where the cells that two rows of cells have in common lie in the one and in the other."""
+    low, high = max(first, at), max(min(first + size, at + count), max(first, at))
+    return slice(low - first, high - first), slice(low - at, high - at)
+
+
+def up_on(base: GroundSurface, cells: Cells) -> Floats32:
+    """The base's heights (rows, cols) in the cells' middles."""
+    east, north = cells.axes_m()
+    found = np.empty((cells.rows, cells.cols), dtype=np.float32)
+    for band in _bands(cells):
+        found[band] = base.up_at(east, north[band, None])
+    return found
+
+
+def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]) -> DenseSurface:
+    """All cells' heights: where a part keeps none, the base's, raised by what lies around.
+
+    cells: an even number of rows and cols.
+    """
+    over_m = np.zeros((cells.rows, cells.cols), dtype=np.float32)
+    sd_m, views = np.full_like(over_m, np.nan), np.zeros(over_m.shape, dtype=np.uint8)
+    for tile, part in parts:
+        over_m[tile.at], sd_m[tile.at], views[tile.at] = part.over_m, part.sd_m, part.views
+    around_m, around_m2 = _around(over_m, sd_m)
+    east, north = cells.axes_m()
+    for band in _bands(cells):
+        at = east, north[band, None]
+        held = np.isnan(sd_m[band])
+        near_m, near_m2 = (_finer(a, band) for a in (around_m, around_m2))
+        varying = np.maximum(near_m2 - near_m**2, np.float32(0.0))
+        over_m[band] = base.up_at(*at) + np.where(held, near_m, over_m[band])
+        held_sd_m = np.sqrt(np.nan_to_num(base.sd_at(*at)) ** 2 + varying)
+        sd_m[band] = np.where(held, held_sd_m, sd_m[band])
+    return DenseSurface(cells, over_m, sd_m, views)
+
+
+def _bands(cells: Cells) -> Iterator[slice]:
+    for row in range(0, cells.rows, _BAND_ROWS):
+        yield slice(row, min(row + _BAND_ROWS, cells.rows))
+
+
+def _around(over_m: Floats32, sd_m: Floats32) -> tuple[Floats32, Floats32]:
+    """What lies around (half the rows, half the cols): heights over the base, and their squares."""
+    half = over_m.shape[0] // 2, over_m.shape[1] // 2
+    share, mean, square = (np.zeros(half, dtype=np.float32) for _ in range(3))
+    for row in range(0, over_m.shape[0], _BAND_ROWS):
+        band, to = slice(row, row + _BAND_ROWS), slice(row // 2, (row + _BAND_ROWS) // 2)
+        known, values = np.isfinite(sd_m[band]).astype(np.float32), over_m[band]
+        size = half[1], known.shape[0] // 2
+        for half_of, whole in ((share, known), (mean, values), (square, values**2)):
+            half_of[to] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+    weight = np.minimum(share * np.float32(2.0), np.float32(1.0))
+    least = np.maximum(share, np.float32(1e-6))
+    mean /= least
+    square /= least
+    return np.float32(_KEPT) * _filled(mean, weight), np.float32(_KEPT) * _filled(square, weight)
+
+
+def _finer(values: Floats32, band: slice) -> Floats32:
+    """Values (rows, cols) between twice as many, bilinear: those of a band of rows."""
+    first, last = max(band.start // 2 - 1, 0), min(band.stop // 2 + 1, len(values))
+    some = values[first:last]
+    wide = cv2.resize(some, (2 * some.shape[1], 2 * some.shape[0]), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(wide[band.start - 2 * first : band.stop - 2 * first], dtype=np.float32)
+
+
+def _filled(values: Floats32, weight: Floats32) -> Floats32:
+    """Values (rows, cols) where weight is 1; where it is less, those of coarser and coarser cells around."""
+    if min(values.shape) < 2 or weight.min() >= 1.0:
+        return values
+    size = tuple(-(-n // 2) for n in values.shape[::-1])
+    share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(values * weight, size, interpolation=cv2.INTER_AREA)
+    mean = np.where(share > 0.0, mean / np.maximum(share, np.float32(1e-6)), np.float32(0.0))
+    coarse = _filled(np.asarray(mean, np.float32), np.asarray(np.minimum(share * 2.0, 1.0), np.float32))
+    around = cv2.resize(coarse, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(weight * values + (1.0 - weight) * np.float32(_KEPT) * around, dtype=np.float32)
