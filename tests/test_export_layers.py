@@ -253,6 +253,10 @@ def test_of_too_many_tie_points_every_pair_keeps_its_share_and_the_layer_says_so
         assert layer.GetMetadataItem("DESCRIPTION").endswith(": 4 of 6, evenly thinned")
     whole = ogr.Open(str(package[0]))
     assert whole.GetLayer("tie_points").GetMetadataItem("DESCRIPTION") == "Tie points on the ground"
+    monkeypatch.setattr(residual_layers, "MOST_A_FRAME", 0)
+    write_layers(tmp_path / "none.gpkg", *arguments)
+    none = ogr.Open(str(tmp_path / "none.gpkg"))
+    assert none.GetLayer("tie_points").GetMetadataItem("DESCRIPTION").endswith(": 0 of 6, evenly thinned")
 
 
 @pytest.fixture(scope="module")

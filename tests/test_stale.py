@@ -346,3 +346,20 @@ def test_a_stage_that_fails_on_a_forged_artefact_says_where_it_lies(toys: Toys) 
     assert not (toys.run_folder / "run.json").exists()
     shutil.rmtree(toys.run_folder / "work")
     toys.run()
+
+
+def test_a_copy_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, copy, cut = (tmp_path / name for name in "abc")
+    whole.write_bytes(b"mosaic")
+    copy.write_bytes(whole.read_bytes())
+    cut.write_bytes(b"mos")
+    hashes = FileHashes()
+    digest = hashes.of_written(whole)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", lambda *_: pytest.fail("was read"))
+        assert hashes.of_copy(copy, whole) == hashes.of_written(copy) == digest
+    assert FileHashes().of_written(copy) == digest
+    with pytest.raises(FileError, match="was changed"):
+        hashes.of_copy(cut, whole)
+    copy.write_bytes(b"altered")
+    assert hashes.of_written(copy) != digest

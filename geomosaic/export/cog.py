@@ -58,14 +58,15 @@ def write_cog(
     overviews: str = OVERVIEWS_MADE,
     threads: int = 2,
     progress: Progress | None = None,
-) -> None:
+) -> bool:
     """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
 
     One that composition wrote is a COG already: its bytes are copied, unless it is to be kept otherwise; then
     GDAL makes another one of it. The software and the ground pixel (`GSD_M`) stand in its metadata, an RPC
     where the raster has one, and each band's statistics: the raster's own, or of a sample of its blocks.
     quality: of LOSSY compressions, in %. most_off: by how much values may change by LERC.
-    Raises: `InputError` if the compression can't hold these pixels; `OSError` if `out` can't be written.
+    Returns whether its bytes were copied. Raises: `InputError` if the compression can't hold these pixels;
+    `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
     with callback.reraise(), gdal_failures(out), _block_cache(_CACHE_BYTES):
@@ -73,7 +74,7 @@ def write_cog(
         if (compression, overviews) == (COMPRESSION, OVERVIEWS_MADE) and _is_composed(source):
             del source
             _copy(raster, out, callback)
-            return
+            return True
         options = _options(source, compression, quality, most_off, overviews)
         with gdal_options({"GDAL_PAM_ENABLED": "NO"}):
             if not source.GetRasterBand(1).GetMetadataItem("STATISTICS_MEAN"):
@@ -89,6 +90,7 @@ def write_cog(
             callback=callback,
         )
         del done, source
+        return False
 
 
 def _is_composed(source: Any) -> bool:

@@ -37,9 +37,9 @@ def write_layers(
     error_ellipses: of the adjusted positions, larger than life. tie_points: midway between where its two
     frames put each; residuals: lines from where the left frame puts it to where the right one does, true to
     scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
-    vector in pixels; these three show at most 200,000, as their description says. control: where points were
-    surveyed; control_residuals: lines to there from where the images put them, true to scale. seamlines:
-    where each frame gives the mosaic.
+    vector in pixels; these three show at most 2,000 a frame and 200,000 in all, as their description says.
+    control: where points were surveyed; control_residuals: lines to there from where the images put them,
+    true to scale. seamlines: where each frame gives the mosaic.
     Raises: `OSError` if the file can't be written.
     """
     adjusted_orientation = orientations(survey, placement.poses, adjusted)

@@ -20,8 +20,9 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MOST_POINTS = 200_000
-"""Of more the layers show an even share: a map can't show them, and a GIS opens the file slowly."""
+MOST_POINTS, MOST_A_FRAME = 200_000, 2_000
+"""Of more, in all or in the mean of a frame, the layers show an even share: a map can't show them, and a GIS
+opens the file slowly (190 bytes a feature)."""
 _SHARE_OF_SPACING = 0.03
 """How long the typical residual is drawn, of the way to the next frame: thousands of arrows stay apart."""
 
@@ -43,14 +44,17 @@ class _ResidualLayers:
     def __init__(self, package: GeoPackage, survey: Survey, adjusted: Adjusted, frames_m: Floats) -> None:
         self.package, self.survey, self.adjusted, self.frames_m = package, survey, adjusted, frames_m
         self.names = np.array([f.name for f in survey.frames])
+        self.most = min(MOST_POINTS, MOST_A_FRAME * len(self.names))
 
     def tie_points(self, ties: TiePoints, gsd_m: Floats) -> None:
         pairs, residuals_m = TiePairs.of(ties.pairs), self.adjusted.residuals_m
-        left_m = self._ground(pairs.frame[pairs.keypoints[0]], pairs.image_px, pairs.keypoints[0])
+        known = np.concatenate([np.zeros(0, dtype=bool), *(np.isfinite(r).all(axis=1) for r in residuals_m)])
+        shown = _evenly(np.flatnonzero(known), self.most)
+        thinned = _thinned(len(shown), int(known.sum()))
+        keypoints = pairs.keypoints[0, shown]
+        left_m = self._ground(pairs.frame[keypoints], pairs.image_px, keypoints)
         hit = np.isfinite(left_m).all(axis=1)
-        hit &= np.concatenate([np.zeros(0, dtype=bool), *(np.isfinite(r).all(axis=1) for r in residuals_m)])
-        shown = _evenly(np.flatnonzero(hit), MOST_POINTS)
-        thinned = _thinned(len(shown), int(hit.sum()))
+        shown, left_m = shown[hit], left_m[hit]
         (left, right), (left_px, right_px) = (
             of[pairs.keypoints[:, shown]] for of in (pairs.frame, pairs.image_px)
         )
@@ -61,8 +65,8 @@ class _ResidualLayers:
                 *(r[k - a] for r, k, a in zip(residuals_m, of_pairs, pairs.first, strict=False)),
             ]
         )
-        left_map = map_from_work(self.survey, left_m[shown])
-        right_map = map_from_work(self.survey, left_m[shown] + np.pad(shift, ((0, 0), (0, 1))))
+        left_map = map_from_work(self.survey, left_m)
+        right_map = map_from_work(self.survey, left_m + np.pad(shift, ((0, 0), (0, 1))))
         residual = right_map - left_map
         length = np.linalg.norm(residual, axis=1)
         fields = {
@@ -93,7 +97,7 @@ class _ResidualLayers:
         image_px, residual_px = (np.zeros((0, 2)),) * 2 if r is None else (r.image_px, r.residual_px)
         weight = np.zeros(0) if r is None else r.weight
         known = np.flatnonzero(np.isfinite(residual_px).all(axis=1))
-        shown = _evenly(known, MOST_POINTS)
+        shown = _evenly(known, self.most)
         thinned = _thinned(len(shown), len(known))
         at = self._ground(frame[shown], image_px, shown)
         hit = np.isfinite(at).all(axis=1)

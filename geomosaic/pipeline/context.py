@@ -216,6 +216,11 @@ class Context:
         """The artefact of a file in the run folder."""
         return RunFile(filename, self._hashes.of_written(self._folder.within(filename)))
 
+    def copied_file(self, filename: str, original: RunFile) -> RunFile:
+        """The artefact of a file that was written as a copy of another one."""
+        path = self._folder.within(filename)
+        return RunFile(filename, self._hashes.of_copy(path, self._folder.within(original.name)))
+
     def path_of(self, file: RunFile) -> Path:
         """Where a file artefact lies. Raises `FileError` if it isn't there any more."""
         path = self._folder.within(file.name)

@@ -145,6 +145,14 @@ class FileHashes:
             raise FileError("is no regular file", file=path)
         return self.of_file(path)
 
+    def of_copy(self, path: Path, original: Path) -> str:
+        """Hash of a file that a stage wrote as a copy of another one, which isn't read again."""
+        digest, status = self.of_written(original), path.stat()
+        if path.is_symlink() or status.st_size != original.stat().st_size:
+            raise _changed(path)
+        self._now[str(path)] = (_mark(status), digest)
+        return digest
+
     def forget_unasked(self) -> None:
         """Forgets the files that nobody asked for since the start."""
         self._new = self._new or not self._known.keys() <= self._now.keys()

@@ -46,9 +46,10 @@ class ExportCog(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """From the raster in RUN/work, which is a COG already: as it is, or kept in another way."""
-        raster = _raster(inputs["raster_file"], context)
+        composed: RunFile = inputs["raster_file"]
+        raster = _raster(composed, context)
         with context.writing(MOSAIC) as path:
-            write_cog(
+            copied = write_cog(
                 raster,
                 path,
                 compression=params.compression,
@@ -60,7 +61,8 @@ class ExportCog(Stage):
             )
         image = thumbnail(_glance(context.run_folder / MOSAIC))
         context.recorder.image("/images/mosaic", "mosaic", image)
-        return {"mosaic_file": context.run_file(MOSAIC)}
+        known = copied and raster == context.run_folder / composed.name
+        return {"mosaic_file": context.copied_file(MOSAIC, composed) if known else context.run_file(MOSAIC)}
 
 
 def _raster(composed: RunFile, context: Context) -> Path:

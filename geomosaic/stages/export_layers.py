@@ -26,7 +26,7 @@ class ExportLayers(Stage):
     id = "export.layers"
     display_name = "Write layers and positions"
     group = "Export"
-    version = 6
+    version = 7
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
