@@ -18,7 +18,12 @@ from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
-from geomosaic.placement.prior import courses_deg, heading_assumed, position_assumed
+from geomosaic.placement.prior import (
+    courses_deg,
+    heading_assumed,
+    heading_limits_rad,
+    position_assumed,
+)
 from geomosaic.survey.model import Warn
 from geomosaic.survey.strays import UPRIGHT
 
@@ -32,15 +37,6 @@ _POSITION_LIES: Annotated[
         CHOSEN,
     ),
 ] = 6.0
-_YAW_LIES_DEG: Annotated[
-    float,
-    Because(
-        "degrees",
-        "least that a heading is off to be called wrong: compasses are off by as much beside motors, and "
-        "nobody minds",
-        CHOSEN,
-    ),
-] = 8.0
 HALF_TURN_DEG: Annotated[
     float,
     Because("degrees", "about half a turn: less than halfway to the next quarter", CHOSEN),
@@ -167,9 +163,8 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
 
 def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
     """By how much each frame turned about the vertical, (n,), and by how much its heading may be off."""
-    turned = np.degrees(log_turn(found.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2])
-    most = np.maximum(_YAW_LIES_DEG, 4.0 * np.degrees(given.rotations_sd_rad[:, 2]))
-    return turned, most
+    turned = log_turn(found.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2]
+    return np.degrees(turned), np.degrees(heading_limits_rad(given))
 
 
 def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:

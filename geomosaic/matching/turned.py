@@ -17,7 +17,12 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.model import TiePair
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts, flight_lines
-from geomosaic.placement.prior import COURSE_YAW_SD_DEG, courses_deg, heading_assumed
+from geomosaic.placement.prior import (
+    COURSE_YAW_SD_DEG,
+    courses_deg,
+    heading_assumed,
+    heading_limits_rad,
+)
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
@@ -132,7 +137,7 @@ def found_turned(
         parts = [
             [i for i in part if not assumed[i] and i not in headings] for part in connected_parts(n, edges)
         ]
-        turns = turned_by_images(turns, averaged(n, joints), parts)
+        turns = turned_by_images(turns, averaged(n, joints), parts, heading_limits_rad(poses))
     return turns, headings
 
 
@@ -245,12 +250,13 @@ def headings_fit(
 
 
 def turned_by_images(
-    turns: dict[int, int], shape: Complexes, parts: Sequence[Sequence[int]]
+    turns: dict[int, int], shape: Complexes, parts: Sequence[Sequence[int]], limits_rad: Floats
 ) -> dict[int, int]:
-    """Those frames of `turns` that their neighbours' images show turned by just so much, within _TOLERANCE;
-    the others have a wrong heading, not a turned image.
+    """Those frames of `turns` that their neighbours' images show turned by just so much, within _TOLERANCE
+    and what headings may be off; the others have a wrong heading, not a turned image.
 
-    Args: shape (n,): turn and scale of each frame, see `relative.averaged`; parts: the connected parts.
+    Args: shape (n,): turn and scale of each frame, see `relative.averaged`; parts: the connected parts;
+        limits_rad (n,): see `heading_limits_rad`.
     """
     out = {}
     for part in parts:
@@ -258,7 +264,7 @@ def turned_by_images(
         usual = complex(np.mean([shape[i] / abs(shape[i]) for i in upright])) if upright else 0j
         for i in (i for i in part if i in turns):
             off = np.angle(shape[i] * (-1j) ** turns[i] / usual) if abs(usual) > _TOGETHER else 0.0
-            if abs(off) < _TOLERANCE_RAD:
+            if abs(off) < min(_TOLERANCE_RAD, limits_rad[i]):
                 out[i] = turns[i]
     return out
 

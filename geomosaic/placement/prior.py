@@ -38,6 +38,21 @@ COURSE_YAW_SD_DEG: Annotated[
         CHOSEN,
     ),
 ] = 20.0
+YAW_LIES_DEG: Annotated[
+    float,
+    Because(
+        "degrees",
+        "least that a heading is off to be called wrong: compasses are off by as much beside motors, and "
+        "nobody minds",
+        CHOSEN,
+    ),
+] = 8.0
+
+
+def heading_limits_rad(poses: Poses) -> Floats:
+    """By how much each frame's heading (n,) may be off before it is called wrong: four deviations, or what
+    nobody minds."""
+    return np.maximum(np.radians(YAW_LIES_DEG), 4.0 * poses.rotations_sd_rad[:, 2])
 
 
 def heading_assumed(poses: Poses) -> NDArray[np.bool_]:
