@@ -31,6 +31,7 @@ def _headed(poses: Poses, by_deg: dict[int, float]) -> Poses:
         ({}, {}, {}),
         ({8: 180.0}, {8: 180.0}, {8: "its tags say so, too"}),
         ({8: 100.0}, {8: 180.0}, {8: "its tags say neither"}),
+        ({6: 100.0, 7: 70.0, 8: 60.0}, {8: 180.0}, {8: "its tags say neither"}),  # images count, not tags
         ({8: 180.0, 9: 180.0}, {8: 180.0, 9: 180.0}, {}),  # two of six: the line itself goes both ways
         ({8: 140.0}, {8: 140.0}, {}),  # no half turn to the adjustment either
         (dict.fromkeys(range(6, 12), 180.0), dict.fromkeys(range(6, 12), 180.0), {}),  # flown backward

@@ -18,7 +18,9 @@ NAME: Final = (
     f"plan, m: arrows from POS to adjusted, yellow {MOVE.good:g}, red {MOVE.bad:g} deviations; pairs and tie "
     f"points, yellow {RESIDUAL.good:g}, red {RESIDUAL.bad:g} ground pixels; grey: tried, not tied"
 )
-_GREY, _FAINT, _RED = (95, 95, 110), (60, 66, 80), (255, 60, 60)
+_GREY, _FAINT, _RED, _BARE = (95, 95, 110), (60, 66, 80), (255, 60, 60), (210, 130, 40)
+_BARE_NAMED, _NO_TIES = 3, "no tie points"
+"""Parts of the ground that are named, and how, where it has none."""
 _ROOM: Final = (1000.0, 600.0)
 """UI points that a plan has on a screen of 1920 x 1080: names that would lie on one another there are left
 out, and shown where the pointer is."""
@@ -49,6 +51,9 @@ def draw_plan(story: Story, stream: Any) -> None:
         ]
         lines = rerun.LineStrips2D(rings, colors=[colour], radii=_ui(width / 2), draw_order=1.0)
         stream.log(f"{PLAN}/footprints_{what}" if what != "seams" else f"{PLAN}/seams", lines, static=True)
+    bare = [_drawn(ring) for _, ring in story.outlines.get("bare", ()) if len(ring)]
+    lines = rerun.LineStrips2D(bare, colors=[_BARE], radii=_ui(1.0), draw_order=1.2)
+    stream.log(f"{PLAN}/bare", lines, static=True)
     now = adjusted if adjusted.row else placed
     if not now.row:
         return
@@ -68,6 +73,10 @@ def draw_plan(story: Story, stream: Any) -> None:
     rings = [_drawn(ring) for what in ("placed", "adjusted") for _, ring in story.outlines.get(what, ())]
     every = np.concatenate([at, *rings])
     seen = every[np.isfinite(every).all(axis=1)]
+    middles = [(ring.min(axis=0) + ring.max(axis=0)) / 2.0 for ring in bare[:_BARE_NAMED]]
+    at, labels = np.concatenate([at, *([m] for m in middles)]), [*labels, *[_NO_TIES] * len(middles)]
+    colours = np.concatenate([colours, *([_BARE] for _ in middles)]).astype(np.uint8)
+    far_sd = np.append(far_sd, np.zeros(len(middles)))
     shown, named_at = names_apart(at, np.ptp(seen, axis=0) if len(seen) else np.ones(2), labels, far_sd)
     named = rerun.Points2D(
         named_at,

@@ -16,10 +16,10 @@ import numpy as np
 from geomosaic.adjustment.doubts import HALF_TURN_DEG, headings_off_deg
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.matching.turned import headings_fit, righted
+from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed
-from geomosaic.recording.bare_ground import BARE, bare_shares
+from geomosaic.quality.bare_ground import bare_ground
 from geomosaic.recording.model import Recording
 from geomosaic.recording.solved import Solved
 from geomosaic.recording.tabled import warned
@@ -174,26 +174,26 @@ def _against_their_lines(solved: Solved) -> Iterator[Fault]:
     rule by which the adjustment tells turned images from wrong headings."""
     if solved.adjusted is None or solved.prior is None:
         return
-    quarters = {i: q for i, q in enumerate(solved.turned) if q}
-    given, found = righted(solved.prior.poses, quarters), solved.adjusted.poses
-    off_deg, most_deg = headings_off_deg(given, found)
+    found = solved.adjusted.poses
+    off_deg, most_deg = headings_off_deg((solved.placement or solved.prior).poses, found)
     lines = np.array(flight_lines(found.positions_m[:, :2]))
     course = np.radians(courses_deg(found.positions_m, tuple(lines)))
     laid = Rotation(found.rotations).yaw_pitch_roll()[0] + np.pi / 2.0 * np.array(solved.turned)
-    laid[heading_assumed(given)] = np.nan
-    odd = np.abs(off_deg) > most_deg
+    laid[heading_assumed(solved.prior.poses)] = np.nan
+    half = np.abs(np.abs(off_deg) - 180.0) < HALF_TURN_DEG
     told = {frame for code, frame, _ in solved.warned if code == "frame-turned"}
     for line in np.unique(lines):
         mine = np.flatnonzero(lines == line)
         for i in mine:
-            others = ~odd[mine] & (mine != i) & np.isfinite(laid[mine] - course[mine])
+            others = ~half[mine] & (mine != i) & np.isfinite(laid[mine] - course[mine])
             if solved.names[i] in told or others.sum() < _LEAST_OTHERS:
                 continue
             _, usual = headings_fit(np.flatnonzero(~others), laid[mine], laid[mine], course[mine])
             here, there = np.degrees([laid[i], usual + course[i]]) % 360.0
             if not abs(abs(here - there) - 180.0) < HALF_TURN_DEG:
                 continue
-            tags = "its tags say neither" if odd[i] else "its tags say so, too"
+            odd = abs(solved.yawed_deg[i]) > most_deg[i]
+            tags = "its tags say neither" if odd else "its tags say so, too"
             text = (
                 f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, "
                 f"theirs {there:.0f}; {tags}): its pixels were turned after the flight, or the camera turned "
@@ -206,21 +206,18 @@ def _against_their_lines(solved: Solved) -> Iterator[Fault]:
 
 def _bare_ground(solved: Solved) -> Iterator[Fault]:
     """Ground that several frames see and none of them has tie points on."""
-    bare = bare_shares(solved)
-    if not bare:
+    if solved.adjusted is None or solved.ties is None:
         return
-    shares = np.array(list(bare.values()))
-    total = float(shares[:, 0].sum() / max(shares[:, 1].sum(), 1.0))
-    if total <= BARE:
+    bare = bare_ground(solved.adjusted, solved.ties)
+    if not bare.matters:
         return
-    most = sorted(bare, key=lambda n: -bare[n][0] / bare[n][1])
-    most = [n for n in most if bare[n][0] > BARE * bare[n][1]]
+    most = [solved.names[i] for i in bare.worst()]
     text = (
-        f"{100.0 * total:.0f} % of the ground that three frames and more see has no tie points: water, or "
-        f"ground that looks alike or moves; most in {some(most)}"
+        f"{100.0 * bare.share:.0f} % of the ground that three frames and more see has no tie points: water, "
+        f"or ground that looks alike or moves; most in {some(most)}"
     )
     mend = "no need on water; elsewhere heights are guessed: more overlap, or an elevation model (--dem)"
-    yield Fault("ground-without-ties", tuple(most[:10]), text, "counted", mend, 25.0 + total)
+    yield Fault("ground-without-ties", tuple(most[:10]), text, "counted", mend, 25.0 + bare.share)
 
 
 def worst_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -20,6 +20,7 @@ from geomosaic.mosaic.estimate import Estimate, room
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import footprint
+from geomosaic.quality.bare_ground import bare_outlines
 from geomosaic.quality.solved_tables import (
     move_columns,
     pair_columns,
@@ -111,6 +112,8 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
     outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], adjusted.ground, 4) for i in shown]
     on_map = not is_local(survey.map_crs)
     record_outlines(context, survey.work_frame, "adjusted", [names[i] for i in shown], outlines, on_map)
+    if bare := bare_outlines(adjusted, ties):
+        context.recorder.outlines("bare", [f"{k + 1}" for k in range(len(bare))], bare)
 
 
 def record_adjusted(
