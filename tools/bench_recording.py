@@ -56,7 +56,7 @@ def counted(arguments: list[str]) -> None:
     """Runs a command, and prints both. A call within a call counts once."""
     from geomosaic.cli.main import main as command
     from geomosaic.recording.writer import STAGE_CALLS, Recorder
-    from geomosaic.stages import chips, quality_verdict
+    from geomosaic.stages import chips
 
     here = threading.local()
     spent: list[float] = []
@@ -80,8 +80,8 @@ def counted(arguments: list[str]) -> None:
     runs = ("begin_run", "inputs", "stage_started", "stage_finished", "artefact", "close", "_beat")
     for name in (*STAGE_CALLS, *runs):
         count(Recorder, name)
-    count(chips, "record_chips")
-    quality_verdict.record_chips = chips.record_chips
+    for name in ("__init__", "record"):
+        count(chips.Chips, name)
     if command(arguments):
         raise SystemExit("the run failed")
     print(json.dumps([sum(spent), time.process_time()]))

@@ -5,7 +5,7 @@ Tie points say how well an adjustment agrees with itself; this looks at what peo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
@@ -26,7 +26,8 @@ from geomosaic.projection.resample import resample
 from geomosaic.quality.ssim import luma
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Frame
-from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.pixels import Mask, read_pixels
+from geomosaic.survey.small import brightness
 
 Floats = NDArray[np.float64]
 
@@ -152,11 +153,22 @@ class Jump:
     displacement_px: Floats
 
 
+Look = Callable[[SeamGround, Mapping[int, Sighting]], Sequence[Sights]]
+"""Frames, by number, each looked at once for all its places."""
+
+
 def seen_at(shared: SeamGround, job: Sighting) -> Sights:
     """Decodes a frame once and takes all its places."""
-    pixels, mask = read_pixels(job.frame, luma=True)
+    return seen_in(*read_pixels(job.frame), shared, job)
+
+
+def seen_in(pixels: NDArray[Any], mask: Mask | None, shared: SeamGround, job: Sighting) -> Sights:
+    """Takes all places of a frame's pixels (rows, cols, bands) and its mask of valid ones: of a picture's
+    colours one band, since there are many places."""
     height, width, bands = pixels.shape
     pixels = pixels[..., : 3 if bands >= 3 else 1]
+    if pixels.dtype == np.uint8:
+        pixels = brightness(pixels)
     shown, seen = [], []
     for east, north in job.at_m:
         corner = east - WINDOW_PX * shared.gsd_m / 2.0, north + WINDOW_PX * shared.gsd_m / 2.0
@@ -200,8 +212,9 @@ def check_seams(
     grid: OutputGrid,
     seamlines: Sequence[Seamline],
     spread: Spread | None = None,
+    look: Look | None = None,
 ) -> SeamCheck:
-    """Measures `seam_places` of a mosaic: each frame that has some is decoded once."""
+    """Measures `seam_places` of a mosaic: each frame that has some is decoded once, by `look` if given."""
     spread = spread or AtOnce()
     places = seam_places(seamlines, WINDOW_PX * grid.gsd_m)
     at_m = np.array([p[2:] for p in places], dtype=np.float64).reshape(-1, 2)
@@ -209,10 +222,14 @@ def check_seams(
     for k, (left, right, _, _) in enumerate(places):
         of.setdefault(left, []).append(k)
         of.setdefault(right, []).append(k)
-    jobs = [Sighting(frames[i], poses[i], cameras[i], at_m[ks]) for i, ks in of.items()]
+    jobs = {i: Sighting(frames[i], poses[i], cameras[i], at_m[ks]) for i, ks in of.items()}
     shared = SeamGround(grid.crs, grid.gsd_m, work_frame, ground)
     sights: dict[tuple[int, int], Sights] = {}
-    looks = spread.map("seams", partial(seen_at, shared), jobs, list(of))
+    looks = (
+        spread.map("seams", partial(seen_at, shared), list(jobs.values()), list(jobs))
+        if look is None
+        else look(shared, jobs)
+    )
     for (i, ks), found in zip(of.items(), looks, strict=True):
         sights |= {(i, k): Sights(found.pixels[n : n + 1], found.valid[n : n + 1]) for n, k in enumerate(ks)}
     both = [(sights[left, k], sights[right, k]) for k, (left, right, _, _) in enumerate(places)]

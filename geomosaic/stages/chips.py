@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context
+from geomosaic.quality.seam_check import SeamGround, Sighting, Sights, seen_in
 from geomosaic.quality.solved_tables import pair_columns, tie_weights, worst_pairs
 from geomosaic.recording.chips import Cut, chip, cuts, shown
 from geomosaic.recording.messages import ChipTies
@@ -20,51 +23,75 @@ from geomosaic.survey.pixels import read_pixels
 
 @dataclass(frozen=True)
 class ToCut:
-    """A frame, and where it is to be cut."""
+    """A frame, what seams ask of it, and where it is to be cut."""
 
     frame: Frame
+    seams: Sighting | None
     cuts: tuple[Cut, ...]
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """What was cut, (rows, cols, 3) each, in that order; none where the frame isn't there any more."""
+    """What seams asked for; and what was cut, (rows, cols, 3) each, in that order, none where the frame isn't
+    there any more."""
 
+    seams: Sights | None
     pixels: tuple[NDArray[np.uint8], ...]
 
 
-def cut_frame(item: ToCut) -> Pieces:
-    """Decodes a frame once for all that is cut of it."""
+def cut_frame(shared: SeamGround, item: ToCut) -> Pieces:
+    """Decodes a frame once for all that is taken of it. Raises: `FileError` if seams can't have it."""
     try:
-        pixels = read_pixels(item.frame)[0]
+        pixels, mask = read_pixels(item.frame)
     except FileError:
-        return Pieces(())
-    return Pieces(tuple(shown(cut.pixels(pixels)) for cut in item.cuts))
+        if item.seams is not None:
+            raise
+        return Pieces(None, ())
+    seams = None if item.seams is None else seen_in(pixels, mask, shared, item.seams)
+    return Pieces(seams, tuple(shown(cut.pixels(pixels)) for cut in item.cuts))
 
 
-def record_chips(context: Context, survey: Survey, ties: TiePoints, adjusted: Adjusted) -> None:
+class Chips:
     """The worst pairs side by side at full resolution, with their tie points, worst first.
 
     Nothing where images aren't recorded, and without a pair whose frames aren't there any more.
     """
-    if not context.recorder.wants(ChipTies):
-        return
-    weights = tie_weights(ties, adjusted.image_residuals)
-    rms_m = pair_columns(ties, adjusted.residuals_m, weights)["rms_m"]
-    worst = [p for p in worst_pairs(rms_m) if np.isfinite(rms_m[p])]
-    where = {p: cuts(ties.pairs[p].left_px, ties.pairs[p].right_px, adjusted.residuals_m[p]) for p in worst}
-    ends = [
-        (p, side, ties.pairs[p].left if side == 0 else ties.pairs[p].right) for p in worst for side in (0, 1)
-    ]
-    frames = sorted({frame for *_, frame in ends})
-    mine = {i: [(p, side) for p, side, frame in ends if frame == i] for i in frames}
-    jobs = [ToCut(survey.frames[i], tuple(where[p][side] for p, side in mine[i])) for i in frames]
-    halves: dict[tuple[int, int], NDArray[np.uint8]] = {}
-    for i, pieces in zip(frames, context.map("chips", cut_frame, jobs, keys=frames), strict=True):
-        halves |= dict(zip(mine[i], pieces.pixels, strict=False))
-    for rank, p in enumerate(worst):
-        if (p, 0) not in halves or (p, 1) not in halves:
-            continue
-        pair, both = ties.pairs[p], (halves[p, 0], halves[p, 1])
-        made = chip(both, where[p], pair.left_px, pair.right_px, adjusted.residuals_m[p], weights[p])
-        context.recorder.chip(rank, survey.frames[pair.left].name, survey.frames[pair.right].name, made)
+
+    def __init__(self, context: Context, survey: Survey, ties: TiePoints, adjusted: Adjusted) -> None:
+        self._context, self._frames, self._pairs = context, survey.frames, ties.pairs
+        self._residuals_m = adjusted.residuals_m
+        self._weights = tie_weights(ties, adjusted.image_residuals)
+        rms_m = pair_columns(ties, adjusted.residuals_m, self._weights)["rms_m"]
+        wanted = context.recorder.wants(ChipTies)
+        self._worst = [p for p in worst_pairs(rms_m) if np.isfinite(rms_m[p])] if wanted else []
+        self._where = {
+            p: cuts(ties.pairs[p].left_px, ties.pairs[p].right_px, adjusted.residuals_m[p])
+            for p in self._worst
+        }
+        self._halves: dict[tuple[int, int], NDArray[np.uint8]] = {}
+
+    def look(self, shared: SeamGround, seams: Mapping[int, Sighting]) -> list[Sights]:
+        """Decodes frames once for both: what seams ask of them, and what they are cut for."""
+        mine: dict[int, list[tuple[int, int]]] = {i: [] for i in seams}
+        for p in self._worst:
+            for side, frame in enumerate((self._pairs[p].left, self._pairs[p].right)):
+                mine.setdefault(frame, []).append((p, side))
+        jobs = [
+            ToCut(self._frames[i], seams.get(i), tuple(self._where[p][side] for p, side in of))
+            for i, of in mine.items()
+        ]
+        found = self._context.map("seams and chips", partial(cut_frame, shared), jobs, keys=list(mine))
+        for of, pieces in zip(mine.values(), found, strict=True):
+            self._halves |= dict(zip(of, pieces.pixels, strict=False))
+        return [pieces.seams for pieces in found if pieces.seams is not None]
+
+    def record(self) -> None:
+        """What was cut."""
+        for rank, p in enumerate(self._worst):
+            if (p, 0) not in self._halves or (p, 1) not in self._halves:
+                continue
+            pair, both = self._pairs[p], (self._halves[p, 0], self._halves[p, 1])
+            off_m, weights = self._residuals_m[p], self._weights[p]
+            made = chip(both, self._where[p], pair.left_px, pair.right_px, off_m, weights)
+            names = self._frames[pair.left].name, self._frames[pair.right].name
+            self._context.recorder.chip(rank, *names, made)

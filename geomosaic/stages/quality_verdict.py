@@ -20,7 +20,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.ground_doubt import land_doubt
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, verdict_of
-from geomosaic.stages.chips import record_chips
+from geomosaic.stages.chips import Chips
 from geomosaic.survey.model import Survey
 
 
@@ -30,7 +30,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 9
+    version = 10
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -63,6 +63,7 @@ class QualityVerdict(Stage):
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
         mosaic: Mosaic = inputs["mosaic"]
+        chips = Chips(context, survey, inputs["ties"], adjusted)
         seams = check_seams(
             survey.frames,
             adjusted.poses,
@@ -72,6 +73,7 @@ class QualityVerdict(Stage):
             mosaic.grid,
             mosaic.seamlines,
             context,
+            chips.look,
         )
         image = adjusted.image_residuals
         at = adjusted.poses.positions_m
@@ -86,7 +88,7 @@ class QualityVerdict(Stage):
                 inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground
             ),
         )
-        record_chips(context, survey, inputs["ties"], adjusted)
+        chips.record()
         rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
         edges = [work_from_map(survey, ring) for _, ring in rings]
         context.recorder.outlines("seams", [survey.frames[frame].name for frame, _ in rings], edges)
