@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adjustment_blocks import fly
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from test_recording_replay import recorded, replay
 
+from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
 from geomosaic.cli.main import main
 from geomosaic.errors import FileError
@@ -129,6 +131,20 @@ def test_a_lens_of_no_known_kind_is_no_artefact() -> None:
     for kind in (b'"brawn"', b"[1,2,3]"):
         with pytest.raises(FileError, match="no whole artefact"):
             decode(retold(data, b'"brown"', kind), Camera)
+
+
+def test_cameras_without_focal_length_or_pixels_are_of_no_artefact() -> None:
+    """A replay fell where it divided by them. Found by `tools/fuzz.py`, seed 922, case 1344."""
+    block = fly(1, points=300).block
+    n = len(block.names)
+    data = encode(Adjusted(block.poses, block.cameras, ("tied",) * n, (), (), block.ground))
+    assert len(decode(data, Adjusted).cameras) == n
+    for old, new in (
+        (b'"focal_length_px":1000.0', b'"focal_length_px":0.0'),
+        (b'"width_px":800', b'"width_px":0'),
+    ):
+        with pytest.raises(FileError, match="no whole artefact"):
+            decode(retold(data, old, new), Adjusted)
 
 
 def test_an_array_of_an_endless_number_is_no_artefact() -> None:

@@ -213,3 +213,8 @@ class Adjusted:
     image_residuals: ImageResiduals | None = None
     model: ModelChoice | None = None
     steps: tuple[SolveStep, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a camera that can't be one."""
+        for camera in self.cameras:
+            camera.check()

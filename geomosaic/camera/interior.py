@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -50,6 +51,13 @@ class Camera:
     def __post_init__(self) -> None:
         if self.kind not in LENSES:
             raise UnknownNameError("kind of lens", str(self.kind), LENSES)
+
+    def check(self) -> None:
+        """Raises ValueError if it can't be one."""
+        if not math.isfinite(self.focal_length_px) or self.focal_length_px == 0.0:
+            raise ValueError("a camera without focal length")
+        if min(self.width_px, self.height_px) < 1:
+            raise ValueError("a camera without pixels")
 
     def turned(self, quarters: int) -> Camera:
         """The camera of an image that was turned clockwise by quarter turns after it was taken.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import OutputError
@@ -126,14 +127,17 @@ def record_adjusted(
 ) -> None:
     """The rounds of an adjustment, the residuals of every pair, where the frames ended up, on what ground."""
     context.metric("ground.reason", ground_reason(adjusted, asked_ground))
-    pairs = [(block.names[left], block.names[right]) for left, right in block.ties.frames]
+    ends: Sequence[tuple[int, int]] = block.ties.frames
+    if any(len(round_.misalignments_m) != len(ends) for round_ in adjusted.rounds):
+        ends = offset_net(block).edges  # pairs that see no ground together have no misalignment
+    pairs = [(block.names[left], block.names[right]) for left, right in ends]
     for number, round_ in enumerate(adjusted.rounds):
         context.recorder.offsets(
             context.stage_id,
             number,
             [
                 (a, b, float(e), float(n))
-                for (a, b), (e, n) in zip(pairs, round_.misalignments_m, strict=True)
+                for (a, b), (e, n) in zip(pairs, round_.misalignments_m, strict=False)
             ],
             [(name, float(e), float(n)) for name, (e, n) in zip(block.names, round_.moves_m, strict=True)],
         )

@@ -160,9 +160,11 @@ class Survey:
     other_bands: tuple[Band, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raises ValueError where a frame's camera is none of these."""
+        """Raises ValueError where a frame's camera is none of these, or one of them can't be."""
         if not {f.camera for f in self.frames} <= {c.name for c in self.cameras}:
             raise ValueError("frames of no known camera")
+        for camera in self.cameras:
+            camera.check()
 
     @property
     def located(self) -> tuple[bool, ...]:
