@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 from mosaic_scenes import CAMERA, make_survey
 
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
@@ -17,10 +21,12 @@ from geomosaic.mosaic.grid import output_grid
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership, nearest_nadir, owned_cells
 from geomosaic.mosaic.plan import Planned, Planning, windows
-from geomosaic.mosaic.scene import CELL_PX, Scene
+from geomosaic.mosaic.scene import CELL_PX, Scene, ground_of, margin_px
 from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
 from geomosaic.mosaic.views import FrameView, frame_views
 from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.warp import frame_from_map
 
 GSD_M, REACH_PX, OWNER_CELL_PX = 0.06, 60.0, 8
 
@@ -131,3 +137,25 @@ def test_where_no_owner_sees_the_ground_the_nearer_nadir_point_gives_it() -> Non
     ]
     assert np.array_equal(share[0] > share[1], np.broadcast_to(np.arange(64) < 30, (8, 64)))
     assert max(np.abs(s).max() for s in share) < 1e-4
+
+
+@pytest.mark.parametrize("spacing_m", [12.0, 3.0])
+def test_cells_are_known_whatever_the_ground_and_the_tilt(spacing_m: float) -> None:
+    """On nodes farther apart than blocks of cells, which are looked at as one, and on nearer ones."""
+    rng, n = np.random.default_rng(3), int(600.0 / spacing_m)
+    ground = GroundSurface("tie_surface", -300.0, -300.0, spacing_m, rng.normal(0.0, 0.1 * spacing_m, (n, n)))
+    turned = Rotation.from_yaw_pitch_roll(0.6, 0.3, -0.2).matrix
+    poses = Poses(np.array([[0.0, 0.0, 160.0]]), turned[None], np.zeros((1, 3)), np.zeros((1, 3)))
+    camera = Camera("c", 1600, 1200, 1600.0, 790.0, 610.0)
+    views = frame_views(LocalFrame(9.0, 48.0, 500.0), "EPSG:32632", poses, [camera], [True], ground)
+    grid = output_grid("EPSG:32632", views, 0.1, ["c"])
+    scene = Scene(LocalFrame(9.0, 48.0, 500.0), ground, grid, views)
+    seen = cells_in_view(scene, views[0])
+    down, across = seen.somewhere.shape
+    window = Window(seen.col * CELL_PX, seen.row * CELL_PX, across * CELL_PX, down * CELL_PX)
+    margin = margin_px(*frame_from_map(ground_of(scene, window, 1), poses[0], camera), camera, None)
+    cells = margin.reshape(down, CELL_PX, across, CELL_PX)
+    least, most = cells.min(axis=(1, 3)), cells.max(axis=(1, 3))
+    assert most[~seen.somewhere].max() <= 0.0 and least[seen.everywhere].min() > 0.0
+    assert most[seen.somewhere].min() > -3.0 * CELL_PX and least[~seen.everywhere].max() < 3.0 * CELL_PX
+    assert seen.everywhere.sum() > 0.8 * (least > 0.0).sum()
