@@ -24,6 +24,7 @@ from geomosaic.report.frames import render_report
 from geomosaic.report.glance import glance
 from geomosaic.report.parts import frame_table
 from geomosaic.report.warnings import warnings_of
+from geomosaic.stages.export_cog import ExportCog
 from geomosaic.stages.export_report import ExportReport
 from geomosaic.stages.quality_compare import QualityCompare
 
@@ -251,3 +252,16 @@ def test_frame_errors_against_the_truth_enter_the_metrics(run, tmp_path):
     QualityCompare().run({**given, "mosaic_file": context.run_file("mosaic.tif")}, params, context)
     frames = context.notes.metrics["quality"]["frames"]
     assert len(frames["error_m"]) == 12 and frames["rmse_m"] < 0.02
+
+
+def test_the_mosaic_is_reduced_for_the_report_while_it_is_exported(run, tmp_path, monkeypatch):
+    (tmp_path / "raster.tif").write_bytes(run["mosaic_file"].read_bytes())
+    context = Context(tmp_path, stage_id="export.cog", key="k")
+    raster = {"raster_file": context.run_file("raster.tif")}
+    made = ExportCog().run(raster, ExportCog.Params(), context)
+    small = glance(tmp_path / "mosaic.tif")
+    monkeypatch.setattr("geomosaic.report.frames.glance", None)  # it isn't reduced again
+    context = Context(tmp_path, stage_id="export.report", key="another", summary=run["summary"])
+    inputs = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic")}
+    ExportReport().run({**inputs, **made}, None, context)
+    assert small.uri in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -60,6 +60,7 @@ def render_report(
     verdict: Verdict | None = None,
     surface: SurfaceSection | None = None,
     beside: Beside = Beside(),
+    image: Glance | None = None,
 ) -> str:
     """The page's HTML.
 
@@ -67,12 +68,12 @@ def render_report(
     markup, and the page forbids itself any network by its content security policy.
 
     Args:
-        mosaic_file: mosaic.tif, read at reduced size.
+        mosaic_file: mosaic.tif, read at reduced size, unless it is given so: image.
         name: of the run, for the page's head and the files of scores; may be empty.
         summary: what run.json holds (`frames`, `warnings`, `timings_s`, `peak_memory_mb`, `metrics`,
             `recipe`, `versions`); missing keys are left out of the page.
     """
-    image = glance(mosaic_file)
+    image = image or glance(mosaic_file)
     footprints_m = map_footprints_m(survey, adjusted)
     orientation = orientations(survey, placement.poses, adjusted)
     judged = verdict_section(survey, verdict)

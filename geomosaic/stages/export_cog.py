@@ -13,6 +13,7 @@ from geomosaic.errors import FileError
 from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.report.glance import Glance, glance
 
 MOSAIC = "mosaic.tif"
 _THUMBNAIL_PX = 1024
@@ -59,10 +60,15 @@ class ExportCog(Stage):
                 threads=params.threads,
                 progress=lambda done, total: context.progress(done, total, MOSAIC),
             )
-        image = thumbnail(_glance(context.run_folder / MOSAIC))
-        context.recorder.image("/images/mosaic", "mosaic", image)
+        path = context.run_folder / MOSAIC
+        small, on_map = _small(path)
+        context.recorder.image("/images/mosaic", "mosaic", thumbnail(small))
         known = copied and raster == context.run_folder / composed.name
-        return {"mosaic_file": context.copied_file(MOSAIC, composed) if known else context.run_file(MOSAIC)}
+        file = context.copied_file(MOSAIC, composed) if known else context.run_file(MOSAIC)
+        spare = context.spared(Glance, str(path))
+        if on_map and spare.path is not None:  # for the report, while others judge
+            spare.leave(glance(path))
+        return {"mosaic_file": file}
 
 
 def _raster(composed: RunFile, context: Context) -> Path:
@@ -76,9 +82,10 @@ def _raster(composed: RunFile, context: Context) -> Path:
         return mosaic
 
 
-def _glance(path: Path) -> Any:
-    """The mosaic at a fraction of its size, rows, cols, bands."""
+def _small(path: Path) -> tuple[Any, bool]:
+    """The mosaic at a fraction of its size, rows, cols, bands; and whether it lies on a map."""
     with open_raster(path, OWN) as tiff:
         reduction = max(1, max(tiff.width, tiff.height) // _THUMBNAIL_PX)
         shape = (min(tiff.count, 3), -(-tiff.height // reduction), -(-tiff.width // reduction))
-        return np.moveaxis(tiff.read(list(range(1, shape[0] + 1)), out_shape=shape), 0, -1)
+        pixels = tiff.read(list(range(1, shape[0] + 1)), out_shape=shape)
+        return np.moveaxis(pixels, 0, -1), tiff.crs is not None

@@ -15,6 +15,7 @@ from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.frames import Beside, render_report
 from geomosaic.report.given import GivenMosaic
+from geomosaic.report.glance import Glance
 from geomosaic.report.map_images import ReferenceSeen
 from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.stages.reporting import run_name
@@ -45,13 +46,15 @@ class ExportReport(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """Renders the page and writes it."""
+        mosaic_file = context.path_of(inputs["mosaic_file"])
         page = render_report(
             survey=inputs["survey"],
             placement=inputs["placement"],
             ties=inputs["ties"],
             adjusted=inputs["adjusted"],
             mosaic=inputs["mosaic"],
-            mosaic_file=context.path_of(inputs["mosaic_file"]),
+            mosaic_file=mosaic_file,
+            image=context.spared(Glance, str(mosaic_file)).found(),
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
             surface=_surface(inputs, context),
