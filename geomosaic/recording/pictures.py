@@ -12,6 +12,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.projection.footprint import footprint
+from geomosaic.quality.bare_ground import bare_outlines
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
 from geomosaic.recording.compare_frames import places_m
@@ -30,6 +31,7 @@ _PLAN_PX: Final = 1500
 _LINES: Final = 300
 _OUTLINES: Final = 400
 _LABELS: Final = 300
+_ORANGE: Final = (30, 140, 240)
 _ARROW: Final = 0.08
 """Of the survey's extent: how long the longest arrow of a difference is drawn at least."""
 
@@ -45,6 +47,9 @@ def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str,
     for sides, colour in zip(outlines, ((225, 225, 225), (225, 195, 160)), strict=True):
         for ring in sides:
             canvas.ring(ring, colour)
+    if solved.adjusted is not None and solved.ties is not None:
+        for ring in bare_outlines(solved.adjusted, solved.ties):
+            canvas.ring(ring, _ORANGE)
     number = {name: i for i, name in enumerate(solved.names)}
     for p in sorted(pairs, key=lambda p: (p["tied"], p.get("rms_px") or 0.0)):
         ends = at_m[[number[p["left"]], number[p["right"]]]]
@@ -67,7 +72,7 @@ def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str,
     foot = [
         "grey outlines: as given; blue: as found; arrows: from given to found position",
         f"lines: tied pairs, yellow {RESIDUAL.good:g} red {RESIDUAL.bad:g} px left; dashed: tried, not tied",
-        "red: frames of which something is wrong",
+        "red: frames of which something is wrong; orange: ground that three frames see without tie points",
     ]
     return png_of(canvas.finished(foot))
 
