@@ -11,6 +11,7 @@ from collections import Counter
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,20 +35,34 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("readers") / "run.mcap")
 
 
-def test_the_javascript_reader_finds_the_same(scene: Path) -> None:
-    """Needs node and `npm install @mcap/core @mcap/support protobufjs` in tests/node or $MCAP_MODULES."""
+def by_node(script: Path, recording: Path, packages: str) -> Any:
+    """What a script prints of a recording; needs node and its packages in tests/node or $MCAP_MODULES."""
     node = shutil.which("node")
-    folder = Path(os.environ.get("MCAP_MODULES", _SCRIPT.parent))
+    folder = Path(os.environ.get("MCAP_MODULES", script.parent))
     if node is None:
         pytest.skip("node isn't installed")
-    if not (folder / "node_modules" / "@mcap" / "core").is_dir():
-        pytest.skip("no @mcap/core; npm install @mcap/core @mcap/support protobufjs in tests/node")
+    if not all((folder / "node_modules" / name).is_dir() for name in packages.split()):
+        pytest.skip(f"npm install {packages} in tests/node")
     environment = {**os.environ, "MCAP_MODULES": f"{folder}/"}
     done = subprocess.run(
-        [node, str(_SCRIPT), str(scene)], capture_output=True, text=True, timeout=60, env=environment
+        [node, str(script), str(recording)], capture_output=True, text=True, timeout=60, env=environment
     )
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    return json.loads(done.stdout)
+
+
+def test_messages_of_foxgloves_schemas_hold_to_its_own_json_schemas(scene: Path) -> None:
+    """Foxglove's app can't be had everywhere; what it says of its messages can."""
+    packages = "@mcap/core @mcap/support protobufjs @foxglove/schemas ajv"
+    found = by_node(_SCRIPT.with_name("check_foxglove.mjs"), scene, packages)
+    assert {topic: why for topic, (_, why) in found.items() if why} == {}
+    topics = read_recording(scene).topics
+    foxglove = {name: t.messages for name, t in topics.items() if t.schema.startswith("foxglove.")}
+    assert {topic: count for topic, (count, _) in found.items()} == foxglove and len(foxglove) >= 4
+
+
+def test_the_javascript_reader_finds_the_same(scene: Path) -> None:
+    found = by_node(_SCRIPT, scene, "@mcap/core @mcap/support protobufjs")
     assert found["profile"] == "geomosaic" and found["attachments"]["recipe.yaml"] == RECIPE
     assert found["metadata"]["geomosaic"]["format"] == "1"
     recording = read_recording(scene)

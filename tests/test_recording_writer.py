@@ -80,7 +80,7 @@ def test_values_of_foxgloves_messages(scene: Path) -> None:
     assert fix["position_covariance"] == [2.25, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
     assert fix["color"]["a"] == 1.0 and fix["timestamp"]["nsec"] > 0 and fix["position_covariance_type"] == 2
     unsure = decoded(scene, "/location/tied")[0]
-    assert unsure["position_covariance_type"] == 0 and not unsure["position_covariance"]
+    assert unsure["position_covariance_type"] == 0 and unsure["position_covariance"] == [0.0] * 9
     camera = decoded(scene, "/tables/camera.FC_220")[0]
     known = dict(zip(camera.column, camera.value, strict=True))
     assert (known["principal_col_px"], known["principal_row_px"], known["k1"]) == (2001.5, 1499.25, -0.011)
@@ -189,9 +189,9 @@ def test_a_killed_process_says_where_it_was_to_the_second(tmp_path: Path) -> Non
     path = tmp_path / "run.mcap"
     script = _KILLED.format(tests=str(Path(__file__).parent), path=str(path))
     assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == -signal.SIGKILL
-    (beat,) = (Progress.FromString(data) for _, _, data in messages(path, "geomosaic.Progress"))
+    *_, beat = (Progress.FromString(data) for _, _, data in messages(path, "geomosaic.Progress"))
     assert (beat.stage_id, beat.stage_index, beat.text) == ("mosaic.compose", 2, "windows")
-    assert (beat.done, beat.total) == (7, 20) and 0.9 < beat.seconds < 10.0
+    assert (beat.done, beat.total) == (7, 20) and beat.seconds > 0.3, "killed after 1.3 s"
     assert read_recording(path).log[-1].text == "window 19", "the heartbeat takes along what came before it"
 
 

@@ -63,7 +63,8 @@ class StageCalls:
     ) -> None:
         """Where a frame's projection centre is. `status` is `observed` or that of the adjustment.
 
-        Each status has its own topic and colour. Standard deviations that aren't finite are left out.
+        Each status has its own topic and colour. Where a standard deviation isn't finite none is told:
+        Foxglove's schema wants nine numbers even so.
         """
         fix = LocationFix(
             frame_id=as_text(frame),
@@ -72,8 +73,9 @@ class StageCalls:
             altitude=height_ellipsoidal_m,
         )
         variances = np.square([sd_e_m, sd_n_m, sd_u_m], dtype=np.float64)
-        if np.isfinite(variances).all():
-            fix.position_covariance.extend(np.diag(variances).ravel().tolist())
+        known = np.isfinite(variances).all()
+        fix.position_covariance.extend(np.diag(variances if known else np.zeros(3)).ravel().tolist())
+        if known:
             fix.position_covariance_type = LocationFix.DIAGONAL_KNOWN
         fix.color.r, fix.color.g, fix.color.b, fix.color.a = COLOURS.get(status, _OTHER_COLOUR)
         self._write(f"/location/{topic_part(status)}", fix)
