@@ -105,6 +105,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--only", choices=sorted(KINDS), help="cases of this kind only")
     parser.add_argument("--case", type=int, help="this one only; its files stay in OUT/failures")
+    parser.add_argument("--first", type=int, default=0, help="leave out so many: a trial that goes on")
     parser.add_argument("--minutes", type=float, help="stop after so long, wherever it stands")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
     asked = parser.parse_args(argv)
@@ -119,7 +120,9 @@ def main(argv: list[str] | None = None) -> int:
         trials = Trials(asked.seed, Path(folder), out)
         started = time.monotonic()
         trials.prepare()
-        todo = plan(asked.cases, asked.only) if asked.case is None else [(asked.only, asked.case)]
+        todo = (
+            plan(asked.cases, asked.only)[asked.first :] if asked.case is None else [(asked.only, asked.case)]
+        )
         with suppress(KeyboardInterrupt):
             for name, number in todo:
                 case = trials.case(KINDS[name], number)
