@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Final
 
@@ -75,21 +76,32 @@ def land_doubt(
     matched, the same without one.
 
     Where a matched surface lies on the ground known before, the surer of both says how far it may be off: its
-    own deviation, or the other's with the distance between them. Elsewhere something stands on the ground (or
-    none knows it): rims of roofs and woods, of which the surface is unsure, say nothing against the ground
-    around, and what they leave open is the surface's share.
+    own deviation, or how far it lies from the other, whose deviation is added. Elsewhere something stands on
+    the ground (or none knows it), of which the surface is surely as far off as it may be: rims of roofs and
+    woods say nothing against the ground around, and what they leave open is the surface's share. Or nothing
+    stands there, and the surface has strayed by all that lies between, as likely as its deviation reaches so
+    far.
     """
     at_m, tangent = places_of(ownership, poses, work_frame, ground)
     px_per_m = tangent / ownership.grid.gsd_m
     known_px = px_per_m * known.sd_at(at_m[:, 0], at_m[:, 1])
     if ground.kind not in MATCHED:
-        return LandDoubt(_kept_by_99(known_px), np.nan)
+        some = known_px > 0.0
+        return LandDoubt(_kept_by_99(lambda within_px: _beyond(within_px, known_px[some]), some), np.nan)
     matched_px = px_per_m * ground.sd_at(at_m[:, 0], at_m[:, 1])
     apart_m = ground.up_at(at_m[:, 0], at_m[:, 1]) - known.up_at(at_m[:, 0], at_m[:, 1])
     apart_px = px_per_m * np.abs(apart_m)
-    known_px = np.where(apart_px <= OFF_PX, np.hypot(known_px, apart_px), known_px)
     off = _beyond(OFF_PX, matched_px[np.isfinite(matched_px)])
-    return LandDoubt(_kept_by_99(np.minimum(matched_px, known_px)), float(off.mean()) if off.size else np.nan)
+    some = (matched_px > 0.0) & (known_px > 0.0)
+    matched_px, known_px, apart_px = matched_px[some], known_px[some], apart_px[some]
+    strayed = _beyond(apart_px, matched_px)
+
+    def beyond(within_px: float) -> Floats:
+        matched, strays = _beyond(within_px, matched_px), _beyond(within_px, known_px, apart_px)
+        stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(within_px, known_px))
+        return np.where(apart_px <= OFF_PX, np.minimum(matched, strays), stands)
+
+    return LandDoubt(_kept_by_99(beyond, some), float(off.mean()) if off.size else np.nan)
 
 
 def places_of(
@@ -110,20 +122,22 @@ def places_of(
     return at_m, np.linalg.norm(sight[:, :2], axis=1) / np.maximum(-sight[:, 2], 1e-6)
 
 
-def _kept_by_99(sd_px: Floats) -> float:
-    """The displacement that all but a hundredth of places with these deviations keep below."""
+def _kept_by_99(beyond: Callable[[float], Floats], some: NDArray[np.bool_]) -> float:
+    """The displacement that all but a hundredth of places keep below; beyond: how likely each of some lies
+    farther off than a displacement."""
     from scipy.optimize import brentq
 
-    sd_px = sd_px[sd_px > 0.0]
-    if not sd_px.size:
+    if not some.any():
         return float("nan")
 
     def too_many(within_px: float) -> float:
-        return float(_beyond(within_px, sd_px).mean()) - (1.0 - SHARE)
+        return float(beyond(within_px).mean()) - (1.0 - SHARE)
 
     return float(brentq(too_many, 0.0, _WITHIN_PX)) if too_many(_WITHIN_PX) < 0.0 else _WITHIN_PX
 
 
-def _beyond(within_px: float, sd_px: Floats) -> Floats:
-    """How likely each place lies farther off."""
-    return np.asarray(erfc(within_px / np.maximum(sd_px, 1e-9) / np.sqrt(2.0)))
+def _beyond(within_px: float | Floats, sd_px: Floats, apart_px: float | Floats = 0.0) -> Floats:
+    """How likely each place lies farther off, if it is expected to lie apart_px off by sd_px."""
+    per_sd = np.sqrt(0.5) / np.maximum(sd_px, 1e-9)
+    ends = erfc((within_px - apart_px) * per_sd), erfc((within_px + apart_px) * per_sd)
+    return np.asarray(0.5 * (ends[0] + ends[1]))
