@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from mosaic_scenes import CAMERA, make_survey
 
-from geomosaic.mosaic.choice import agreement
+from geomosaic.mosaic.choice import Agreement, agreement
 from geomosaic.mosaic.views import frame_views
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
@@ -43,3 +44,14 @@ def test_frames_agree_on_the_ground_that_they_saw_and_only_where_grounds_differ(
             assert found.disagreement[best] < 0.001, "what the hall hides is not asked"
         alike = agreement(survey.frames, views, survey.work_frame, survey.map_crs, (ground, ground), AtOnce())
         assert (alike.squares, alike.places, alike.best) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("surface", "terrain", "best"),
+    [(0.30, 0.60, 0), (0.60, 0.30, 1), (0.50, 0.52, 1), (0.981, 0.990, 1), (0.92, 0.99, 1), (0.85, 0.95, 0)],
+)
+def test_frames_lie_on_the_terrain_unless_they_clearly_agree_on_what_stands(
+    surface: float, terrain: float, best: int
+) -> None:
+    """The fourth is a flight over woods that wind moves."""
+    assert Agreement((surface, terrain), 800, 60).best == best

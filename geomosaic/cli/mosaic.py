@@ -140,7 +140,7 @@ def mosaic(
         str | None,
         typer.Option(
             help="what a dense surface's mosaic lies on: the surface (roofs in place), the terrain below "
-            "it, or auto, the one on which frames differ less [auto]",
+            "it, or auto, the surface if frames differ clearly less on it [auto]",
             metavar="auto|surface|terrain",
         ),
     ] = None,

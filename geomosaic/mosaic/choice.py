@@ -63,6 +63,24 @@ _APART_M: Annotated[
         CHOSEN,
     ),
 ] = 1.0
+_LEAST_LESS: Annotated[
+    float,
+    Because(
+        "of 1 - correlation",
+        "by which frames must differ less on what stands: the median of each is good to a hundredth, so less "
+        "is noise; with more, towns of a few houses lie on their terrain",
+        CHOSEN,
+    ),
+] = 0.03
+_NOTHING_ALIKE: Annotated[
+    float,
+    Because(
+        "1 - correlation",
+        "from which on frames show nothing alike: woods that wind moves leave 0.98, and squares of as many "
+        "pixels are alike by a few hundredths by chance",
+        "chosen; seen of a flight over woods by the sea",
+    ),
+] = 0.9
 
 
 @dataclass(frozen=True)
@@ -70,14 +88,18 @@ class Agreement:
     """What frames say of the grounds: disagreement of each, the median of 1 - correlation between two frames
     over squares where the grounds differ; the squares, and the places that they lie in."""
 
-    disagreement: tuple[float, ...]
+    disagreement: tuple[float, float]
     squares: int
     places: int
 
     @property
     def best(self) -> int:
-        """The ground on which frames agree most; the first where nothing tells them apart."""
-        return int(np.argmin(np.nan_to_num(self.disagreement, nan=np.inf))) if self.squares else 0
+        """The first ground, of all that stands, if frames agree on it, and more than on the second, the land
+        below, which tears nothing; and if both are the same."""
+        if not self.squares:
+            return 0
+        surface, terrain = self.disagreement
+        return int(not (surface < _NOTHING_ALIKE and surface < terrain - _LEAST_LESS))
 
 
 @dataclass(frozen=True)
@@ -104,7 +126,7 @@ def agreement(
     views: Sequence[FrameView],
     work_frame: LocalFrame,
     crs: str,
-    grounds: tuple[GroundSurface, ...],
+    grounds: tuple[GroundSurface, GroundSurface],
     spread: Spread,
 ) -> Agreement:
     """Of places halfway between neighbours, where seams may run; each frame is decoded once."""
@@ -130,8 +152,8 @@ def agreement(
         for kept, values in zip(unlike, both, strict=True):
             kept.append(values[whole])
     of_all = [np.concatenate(kept) if kept else np.zeros(0, np.float32) for kept in unlike]
-    medians = tuple(float(np.median(values)) if values.size else np.nan for values in of_all)
-    return Agreement(medians, of_all[0].size, len(pairs))
+    surface, terrain = (float(np.median(values)) if values.size else np.nan for values in of_all)
+    return Agreement((surface, terrain), of_all[0].size, len(pairs))
 
 
 def _places(land: _Land, views: Sequence[FrameView]) -> tuple[list[tuple[int, int]], Floats]:

@@ -24,7 +24,7 @@ class MosaicGround(Stage):
     id = "mosaic.ground"
     display_name = "Choose the mosaic's ground"
     group = "Mosaic"
-    version = 2
+    version = 3
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "adjusted": Adjusted,
@@ -39,7 +39,7 @@ class MosaicGround(Stage):
         ortho: str = param(
             AUTO,
             help="surface: roofs and crowns lie where they belong; terrain: what stands on the ground leans "
-            "as frames show it, nothing is torn; auto: the one on which frames differ less",
+            "as frames show it, nothing is torn; auto: the surface if frames differ clearly less on it",
             choices=(AUTO, *ORTHOS),
         )
 
