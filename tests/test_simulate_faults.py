@@ -131,6 +131,16 @@ def test_the_gyroscopes_tag_tells_how_the_platform_turned(tmp_path: Path) -> Non
     np.testing.assert_allclose(turned[1] - turned[0], summed, atol=2e-6)
 
 
+def test_updrafts_move_frames_while_they_are_read_and_no_places() -> None:
+    plan = SurveyPlan(kind="block", lines=10, frames_per_line=40, rolling_shutter_s=0.1, updraft_m_per_s=0.7)
+    lifted, still = fly(plan), fly(dataclasses.replace(plan, updraft_m_per_s=0.0))
+    np.testing.assert_array_equal(lifted.poses.positions_m, still.poses.positions_m)
+    more = lifted.velocity_m_per_s - still.velocity_m_per_s
+    assert not more[:, :2].any() and np.std(more[:, 2]) == pytest.approx(0.7, rel=0.1)
+    moved = readout_of(plan, lifted, 5).velocity_m_per_s - readout_of(plan, still, 5).velocity_m_per_s
+    assert moved[2] == more[5, 2] != 0.0
+
+
 def test_crossed_lines_are_flown_again_across() -> None:
     plan = SurveyPlan(
         kind="crossed", lines=2, frames_per_line=3, heading_deg=0.0, lat_deg=0.0, lon_deg=9.0, **STILL

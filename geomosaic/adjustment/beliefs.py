@@ -171,6 +171,7 @@ def priors_of(
         part=part_of_frames(block),
         assumed=assumed,
         swing_sd_rad=_swing_sd_rad(block, settings),
+        climb_sd_m=_climb_sd_m(block, settings),
         swing_common=settings.turning and _zero_unknown(block, settings),
         most_swing=MOST_SWING if settings.turning else MOST_GUSTS,
     )
@@ -184,9 +185,9 @@ def _interior_deviations(camera: Camera, settings: Settings) -> Floats:
 def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     """Where no turns are asked for, a constant rate about level axes stands for what velocities are off by;
     beside a gyroscope whose zero isn't known yet, one about all axes for that."""
-    if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
+    readouts_s = _readouts_s(block, settings)
+    if readouts_s is None:
         return None
-    readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
     recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
     known = np.isfinite(recorded)
     rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
@@ -198,6 +199,20 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
     sd[known, 1:] = guessed[:, None]
     return sd[:, :, None] * (np.ones(3) if settings.turning else LEVEL_AXES)
+
+
+def _climb_sd_m(block: Block, settings: Settings) -> Floats | None:
+    """No turn stands for what velocities are off by upwards: while rows are read scale changes by it, as it
+    does by a tilt that all frames share."""
+    readouts_s = _readouts_s(block, settings)
+    return None if readouts_s is None else GUST_M_PER_S * np.abs(readouts_s)
+
+
+def _readouts_s(block: Block, settings: Settings) -> Floats | None:
+    """Of each frame, (f,); None where all rows are read at once."""
+    if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
+        return None
+    return np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
 
 
 def _zero_unknown(block: Block, settings: Settings) -> bool:

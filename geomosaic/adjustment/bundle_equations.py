@@ -54,8 +54,7 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
     total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
     total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
-    if state.swing is not None:
-        total += float(((state.swing / swing_sd_rad(priors, factors)) ** 2).sum())
+    total += float(((while_read(state) / while_read_sd(priors, factors)) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
             priors.terrain,
@@ -104,11 +103,9 @@ def _with_priors(n: Normals, camera_of: Ints, priors: Priors, state: State, fact
     back = np.swapaxes(by_pose, 1, 2)
     n.pose[:, :6, :6] += back @ (weighted * by_pose)
     n.pose_side[:, :6] += (back @ (weighted * miss))[:, :, 0]
-    if state.swing is not None:
-        sd = swing_sd_rad(priors, factors).reshape(len(n.pose), -1)
-        i = np.arange(6, n.pose.shape[1])
-        n.pose[:, i, i] += 1.0 / sd**2
-        n.pose_side[:, 6:] -= state.swing.reshape(sd.shape) / sd**2
+    sd, i = while_read_sd(priors, factors), np.arange(6, n.pose.shape[1])
+    n.pose[:, i, i] += 1.0 / sd**2
+    n.pose_side[:, 6:] -= while_read(state) / sd**2
     n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / priors.points_sd_m**2
     n.point_side[:] += (priors.points_m - state.points) / priors.points_sd_m**2
     weight, off = 1.0 / shared_sd(priors) ** 2, shared_miss(priors, state)
@@ -133,10 +130,20 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
     return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
 
 
-def swing_sd_rad(priors: Priors, factors: Factors) -> Floats:
-    """Deviations of the frames' swings in rad with their present components, (f, t, 3)."""
-    given = np.zeros((len(priors.poses), 0, 3)) if priors.swing_sd_rad is None else priors.swing_sd_rad
-    return np.asarray(given * np.reshape(factors.swing, (-1, 1)))
+def while_read(state: State) -> Floats:
+    """What frames do while their rows are read, beside what is given of it: swings in rad, function by
+    function, and last the climb in m, (f, 3 t + 1), or (f, 0) where all rows are read at once."""
+    if state.swing is None or state.climb_m is None:
+        return np.zeros((len(state.positions), 0))
+    return np.column_stack([state.swing.reshape(len(state.swing), -1), state.climb_m])
+
+
+def while_read_sd(priors: Priors, factors: Factors) -> Floats:
+    """Deviations of `while_read` with their present components."""
+    if priors.swing_sd_rad is None or priors.climb_sd_m is None:
+        return np.zeros((len(priors.poses), 0))
+    swing_sd = priors.swing_sd_rad * np.reshape(factors.swing[:-1], (-1, 1))
+    return np.column_stack([swing_sd.reshape(len(swing_sd), -1), priors.climb_sd_m * factors.swing[-1]])
 
 
 def present_miss(priors: Priors, state: State) -> Floats:
@@ -211,7 +218,10 @@ def observed(
         return *seen, None, kind
     heights = np.array([c.height_px for c in priors.cameras])[camera]
     rows = tracks.image_px[:, 1] if rows_px is None else rows_px
-    read = readout_of(priors.poses, state.rotations, state.swing, frame, rows, heights, interior[:, READOUT])
+    read = readout_of(
+        *(priors.poses, state.rotations, state.swing, state.climb_m),
+        *(frame, rows, heights, interior[:, READOUT]),
+    )
     return seen[0], read.rotations, *seen[2:], read, kind
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import GROUPS, Factors, Priors
-from geomosaic.adjustment.variance import LEAST_SWING, PRIOR_FACTORS
+from geomosaic.adjustment.variance import PRIOR_FACTORS, swing_limits
 from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
@@ -47,9 +47,10 @@ def ahead(before: Factors, after: Factors, followed: Floats, priors: Priors) -> 
     groups = {
         g: float(np.exp(np.clip(log, *np.log(PRIOR_FACTORS)))) for g, log in zip(GROUPS, logs, strict=False)
     }
-    least = 1.0 if priors.swing_common else LEAST_SWING
-    swing = tuple(float(np.clip(np.exp(log), least, priors.most_swing)) for log in logs[len(GROUPS) :])
-    sent = replace(after, **groups, swing=swing)
+    swing = np.exp(logs[len(GROUPS) :])
+    if swing.size:
+        swing = np.clip(swing, *swing_limits(priors))
+    sent = replace(after, **groups, swing=tuple(swing.tolist()))
     return sent, float(np.abs(_logs(sent) - _logs(before)).max())
 
 

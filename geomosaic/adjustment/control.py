@@ -187,7 +187,7 @@ def _place(
         at_m = _nearest_to_rays(poses, cameras, frames, image_px)
     interior = np.stack([interior_of(cameras[i]) for i in frames])
     heights = np.array([cameras[i].height_px for i in frames])
-    read = readout_of(poses, poses.rotations, None, frames, image_px[:, 1], heights, interior[:, -1])
+    read = readout_of(poses, poses.rotations, None, None, frames, image_px[:, 1], heights, interior[:, -1])
     kinds = kinds_of([cameras[i] for i in frames])
     level = np.zeros((3, 3))
     if single:

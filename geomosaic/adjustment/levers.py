@@ -16,19 +16,26 @@ class Levers:
     pose follow from those by the point, and need not be kept beside them.
 
     arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row by
-    which frames swing; none where they don't.
+    which frames swing; climbs (1, n): share of the image's height by which they have climbed; both empty
+    where all rows are read at once.
     """
 
     arms_m: Floats
     terms: Floats
+    climbs: Floats
 
     def of(self, span: slice) -> Levers:
         """Some of them."""
-        return Levers(self.arms_m[:, span], self.terms[:, span])
+        return Levers(self.arms_m[:, span], self.terms[:, span], self.climbs[:, span])
+
+    @property
+    def numbers(self) -> int:
+        """Of a pose: place and turn, and what a frame does while its rows are read, d."""
+        return 6 + 3 * len(self.terms) + len(self.climbs)
 
     def by_pose(self, by_point: Floats) -> Floats:
-        """Derivatives (..., 6 + 3 t, n) by position, turn and swing, from those by the point (..., 3, n)."""
-        out = np.empty((*by_point.shape[:-2], 6 + 3 * len(self.terms), by_point.shape[-1]))
+        """Derivatives (..., d, n) by position, turn, swing and climb, from those by the point (..., 3, n)."""
+        out = np.empty((*by_point.shape[:-2], self.numbers, by_point.shape[-1]))
         np.negative(by_point, out=out[..., :3, :])
         turn = out[..., 3:6, :]
         for axis in range(3):
@@ -37,13 +44,18 @@ class Levers:
             turn[..., axis, :] -= by_point[..., two, :] * self.arms_m[one]
         for k, term in enumerate(self.terms):
             np.multiply(turn, term, out=out[..., 6 + 3 * k : 9 + 3 * k, :])
+        for share in self.climbs:
+            np.multiply(by_point[..., 2, :], -share, out=out[..., -1, :])
         return out
 
     def as_points_m(self, step: Floats) -> Floats:
-        """Moves of the points (3, n) to first order that images take for steps of the poses (6 + 3 t, n)."""
+        """Moves of the points (3, n) to first order that images take for steps of the poses (d, n)."""
         turn = step[3:6]
         for k, term in enumerate(self.terms):
             turn = turn + term * step[6 + 3 * k : 9 + 3 * k]
         x, y, z = self.arms_m
         a, b, c = turn
-        return np.asarray(np.stack([y * c - z * b, z * a - x * c, x * b - y * a]) - step[:3])
+        moved = np.stack([y * c - z * b, z * a - x * c, x * b - y * a]) - step[:3]
+        for share in self.climbs:
+            moved[2] -= share * step[-1]
+        return np.asarray(moved)

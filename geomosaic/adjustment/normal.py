@@ -99,18 +99,24 @@ def build_normals(
 
     Derivatives are asked for some points at a time, so that no array of all of them is ever made.
 
-    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing. linearised: of
+    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing,
+        beside which it climbs. linearised: of
         some observations (n,) residuals (2, n) observed minus computed, weights (n,), levers, and derivatives
         by interior (2, k, n) and point (2, 3, n) as `collinearity.project_by_levers` gives them.
     """
     (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
-    d = 6 + 3 * terms
-    point_point, levers = np.empty((6, m)), Levers(np.empty((3, m)), np.empty((terms, m)))
+    levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)))
+    point_point, d = np.empty((6, m)), levers.numbers
     in_frame = np.zeros((f, d + k + 1, d + k + 1))
     interior_point, points, point_side = np.empty((c, p, k, 3)), np.empty((p, 3, 3)), np.empty((p, 3))
     for group in sightings.groups:
         residual, weight, its, by_interior, by_point = linearised(sightings.order[group.span].astype(np.intp))
-        levers.arms_m[:, group.span], levers.terms[:, group.span] = its.arms_m, its.terms
+        for kept, of_some in (
+            (levers.arms_m, its.arms_m),
+            (levers.terms, its.terms),
+            (levers.climbs, its.climbs),
+        ):
+            kept[:, group.span] = of_some
         rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)
         np.multiply(by_point, root, out=rows[:, -3:])
         np.multiply(by_interior, root, out=rows[:, d:-4])

@@ -68,6 +68,16 @@ MOST_GUSTS: Annotated[
         "docs/results.md, split halves",
     ),
 ] = 3.0
+MOST_CLIMBS: Annotated[
+    float,
+    Because(
+        "times GUST_M_PER_S",
+        "that frames may climb by beside their velocities, root mean square. A frame that climbs while it is "
+        "read looks like one that is tilted and lies a little further on, so that only the block as a whole "
+        "shows which: with three times as much, a flight's climbs went to 6 m/s and its block to 11 degrees",
+        "docs/results.md, garfield's halves",
+    ),
+] = 1.0
 LEVEL_AXES: Annotated[
     Floats,
     Because(
@@ -96,6 +106,13 @@ _MOST_RECORDED: Annotated[
         CHOSEN,
     ),
 ] = 0.49
+
+
+def with_climb(poses: Poses, climb_m: Floats, readouts_s: Floats) -> Poses:
+    """Poses whose velocities hold the climbs (f,) over their readouts (f,) too."""
+    up = np.divide(climb_m, readouts_s, out=np.zeros(len(climb_m)), where=readouts_s != 0.0)
+    given = np.zeros((len(poses), 3)) if poses.velocities_m_per_s is None else poses.velocities_m_per_s
+    return replace(poses, velocities_m_per_s=given + up[:, None] * [0.0, 0.0, 1.0])
 
 
 def recorded_share(turns: Turns | None, frame: Ints, readouts_s: Floats) -> Floats:

@@ -17,13 +17,15 @@ from geomosaic.adjustment.bundle_equations import (
     present_miss,
     share_shown,
     shared_sd,
-    swing_sd_rad,
     trust_of,
     unrest_of,
+    while_read,
+    while_read_sd,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.robust import INFORMATION, student_weight
+from geomosaic.adjustment.swing import MOST_CLIMBS
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px, observed_of, own_miss, parts_of
@@ -128,6 +130,10 @@ _COMMON: Annotated[
         "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
     ),
 ] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
+_OF_SLOPE: Annotated[
+    float,
+    Because("unknowns", "more of a part whose heights miss by a slope", "degrees of freedom of a slope"),
+] = 2.0
 _STIFF: Annotated[
     float,
     Because(
@@ -176,15 +182,14 @@ def variance_components(
     share = variances[:, :6] * weight / sd**2
     control = priors.control[tracks.point]
     length_px = lengths_px(tracks, camera_of, priors, state)
-    of_swing = swing_sd_rad(priors, factors)
+    of_reading = while_read_sd(priors, factors)
     tied = ~control & has_say(tracks, priors)
     if tied.any():
         shown = share_shown(tracks, priors)[tied]
         settled = float(share.sum()) + surface_share(reduced.normals, reduced.points_inverse)
         known = np.diag(shared)[: state.interior.size] / shared_sd(priors)[: state.interior.size] ** 2
         settled += float(known.sum())
-        if state.swing is not None:
-            settled += float((variances[:, 6:] / of_swing.reshape(len(variances), -1) ** 2).sum())
+        settled += float((variances[:, 6:] / of_reading**2).sum())
         unknowns = reduced.pose_side.size + state.interior.size + 3 * int((~priors.control).sum()) - settled
         redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
         error_px = length_px[tied] / np.sqrt(shown) / unrest_of(tracks, priors)[tied]
@@ -195,14 +200,12 @@ def variance_components(
         return factors, np.zeros((len(GROUPS) + len(factors.swing),) * 2)
     found = [
         *_of_groups(priors, state, factors, share),
-        *_of_swings(priors, state, factors, variances[:, 6:]),
+        *_while_read(priors, state, factors, variances[:, 6:]),
     ]
     by_group = {group: its.factor for group, its in zip(GROUPS, found, strict=False)}
     swing = tuple(its.factor for its in found[len(GROUPS) :])
-    information = np.concatenate([weight / sd**2, 1.0 / of_swing.reshape(len(sd), -1) ** 2], axis=1)
-    miss = present_miss(priors, state)
-    if state.swing is not None:
-        miss = np.concatenate([miss, -state.swing.reshape(len(miss), -1)], axis=1)
+    information = np.concatenate([weight / sd**2, 1.0 / of_reading**2], axis=1)
+    miss = np.concatenate([present_miss(priors, state), -while_read(state)], axis=1)
     followed = _followed(found, reduced, covariance, miss * information, information)
     return replace(factors, **by_group, swing=swing), followed
 
@@ -253,14 +256,15 @@ def _followed(
 def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) -> Iterator[_Found]:
     """Those of GROUPS; share (f, 6): of each number, what the images leave of its variance."""
     sd, weight = pose_sd(priors, factors), trust_of(priors)
-    miss, observed = own_miss(priors, state, factors), observed_of(priors)
-    more = ((0, 0), (0, 3 * len(factors.swing)))
+    (miss, slopes), observed = own_miss(priors, state, factors), observed_of(priors)
+    more = ((0, 0), (0, max(3 * len(factors.swing) - 2, 0)))
     for group, columns in GROUPS.items():
         of_group = np.isin(np.arange(6), columns)
         stated: Bools = np.isfinite(sd) & observed & of_group
         counted = np.where(stated, weight, 0.0)
         in_all = np.where(observed & of_group, weight, 0.0).sum(axis=1)
         alone = float(sum(max(in_all[frames].sum() - _COMMON[group], 0.0) for frames in parts_of(priors)))
+        alone -= _OF_SLOPE * slopes if group == "vertical" else 0.0
         r = min(float((counted - share)[stated].sum()), alone)
         told = np.pad(np.stack([counted, np.where(stated, miss, 0.0)]), ((0, 0), *more))
         if r < _LEAST_REDUNDANCY:
@@ -275,27 +279,34 @@ def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) ->
         yield _Found(factor, told[0], told[1], squares, r, follows)
 
 
-def _of_swings(priors: Priors, state: State, factors: Factors, variances: Floats) -> Iterator[_Found]:
-    """Of each function of the row, from all frames' axes that may turn, less what all frames do alike: that
-    is the readout's or the lens's, not theirs. A gyroscope's zero is alike too; until it is known nothing
-    shrinks."""
-    if state.swing is None:
+def swing_limits(priors: Priors) -> tuple[Floats, Floats]:
+    """Least and largest components of the swing's functions and, last, of the climbs, (t + 1,) each. A
+    gyroscope's zero is alike in all frames; until it is known swings don't shrink."""
+    terms = 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1]
+    least = np.array([1.0 if priors.swing_common else LEAST_SWING] * terms + [LEAST_SWING])
+    return least, np.array([priors.most_swing] * terms + [MOST_CLIMBS])
+
+
+def _while_read(priors: Priors, state: State, factors: Factors, variances: Floats) -> Iterator[_Found]:
+    """Of each function of the row, from all frames' axes that may turn, and of the climbs; less what all
+    frames do alike: that is the readout's or the lens's, not theirs."""
+    if state.swing is None or state.climb_m is None:
         return
-    sd_rad = swing_sd_rad(priors, factors)
-    own = np.einsum("fji,ftj->fti", state.rotations, state.swing)
-    own = np.einsum("fij,ftj->fti", state.rotations, own - np.median(own, axis=0))
-    may = sd_rad > _STIFF * sd_rad.max(axis=2, keepdims=True)
-    least, most = 1.0 if priors.swing_common else LEAST_SWING, priors.most_swing
-    redundancy = 1.0 - variances.reshape(own.shape) / sd_rad**2
-    for k, factor in enumerate(factors.swing):
-        of_term = np.zeros_like(own)
-        of_term[:, k] = may[:, k]
-        told = np.pad(np.stack([of_term, -own]).reshape(2, len(own), -1), ((0, 0), (0, 0), (6, 0)))
-        r = float((of_term * redundancy).sum()) - 3.0
+    swing = np.einsum("fji,ftj->fti", state.rotations, state.swing)
+    swing = np.einsum("fij,ftj->fti", state.rotations, swing - np.median(swing, axis=0))
+    own = np.column_stack([swing.reshape(len(swing), -1), state.climb_m - np.median(state.climb_m)])
+    sd = while_read_sd(priors, factors)
+    of = np.append(np.repeat(np.arange(swing.shape[1]), 3), swing.shape[1])
+    redundancy = 1.0 - variances / sd**2
+    for k, (factor, least, most) in enumerate(zip(factors.swing, *swing_limits(priors), strict=True)):
+        its = sd * (of == k)
+        of_term = (its > _STIFF * its.max(axis=1, keepdims=True)).astype(float)
+        told = np.pad(np.stack([of_term, -own]), ((0, 0), (0, 0), (6, 0)))
+        r = float((of_term * redundancy).sum()) - (its.max(axis=0) > 0.0).sum()
         if r <= _LEAST_REDUNDANCY:
             yield _Found(float(np.clip(factor, least, most)), told[0], told[1])
             continue
-        squares = float((of_term * (own / sd_rad) ** 2).sum())
+        squares = float((of_term * (own / sd) ** 2).sum())
         scatter = factor * float(np.sqrt(squares / r))
         follows, scatter = float(least < scatter < most), float(np.clip(scatter, least, most))
         yield _Found(scatter, told[0], told[1], squares, r, follows)

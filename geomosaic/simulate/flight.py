@@ -36,8 +36,9 @@ class Flight:
     lon_lat_height: (n, 3) geodetic; yaw_pitch_roll_deg: (n, 3) body angles, see `Attitude`, against the
     north and the vertical of each frame; poses: the same in the work frame; time_s: (n,) since 1970;
     line: (n,) number of the flight line;
-    velocity_m_per_s: (n, 3) in the work frame, along the planned course and of the wander about it; role:
-    (n,) `survey`, or `take_off`, `landing`, `oblique` or `horizon` of frames that belong in no map; battery:
+    velocity_m_per_s: (n, 3) in the work frame, along the planned course, of the wander about it and of
+    updrafts too short to show in places; role: (n,) `survey`, or `take_off`,
+    `landing`, `oblique` or `horizon` of frames that belong in no map; battery:
     (n,) from 0.
     """
 
@@ -93,6 +94,7 @@ def _planned(plan: SurveyPlan) -> Flight:
     ahead = heading + np.radians(course.course_deg)
     velocity = plan.speed_m_per_s * np.column_stack([np.sin(ahead), np.cos(ahead), np.zeros(n)])
     velocity += straying_m_per_s
+    velocity[:, 2] += plan.updraft_m_per_s * plan.rng("updraft").standard_normal(n)
     return _flight(work_frame, geodetic, attitude, START_S + course.time_s, course.line, velocity)
 
 

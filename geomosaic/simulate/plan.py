@@ -137,6 +137,7 @@ class SurveyPlan:
     camera_model: str = "simulated"
     vibration_deg_per_s: float = 0.0
     vibration_hz: float = 6.0
+    updraft_m_per_s: float = 0.0
     gyroscope_told: bool = False
     gyroscope_sd_deg_per_s: float = 0.0
     pixel_noise: float = 1.0
@@ -187,7 +188,7 @@ class SurveyPlan:
             raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
         if min(self.water_share, self.smooth_forest_share, self.moving_cars, self.rolling_shutter_s,
                self.wind_in_trees_m, self.exposure_time_s, self.vibration_deg_per_s,
-               self.altitude_step_m, self.gyroscope_sd_deg_per_s) < 0.0:  # fmt: skip
+               self.updraft_m_per_s, self.altitude_step_m, self.gyroscope_sd_deg_per_s) < 0.0:  # fmt: skip
             raise InputError("a share, number or time is below 0", mend="give 0 or more")
         if min(self.take_off_frames, self.landing_frames, self.oblique_frames, self.horizon_frames,
                self.duplicates) < 0:  # fmt: skip
@@ -207,7 +208,7 @@ class SurveyPlan:
         if not (self.camera_model.isascii() and self.camera_model.isprintable()):
             raise InputError("a camera model is plain text", mend="give a name such as FC330")
         if self.rolling_shutter_s == 0.0:
-            for needing in ("vibration_deg_per_s", "readout_told", "gyroscope_told"):
+            for needing in ("vibration_deg_per_s", "updraft_m_per_s", "readout_told", "gyroscope_told"):
                 if getattr(self, needing):
                     raise InputError(
                         f"{needing} without a rolling shutter", mend="give rolling_shutter_s above 0"
