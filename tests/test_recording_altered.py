@@ -8,6 +8,7 @@ import resource
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
 from geomosaic.cli.main import main
 from geomosaic.errors import FileError
+from geomosaic.pipeline import given
 from geomosaic.pipeline.artefacts import decode, encode
 from geomosaic.recording import compare, read_recording, summary
 from geomosaic.recording.messages import Artefact, StageEvent
@@ -145,6 +147,20 @@ def test_cameras_without_focal_length_or_pixels_are_of_no_artefact() -> None:
     ):
         with pytest.raises(FileError, match="no whole artefact"):
             decode(retold(data, old, new), Adjusted)
+
+
+def test_artefacts_of_different_frames_are_not_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A replay fell where it counted both. Found by `tools/fuzz.py`, seed 922, case 2653."""
+    blocks = [fly(1, 1, n, points=50).block for n in (4, 5)]
+    artefacts = [Adjusted(b.poses, b.cameras, ("tied",) * len(b.names), (), (), b.ground) for b in blocks]
+    steps: dict[int, Adjusted] = dict(enumerate((*artefacts[:1], *artefacts)))
+    monkeypatch.setattr(
+        given, "given_stage", lambda _r, _s, i: SimpleNamespace(outputs={"adjusted": steps[i]})
+    )
+    recording = SimpleNamespace(path=Path("run.mcap"))
+    assert len(given.given_stages(recording, None, 2)) == 2  # type: ignore[arg-type]
+    with pytest.raises(FileError, match="of different frames"):
+        given.given_stages(recording, None, 3)  # type: ignore[arg-type]
 
 
 def test_an_array_of_an_endless_number_is_no_artefact() -> None:

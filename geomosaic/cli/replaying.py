@@ -63,7 +63,7 @@ def replay(
     """
     from geomosaic.cli.running import execute
     from geomosaic.pipeline.elsewhere import at_places, found_frames
-    from geomosaic.pipeline.given import given_stage, missing_inputs
+    from geomosaic.pipeline.given import given_stages, missing_inputs
     from geomosaic.recording import read_recording
 
     path, recorded_as = recording_file(recording), record_options(record, False, False, False)
@@ -76,7 +76,7 @@ def replay(
     sets = [*(set or ()), *([f"survey.read.frames={frames}"] if frames is not None else ())]
     recipe = _until(_recipe(recorded, sets), until, path)
     first = _first_stage(recipe, start, set or [], path)
-    given: Mapping[int, Given] = {i: given_stage(recorded, recipe, i) for i in range(first)}
+    given: Mapping[int, Given] = given_stages(recorded, recipe, first)
     if places:
         given = at_places(given, places)
     recipe, given = _on_thumbnails(recorded, recipe, given, sets, output)

@@ -11,6 +11,7 @@ from pathlib import Path, PurePath
 from stat import S_ISDIR, S_ISREG
 from typing import Any
 
+from geomosaic.camera.exterior import Poses
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError
 from geomosaic.pipeline.artefacts import decode, encode
@@ -21,6 +22,7 @@ from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
 from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
 from geomosaic.recording.reader import artefact_data, stage_messages
+from geomosaic.survey.model import Survey
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,19 @@ def moved(entry: Mapping[str, Any], places: Mapping[Path, Path]) -> dict[str, An
     folder = Path(os.path.commonpath([path.parent for path, _ in files]))
     named = {path.name if path.parent == folder else str(path): mark for path, mark in files}
     return {**{k: v for k, v in entry.items() if k != "bytes"}, "path": str(folder), "files": named}
+
+
+def given_stages(recording: Recording, recipe: Recipe, count: int) -> dict[int, Given]:
+    """The recorded outcomes of a recipe's first steps. Raises `FileError` if one isn't there, whole, or if
+    they tell of different frames."""
+    given = {i: given_stage(recording, recipe, i) for i in range(count)}
+    artefacts = [a for stage in given.values() for a in stage.outputs.values()]
+    surveys = {tuple(f.name for f in a.frames) for a in artefacts if isinstance(a, Survey)}
+    counts = {len(a.poses) for a in artefacts if isinstance(getattr(a, "poses", None), Poses)}
+    if len(surveys) > 1 or len(counts | {len(s) for s in surveys}) > 1:
+        problem = "its surveys and poses are of different frames"
+        raise FileError(problem, file=recording.path, mend="run the recipe itself")
+    return given
 
 
 def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
