@@ -58,7 +58,8 @@ def own_miss(priors: Priors, state: State, factors: Factors) -> tuple[Floats, in
     for part in parts_of(priors):
         frames = part[observed[part, 0]]
         out[frames, :2] -= _common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
-        common = _common_slope(state.positions[frames, :2], miss[frames, 2], sd[frames, 2])
+        may = float(np.median(priors.poses.rotations_sd_rad[frames, :2])) if len(frames) else 0.0
+        common = _common_slope(state.positions[frames, :2], miss[frames, 2], sd[frames, 2], may)
         slopes += bool(len(frames)) and bool(np.ptp(common))
         out[frames, 2] -= common
         frames = part[observed[part, 5]]
@@ -88,9 +89,10 @@ def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
     return np.asarray(found)
 
 
-def _common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
+def _common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> Floats:
     """What a height that slopes explains of all misses (k,), by re-weighting from the common height on; a
-    height alone where the slope may be chance, by Schwarz's approximation (1978) of the evidence."""
+    height alone where the slope may be chance, by Schwarz's approximation (1978) of the evidence, or where it
+    is steeper than attitudes may be off by: then heights drift or jump, and no block has tipped over."""
     level = np.full(len(at_m), _common(miss_m, sd_m))
     if len(at_m) < 4 or not np.isfinite(sd_m).all():
         return level
@@ -101,10 +103,12 @@ def _common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
         weight = np.sqrt(lie_weight(length / max(float(np.median(length)) / MEDIAN_ONE, 1e-9))) / sd_m
         rows = design * weight[:, None]
         scale = np.linalg.norm(rows, axis=0) + 1e-12
-        found = design @ (np.linalg.lstsq(rows / scale, miss_m * weight, rcond=1e-3)[0] / scale)
+        plane = np.linalg.lstsq(rows / scale, miss_m * weight, rcond=1e-3)[0] / scale
+        found = design @ plane
     squares = [float((((miss_m - its) * weight) ** 2).sum()) for its in (level, found)]
     evidence = 0.5 * len(at_m) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) - np.log(len(at_m))
-    return np.asarray(found if evidence > np.log(_SLOPES) else level)
+    steep = np.arctan(np.hypot(*plane[1:])) > may_rad
+    return np.asarray(level if steep or evidence <= np.log(_SLOPES) else found)
 
 
 def _common(miss: Floats, sd: Floats) -> float:

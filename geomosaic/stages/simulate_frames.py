@@ -237,6 +237,13 @@ class SimulateFrames(Stage):
             le=100,
         )
         vibration_hz: float = param(_PLAN.vibration_hz, help="how often it shakes", unit="Hz", ge=0.1, le=200)
+        updraft_m_per_s: float = param(
+            _PLAN.updraft_m_per_s,
+            help="how fast frames rise or sink while they are read, beside their path, standard deviation",
+            unit="m/s",
+            ge=0.0,
+            le=20.0,
+        )
         gyroscope_told: bool = param(
             _PLAN.gyroscope_told, help="frames hold the gyroscope's rates while they are read (XMP)"
         )
