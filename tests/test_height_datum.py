@@ -49,6 +49,17 @@ def survey(tmp_path: Path) -> Survey:
     return read_survey(survey_folder(tmp_path, 6))
 
 
+def test_a_survey_has_no_deviation_that_is_no_number(survey: Survey) -> None:
+    """A replay fell where frames' reach was drawn. Found by `tools/fuzz.py`, seed 922, case 3535."""
+    first, *others = survey.frames
+    for wrong in (
+        replace(first, attitude=replace(first.attitude, sd_tilt_deg=float("nan"))),
+        replace(first, position=replace(first.position, sd_north_m=float("nan"))),
+    ):
+        with pytest.raises(ValueError, match="deviation"):
+            replace(survey, frames=(wrong, *others))
+
+
 def outcome(survey: Survey, off_m: np.ndarray) -> Adjusted:
     """All frames tied, and found so much below the heights they were given."""
     lonlat = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])

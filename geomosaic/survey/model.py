@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from geomosaic.camera.exterior import Turns
@@ -30,6 +31,11 @@ class Position:
     source: str
 
     @property
+    def deviations_m(self) -> tuple[float, float, float]:
+        """East, north and up."""
+        return self.sd_east_m, self.sd_north_m, self.sd_vertical_m
+
+    @property
     def known(self) -> bool:
         """Whether it was observed."""
         return self.source != "none"
@@ -49,6 +55,11 @@ class Attitude:
     sd_yaw_deg: float
     sd_tilt_deg: float
     source: str
+
+    @property
+    def deviations_deg(self) -> tuple[float, float]:
+        """Of yaw, and of pitch and roll."""
+        return self.sd_yaw_deg, self.sd_tilt_deg
 
 
 @dataclass(frozen=True)
@@ -160,11 +171,14 @@ class Survey:
     other_bands: tuple[Band, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raises ValueError where a frame's camera is none of these, or one of them can't be."""
+        """Raises ValueError where a frame has no known camera, or where a camera or a deviation can't be."""
         if not {f.camera for f in self.frames} <= {c.name for c in self.cameras}:
             raise ValueError("frames of no known camera")
         for camera in self.cameras:
             camera.check()
+        for frame in self.frames:
+            if math.isnan(sum((*frame.position.deviations_m, *frame.attitude.deviations_deg))):
+                raise ValueError("a deviation that is no number")
 
     @property
     def located(self) -> tuple[bool, ...]:
