@@ -200,7 +200,7 @@ def variance_components(
         return factors, np.zeros((len(GROUPS) + len(factors.swing),) * 2)
     found = [
         *_of_groups(priors, state, factors, share),
-        *_while_read(priors, state, factors, variances[:, 6:]),
+        *_of_reading(priors, state, factors, variances[:, 6:]),
     ]
     by_group = {group: its.factor for group, its in zip(GROUPS, found, strict=False)}
     swing = tuple(its.factor for its in found[len(GROUPS) :])
@@ -287,7 +287,7 @@ def swing_limits(priors: Priors) -> tuple[Floats, Floats]:
     return least, np.array([priors.most_swing] * terms + [MOST_CLIMBS])
 
 
-def _while_read(priors: Priors, state: State, factors: Factors, variances: Floats) -> Iterator[_Found]:
+def _of_reading(priors: Priors, state: State, factors: Factors, variances: Floats) -> Iterator[_Found]:
     """Of each function of the row, from all frames' axes that may turn, and of the climbs; less what all
     frames do alike: that is the readout's or the lens's, not theirs."""
     if state.swing is None or state.climb_m is None:

@@ -29,6 +29,7 @@ from geomosaic.quality.solved_tables import (
     sampled_ties,
     tie_weights,
 )
+from geomosaic.recording.messages import Outlines
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.survey.model import Survey
 
@@ -113,7 +114,8 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
     outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], adjusted.ground, 4) for i in shown]
     on_map = not is_local(survey.map_crs)
     record_outlines(context, survey.work_frame, "adjusted", [names[i] for i in shown], outlines, on_map)
-    if bare := bare_outlines(adjusted, ties):
+    bare = bare_outlines(adjusted, ties) if context.recorder.wants(Outlines) else []
+    if bare:
         context.recorder.outlines("bare", [f"{k + 1}" for k in range(len(bare))], bare)
 
 
@@ -132,12 +134,13 @@ def record_adjusted(
         ends = offset_net(block).edges  # pairs that see no ground together have no misalignment
     pairs = [(block.names[left], block.names[right]) for left, right in ends]
     for number, round_ in enumerate(adjusted.rounds):
+        missed = round_.misalignments_m
         context.recorder.offsets(
             context.stage_id,
             number,
             [
                 (a, b, float(e), float(n))
-                for (a, b), (e, n) in zip(pairs, round_.misalignments_m, strict=False)
+                for (a, b), (e, n) in zip(pairs if len(missed) else (), missed, strict=True)
             ],
             [(name, float(e), float(n)) for name, (e, n) in zip(block.names, round_.moves_m, strict=True)],
         )

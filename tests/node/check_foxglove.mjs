@@ -1,29 +1,10 @@
 // Holds every message of a recording that has one of Foxglove's schemas against Foxglove's own JSON schema of it.
 // node check_foxglove.mjs RUN.mcap; as read_mcap.mjs, and @foxglove/schemas and ajv. Prints, by topic, [messages, why the first bad one is].
-import { open } from "node:fs/promises";
-import { createRequire } from "node:module";
+import { opened, require, valueOf } from "./opened.mjs";
 
-const require = createRequire(process.env.MCAP_MODULES ?? import.meta.url);
-const { McapIndexedReader } = require("@mcap/core");
-const { loadDecompressHandlers } = require("@mcap/support");
 const schemas = require("@foxglove/schemas/jsonschema");
-const protobuf = require("protobufjs");
-const { FileDescriptorSet } = require("protobufjs/ext/descriptor");
 const ajv = new (require("ajv").default)({ strict: false });
-
-const file = await open(process.argv[2], "r");
-const readable = {
-  size: async () => BigInt((await file.stat()).size),
-  read: async (offset, length) => {
-    const buffer = new Uint8Array(Number(length));
-    await file.read(buffer, 0, Number(length), Number(offset));
-    return buffer;
-  },
-};
-const reader = await McapIndexedReader.Initialize({
-  readable,
-  decompressHandlers: await loadDecompressHandlers(),
-});
+const [file, reader] = await opened(process.argv[2]);
 
 // As the JSON schemas write it: bytes in base64, times as sec and nsec.
 function plain(value) {
@@ -34,21 +15,22 @@ function plain(value) {
   return Object.fromEntries(Object.entries(value).map(([key, item]) => [key, plain(item)]));
 }
 
+const checks = new Map();
+function checkOf(name) {
+  if (!checks.has(name)) checks.set(name, ajv.compile(schemas[name]));
+  return checks.get(name);
+}
+
 const out = {};
 for await (const message of reader.readMessages()) {
   const channel = reader.channelsById.get(message.channelId);
   const schema = reader.schemasById.get(channel.schemaId);
   if (!schema?.name.startsWith("foxglove.")) continue;
-  let value;
-  if (channel.messageEncoding === "json") {
-    value = JSON.parse(new TextDecoder().decode(message.data));
-  } else {
-    const type = protobuf.Root.fromDescriptor(FileDescriptorSet.decode(schema.data)).lookupType(schema.name);
-    value = plain(type.toObject(type.decode(message.data), { longs: Number, defaults: true, enums: Number }));
-  }
+  const found = valueOf(message, channel, schema, { longs: Number, defaults: true, enums: Number });
+  const value = channel.messageEncoding === "json" ? found : plain(found);
   const told = (out[channel.topic] ??= [0, ""]);
   told[0] += 1;
-  const fits = ajv.compile(schemas[schema.name.slice("foxglove.".length)]);
+  const fits = checkOf(schema.name.slice("foxglove.".length));
   if (!fits(value) && told[1] === "") told[1] = ajv.errorsText(fits.errors);
 }
 await file.close();
