@@ -6,13 +6,14 @@ Each survey has 4 x 5 frames over hills of 25 m, 30 % of it water, two positions
 headings wrong, and one frame whose pixels were turned; --dry: how many besides have none of it. --varied:
 size, relief, overlap, course, water and faults are drawn by the seed. A frame that was turned and whose
 heading is wrong too is named where it stands against its line. Ground without tie points has to be named
-where a tenth of all ground is water, and mustn't be where a hundredth is or less. Exit code 1 if one fault is
-missed, or one is named that isn't there.
+where a tenth of what three frames truly see is water, and mustn't be where a hundredth is or less. Exit code
+1 if one fault is missed, or one is named that isn't there.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import subprocess
 import sys
@@ -20,12 +21,14 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import cv2
 import numpy as np
 import rasterio
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 WATER, NO_WATER = 0.10, 0.01
-"""Of the ground: as much has to be named, as little mustn't."""
+"""Of the ground that three frames see: as much has to be named, as little mustn't."""
+SEEN_BY = 3
 MEANS = {
     "turned-frame": {"frame-turned", "against-its-line"},
     "wrong-yaw": {"yaw-wrong", "against-its-line"},
@@ -71,16 +74,39 @@ def judged(seed: int, dry: bool, varied: bool, out: Path) -> tuple[int, list[str
     named = [(f["code"], name) for f in said for name in f["frames"] if f["code"] != BARE]
     missed = [f"{c} {n}" for c, n in planted if not any(m == n and d in MEANS[c] for d, m in named)]
     false = [f"{c} {n}" for c, n in named if not any(m == n and c in MEANS[d] for d, m in planted)]
-    cover, share = folder / "truth" / "cover.tif", 0.0
-    if cover.exists():
-        with rasterio.open(cover) as file:  # 1: water
-            share = float(np.mean(file.read(1) == 1))
+    share = water_seen(folder / "truth")
     bare = any(f["code"] == BARE for f in said)
     if share >= WATER and not bare:
         missed.append(f"water, {100 * share:.0f} %")
     if share <= NO_WATER and bare:
         false.append("water")
     return len(planted) + (share >= WATER), missed, false
+
+
+def water_seen(truth: Path) -> float:
+    """Share of water in the ground that three frames see, each as if straight down on level ground."""
+    if not (truth / "cover.tif").exists():
+        return 0.0
+    with rasterio.open(truth / "cover.tif") as file:
+        water, grid = file.read(1) == 1, file.transform
+    with rasterio.open(truth / "dem.tif") as file:
+        ground_m = float(np.median(file.read(1)))
+    camera = json.loads((truth / "truth.json").read_text())["camera"]
+    across, along = (camera[side] / camera["focal_length_px"] / 2.0 for side in ("width_px", "height_px"))
+    seen = np.zeros(water.shape, np.uint8)
+    with (truth / "positions.csv").open(newline="") as rows:
+        for row in csv.DictReader(rows):
+            east, north, height, yaw = (
+                float(row[name]) for name in ("easting_m", "northing_m", "height_ellipsoidal_m", "yaw_deg")
+            )
+            turn = np.exp(-1j * np.radians(yaw))  # clockwise from north
+            corners = [east + 1j * north + (height - ground_m) * turn * (a * across + 1j * b * along)
+                       for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]  # fmt: skip
+            ring = np.array([[(c.real - grid.c) / grid.a, (grid.f - c.imag) / grid.a] for c in corners])
+            drawn = np.zeros_like(seen)
+            cv2.fillConvexPoly(drawn, np.round(ring).astype(np.int32), 1)
+            seen += drawn
+    return float(water[seen >= SEEN_BY].mean()) if (seen >= SEEN_BY).any() else 0.0
 
 
 def _call(*words: Any) -> str:

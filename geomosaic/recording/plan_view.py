@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.recording.headings import against_their_course
 from geomosaic.recording.limits import MOVE, RESIDUAL, badness, moves_sd
 from geomosaic.recording.story import Story, ToldTable
 
@@ -64,7 +65,7 @@ def draw_plan(story: Story, stream: Any) -> None:
     far_sd = moves_in_sd(placed, adjusted)
     if adjusted.row:
         _draw_moves(stream, adjusted, at, far_sd)
-    turned = {line.frame for line in story.log if line.text.startswith(_TURNED)}
+    turned = turned_images(story, placed, adjusted)
     labels, colours = frame_labels(placed, adjusted, turned), frame_colours(placed, adjusted)
     points = rerun.Points2D(
         at, colors=colours, radii=_ui(3.5 * thin), labels=labels, show_labels=False, draw_order=5.0
@@ -157,6 +158,16 @@ def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats, far_sd: Floats) ->
     stream.log(f"{PLAN}/moved", arrows, static=True)
 
 
+def turned_images(story: Story, placed: ToldTable, adjusted: ToldTable) -> set[str]:
+    """Frames whose images were turned after the flight, but for those whose headings are wrong."""
+    turned = {line.frame for line in story.log if line.text.startswith(_TURNED)}
+    rows = [k for k, name in enumerate(adjusted.row) if name in turned]
+    given_rad = np.radians(_given(placed, adjusted, "yaw_deg"))
+    found_rad = np.radians(adjusted.column("yaw_deg"))
+    wrong = against_their_course(rows, given_rad, found_rad, _places(adjusted))
+    return turned - {adjusted.row[k] for k in wrong}
+
+
 def frame_labels(placed: ToldTable, adjusted: ToldTable, turned: Collection[str] = ()) -> list[str]:
     """Names without their endings, and behind a blank what is odd about a frame.
 
@@ -186,8 +197,7 @@ def moves_m(adjusted: ToldTable) -> Floats:
 
 def moves_in_sd(placed: ToldTable, adjusted: ToldTable) -> Floats:
     """The same in deviations of given and found positions together, (n,)."""
-    given = [placed.number.get(name, -1) for name in adjusted.row]
-    before = np.column_stack([np.append(placed.column(f"sd_{axis}_m"), np.nan)[given] for axis in "en"])
+    before = np.column_stack([_given(placed, adjusted, f"sd_{axis}_m") for axis in "en"])
     after = np.column_stack([adjusted.column(f"sd_{axis}_m") for axis in "en"])
     moved = np.column_stack([adjusted.column("moved_e_m"), adjusted.column("moved_n_m")])
     return moves_sd(moved, before, after)
@@ -195,9 +205,14 @@ def moves_in_sd(placed: ToldTable, adjusted: ToldTable) -> Floats:
 
 def headings_off_deg(placed: ToldTable, adjusted: ToldTable) -> Floats:
     """By how much headings as found differ from those as given, (n,) of the adjusted frames, 0 to 180."""
-    given = dict(zip(placed.row, placed.column("yaw_deg"), strict=True))
-    before = np.array([given.get(name, np.nan) for name in adjusted.row])
+    before = _given(placed, adjusted, "yaw_deg")
     return np.asarray(np.abs((adjusted.column("yaw_deg") - before + 180.0) % 360.0 - 180.0))
+
+
+def _given(placed: ToldTable, adjusted: ToldTable, column: str) -> Floats:
+    """A column of placed frames by the rows of adjusted ones, (n,); NaN where it isn't known."""
+    rows = [placed.number.get(name, -1) for name in adjusted.row]
+    return np.asarray(np.append(placed.column(column), np.nan)[rows])
 
 
 def frame_colours(placed: ToldTable, adjusted: ToldTable) -> Colours:
