@@ -187,7 +187,8 @@ class Reduced:
         dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
         side = n.point_side - np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
         for group in n.sightings.groups:
-            moved_m = n.levers.of(group.span).as_points_m(dp[n.sightings.frame[group.span]].T)
+            step = dp.T.take(n.sightings.frame[group.span], axis=-1)
+            moved_m = n.levers.of(group.span).as_points_m(step)
             by_pose = np.einsum("ijm,jm->im", n.point_point[_SQUARE, group.span], moved_m)
             which = n.sightings.point[group.span] - group.points.start
             side[group.points] -= _summed(by_pose, which, group.size)
@@ -332,7 +333,7 @@ def _less_through_points(
     """
     own, across, others = sums
     point = n.sightings.point[group.span] - group.points.start
-    roots = np.ascontiguousarray(np.moveaxis(root, 0, -1))[..., point]
+    roots = np.ascontiguousarray(np.moveaxis(root, 0, -1)).take(point, axis=-1)
     by_point = np.einsum("ikm,kjm->ijm", roots, n.point_point[_SQUARE, group.span])
     scaled = n.levers.of(group.span).by_pose(by_point).transpose(2, 0, 1)
     scaled, d = np.ascontiguousarray(scaled).reshape(len(point), -1), own.shape[1]
