@@ -216,6 +216,26 @@ def test_a_look_reads_what_is_looked_at(flight: Flight) -> None:
         Kept(made.returns, "another", made.path).look()
 
 
+def test_what_is_made_of_a_result_is_kept_instead_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """16 MB of a file of 2 MB count as such, and push out what came before."""
+    path, made = tmp_path / "small", []
+
+    def wide(values: NDArray[np.uint8]) -> NDArray[np.float64]:
+        made.append(len(values))
+        return values.astype(np.float64)
+
+    path.write_bytes(encode(np.ones(2 << 20, np.uint8)))
+    one, other = (Kept[NDArray[np.uint8]](np.ndarray, mark, path) for mark in ("one", "other"))
+    monkeypatch.setattr(kept, "_memory", kept._Memory(20 << 20))
+    assert one.recall_as(wide).sum() == 2 << 20
+    assert one.recall_as(wide) is one.recall_as(wide) and len(made) == 1
+    other.recall_as(wide)
+    one.recall_as(wide)
+    assert len(made) == 3
+
+
 def test_large_arguments_are_written_once_for_all_items(flight: Flight) -> None:
     """8 MB of ground times thousands of frames went through the pipes."""
     ground = np.full(1_000_000, 0.5)

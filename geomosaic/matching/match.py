@@ -98,7 +98,27 @@ class PairMatch:
         return f"too few agree: {self.agreeing} of {self.alike}, {wanted} are needed"
 
 
-def match_pair(how: Matching, left: Features, right: Features, guess: Guess, pixel_px: float) -> PairMatch:
+@dataclass(frozen=True)
+class Looks:
+    """A frame's keypoints as pairs compare them: image_px (n, 2) in the full frame, root (n, 128) as
+    `root_sift` gives them, numbers of the coarsest few."""
+
+    image_px: Floats
+    root: NDArray[np.float32]
+    few: Ints
+
+    @classmethod
+    def of(cls, features: Features) -> Looks:
+        """Of keypoints as SIFT gives them."""
+        return cls(features.image_px, root_sift(features.descriptors), coarsest(features, _FEW))
+
+    @property
+    def nbytes(self) -> int:
+        """What it holds."""
+        return self.image_px.nbytes + self.root.nbytes + self.few.nbytes
+
+
+def match_pair(how: Matching, left: Looks, right: Looks, guess: Guess, pixel_px: float) -> PairMatch:
     """Tie points of a pair: search, one-to-one, geometric check, at least `least` of them.
 
     A free search, which nothing but the image supports, must bring half as many again.
@@ -122,11 +142,11 @@ def match_pair(how: Matching, left: Features, right: Features, guess: Guess, pix
 class _Pair:
     """Two frames' keypoints and what they look like."""
 
-    def __init__(self, how: Matching, left: Features, right: Features, tolerance_px: float) -> None:
+    def __init__(self, how: Matching, left: Looks, right: Looks, tolerance_px: float) -> None:
         self.how, self.tolerance_px = how, tolerance_px
         self.left_px, self.right_px = left.image_px, right.image_px
-        self.left, self.right = left.descriptors, right.descriptors
-        self.few = coarsest(left, _FEW), coarsest(right, _FEW)
+        self.left, self.right = left.root, right.root
+        self.few = left.few, right.few
         self._alike, self._agreeing = 0, 0
 
     def looked(self) -> tuple[tuple[int, int], int, int]:
@@ -135,8 +155,7 @@ class _Pair:
 
     def searched(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
         """All keypoints, each about where it is believed to be in the right image."""
-        left, right = root_sift(self.left), root_sift(self.right)
-        return search(left, right, at, self.right_px, radius_px, self.how.ratio)
+        return search(self.left, self.right, at, self.right_px, radius_px, self.how.ratio)
 
     def agreeing(self, i: Ints, j: Ints) -> tuple[Ints, Ints]:
         """Those that pass the geometric check together."""
@@ -148,7 +167,7 @@ class _Pair:
         """The coarsest keypoints say where in the right image the left one lies, and the rest is compared
         about there; nothing where they don't say it."""
         few_i, few_j = self.few
-        left, right = root_sift(self.left[few_i]), root_sift(self.right[few_j])
+        left, right = self.left[few_i], self.right[few_j]
         i, j = search(left, right, at[few_i], self.right_px[few_j], radius_px, self.how.ratio)
         i, j = self.agreeing(few_i[i], few_j[j])
         plane = plane_through(self.left_px[i], self.right_px[j]) if len(i) >= self.how.least else None

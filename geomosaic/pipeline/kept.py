@@ -27,11 +27,19 @@ from geomosaic.recording.fingerprints import fingerprint_of_bytes
 Result = TypeVar("Result")
 Item = TypeVar("Item")
 
+
+class _Sized(typing.Protocol):
+    @property
+    def nbytes(self) -> int: ...
+
+
+Sized = TypeVar("Sized", bound=_Sized)
+
 _MEMORY_BYTES: Annotated[
     int,
     Because(
-        "bytes on the disk",
-        "what a process keeps of results that it was referred to: the keypoints of 100 frames, so that pairs "
+        "bytes, on the disk where that is less",
+        "what a process keeps of results that it was referred to: the keypoints of 40 frames, so that pairs "
         "of neighbours find both; less reads files again, more is memory in each worker",
         CHOSEN,
     ),
@@ -112,6 +120,17 @@ class Kept(Reference, Generic[Result]):
             return self.load()
         path = self.path
         return typing.cast(Result, _memory.get(self.mark, lambda: (self.load(), path.stat().st_size)))
+
+    def recall_as(self, made_of: Callable[[Result], Sized]) -> Sized:
+        """As `recall`, but what a function makes of the result, which isn't kept itself."""
+        if self.path is None:
+            return made_of(self.load())
+
+        def make() -> tuple[Sized, int]:
+            made = made_of(self.load())
+            return made, made.nbytes
+
+        return typing.cast(Sized, _memory.get(f"{self.mark} {made_of.__qualname__}", make))
 
     def look(self) -> Result:
         """As `recall`, but arrays stay in the file until they are looked at, part by part: for what is wanted

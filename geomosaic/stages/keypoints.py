@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
 from geomosaic.matching.features import Bytes, Features, grey, reduction_for, shrunk, sift_features
-from geomosaic.matching.match import Matching, PairMatch, match_pair
+from geomosaic.matching.match import Looks, Matching, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context
@@ -99,7 +99,8 @@ class PairItem:
 
 def pair_match(how: Matching, pair: PairItem) -> PairMatch:
     """Tie points of a pair."""
-    return match_pair(how, pair.left.recall(), pair.right.recall(), pair.guess, pair.pixel_px)
+    left, right = (features.recall_as(Looks.of) for features in (pair.left, pair.right))
+    return match_pair(how, left, right, pair.guess, pair.pixel_px)
 
 
 @dataclass(frozen=True)
