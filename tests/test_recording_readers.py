@@ -35,7 +35,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("readers") / "run.mcap")
 
 
-def by_node(script: Path, recording: Path, packages: str) -> Any:
+def by_node(script: Path, recording: Path, packages: str, seconds: float = 60.0) -> Any:
     """What a script prints of a recording; needs node and its packages in tests/node or $MCAP_MODULES."""
     node = shutil.which("node")
     folder = Path(os.environ.get("MCAP_MODULES", script.parent))
@@ -45,20 +45,31 @@ def by_node(script: Path, recording: Path, packages: str) -> Any:
         pytest.skip(f"npm install {packages} in tests/node")
     environment = {**os.environ, "MCAP_MODULES": f"{folder}/"}
     done = subprocess.run(
-        [node, str(script), str(recording)], capture_output=True, text=True, timeout=60, env=environment
+        [node, str(script), str(recording)], capture_output=True, text=True, timeout=seconds, env=environment
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 def test_messages_of_foxgloves_schemas_hold_to_its_own_json_schemas(scene: Path) -> None:
-    """Foxglove's app can't be had everywhere; what it says of its messages can."""
     packages = "@mcap/core @mcap/support protobufjs @foxglove/schemas ajv"
     found = by_node(_SCRIPT.with_name("check_foxglove.mjs"), scene, packages)
     assert {topic: why for topic, (_, why) in found.items() if why} == {}
     topics = read_recording(scene).topics
     foxglove = {name: t.messages for name, t in topics.items() if t.schema.startswith("foxglove.")}
     assert {topic: count for topic, (count, _) in found.items()} == foxglove and len(foxglove) >= 4
+
+
+def test_foxgloves_app_opens_it_and_finds_no_problem(scene: Path) -> None:
+    """The last build that was open, in Chromium."""
+    if shutil.which("chromium") is None:
+        pytest.skip("Chromium isn't installed")
+    packages = "@foxglove/studio-base react react-dom puppeteer-core"
+    found = by_node(_SCRIPT.with_name("foxglove_studio.mjs"), scene, packages, 180.0)
+    assert (found["problems"], found["errors"], found["asked"]) == ([], [], [])
+    topics = read_recording(scene).topics
+    shown = {name: topics[name].messages for name in found["topics"]}
+    assert found["topics"] == shown and {"/stages", "/log", "/location/observed"} <= shown.keys()
 
 
 def test_the_javascript_reader_finds_the_same(scene: Path) -> None:
