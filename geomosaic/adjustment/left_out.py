@@ -172,9 +172,11 @@ class LeftOut:
         self._spread = spread
 
     def judged(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
-        """What each model leaves."""
-        sent = [replace(m, block=_without_tie_points(m.block)) for m in models.values()]
-        return dict(zip(models, self._spread.map(name, self._judged, sent, list(models)), strict=True))
+        """What each model leaves. The last has most unknowns and takes longest: it is begun first."""
+        names = list(models)[::-1]
+        sent = [replace(models[n], block=_without_tie_points(models[n].block)) for n in names]
+        found = dict(zip(names, self._spread.map(name, self._judged, sent, names), strict=True))
+        return {n: found[n] for n in models}
 
 
 def _without_tie_points(block: Block) -> Block:
