@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from recording_scene import FRAMES, RECIPE, written
 
-from geomosaic.errors import FileError, OutputError
+from geomosaic.errors import FileError, GeomosaicError, OutputError
 from geomosaic.recording import Recorder, read_recording, viewer
 from geomosaic.recording.chips import Chip
 from geomosaic.recording.limits import RESIDUAL, badness
@@ -320,4 +320,8 @@ def test_a_screenshot_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(asked) == 3
     busy[0] = 99
     with pytest.raises(OutputError, match="no screenshot"):
+        viewer.screenshot(tmp_path / "a.rrd", tmp_path / "a.png", 0.0)
+    ended = iter((None, 1))  # without a Vulkan driver it ends once it paints
+    monkeypatch.setattr(viewer, "_viewer", lambda *_: nullcontext(SimpleNamespace(poll=lambda: next(ended))))
+    with pytest.raises(GeomosaicError, match="install mesa-vulkan-drivers"):
         viewer.screenshot(tmp_path / "a.rrd", tmp_path / "a.png", 0.0)

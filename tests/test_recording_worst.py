@@ -15,7 +15,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.placement.model import Placement
 from geomosaic.recording.solved import Solved
-from geomosaic.recording.worst import _against_their_lines, _held
+from geomosaic.recording.worst import _against_their_lines
 
 
 def _headed(poses: Poses, by_deg: dict[int, float]) -> Poses:
@@ -70,13 +70,11 @@ def test_a_turned_image_is_held_against_the_adjusted_positions(
     poses = _headed(flown.truth, found_deg)
     adjusted = Adjusted(poses, flown.block.cameras, ("tied",) * n, (), (), nothing)
     survey: Any = SimpleNamespace(frames=[SimpleNamespace(name=name) for name in flown.block.names])
-    solved = Solved(survey, prior, placement, None, adjusted)
-    said = [
-        ("frame-turned", flown.block.names[8], "righted"),
-        ("position-wrong", flown.block.names[8], "60 m"),
-    ]
-    assert [held[0] for held in _held(said, solved)] == [code, "position-wrong"]
-    assert list(_held(said, None)) == said, "nothing to hold it against"
+    name = flown.block.names[8]
+    said = (("frame-turned", name, "righted"), ("position-wrong", name, "60 m"))
+    solved = Solved(survey, prior, placement, None, adjusted, said)
+    assert [accused[0] for accused in solved.accused] == [code, "position-wrong"]
+    assert Solved(survey, prior, placement, None, None, said).accused == said, "nothing to hold it against"
     off_deg = abs(solved.yawed_deg[8])
     assert off_deg > 170.0 if code == "yaw-wrong" else off_deg < 10.0
     assert solved.turned[8] == (0 if code == "yaw-wrong" else 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,3 +28,19 @@ def against_their_course(
     course_rad = np.radians(courses_deg(positions_m, flight_lines(positions_m)))
     fits, _ = headings_fit(turned, given_rad, found_rad, course_rad)
     return frozenset(i for i, fit in fits.items() if not fit)
+
+
+def reheaded(
+    said: Iterable[tuple[str, str, str]], off_deg: Mapping[str, float]
+) -> tuple[tuple[str, str, str], ...]:
+    """Warnings (code, frame, text), with turned images whose headings are off by so much accused of that."""
+    text = (
+        "its heading was off by {:.0f} degrees: as given it is against the course over the adjusted "
+        "positions; the run took its image for turned, which laid it alike"
+    )
+    return tuple(
+        ("yaw-wrong", frame, text.format(off_deg[frame]))
+        if code == "frame-turned" and frame in off_deg
+        else (code, frame, words)
+        for code, frame, words in said
+    )

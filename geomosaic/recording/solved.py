@@ -22,7 +22,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
-from geomosaic.recording.headings import against_their_course
+from geomosaic.recording.headings import against_their_course, reheaded
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -133,9 +133,14 @@ class Solved:
             return frozenset()
         prior, found = self.prior.poses, self.adjusted.poses
         given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (prior, found))
-        given_rad = np.where(heading_assumed(prior), np.nan, given_rad)
-        turned = [i for i, quarters in enumerate(self._righted) if quarters]
+        given_rad[heading_assumed(prior)] = np.nan
+        turned = np.flatnonzero(self._righted).tolist()
         return against_their_course(turned, given_rad, found_rad, found.positions_m[:, :2])
+
+    @property
+    def accused(self) -> tuple[tuple[str, str, str], ...]:
+        """The warnings, but that images were turned held against the adjusted positions."""
+        return reheaded(self.warned, {self.names[i]: abs(self.yawed_deg[i]) for i in self.reheaded})
 
     @property
     def _righted(self) -> tuple[int, ...]:
@@ -207,7 +212,7 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
     by_frame = pairs_by_frame(pairs)
     residual_px, doubted = _image_figures(solved)
     said: dict[str, list[str]] = {}
-    for code, frame, text in solved.warned:
+    for code, frame, text in solved.accused:
         said.setdefault(frame, []).append(f"{code}: {text}")
     placement = solved.placement or solved.prior
     out: list[dict[str, Any]] = []

@@ -16,6 +16,7 @@ from typing import Any
 
 from geomosaic.errors import GeomosaicError, OutputError
 
+_NO_SCREEN = "Rerun's viewer doesn't start without a screen; install mesa-vulkan-drivers and libvulkan1"
 _TRIES = 4
 """Of a screenshot: the viewer gives up after 15 s, and a busy machine paints slowly without a card."""
 
@@ -39,8 +40,7 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
         client = None
         while client is None:
             if viewer.poll() is not None or time.monotonic() > deadline:
-                mend = "install mesa-vulkan-drivers and libvulkan1"
-                raise GeomosaicError(f"Rerun's viewer didn't start without a screen; {mend}")
+                raise GeomosaicError(_NO_SCREEN)
             try:
                 client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
                 client.get_state()
@@ -53,6 +53,8 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
                 client.save_screenshot(str(png.absolute()))
                 break
             except (RuntimeError, OSError) as error:
+                if viewer.poll() is not None:
+                    raise GeomosaicError(_NO_SCREEN) from error
                 if not tries_left:
                     raise OutputError(f"no screenshot ({error})", file=png) from error
 

@@ -72,7 +72,8 @@ def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, A
     Args: frames: `frame_figures` of `solved`.
     """
     found = [*_of_run(recording), *_of_verdict(recording)]
-    found += _of_frames(_held(warned(recording), solved), {f["frame"]: f for f in frames})
+    said = warned(recording) if solved is None else solved.accused
+    found += _of_frames(said, {f["frame"]: f for f in frames})
     if solved is not None:
         found += _against_their_lines(solved)
         found += _bare_ground(solved)
@@ -118,19 +119,6 @@ def _figure(value: Any, unit: str) -> str:
     if not unit or not isinstance(value, int | float):
         return ""
     return f"{100.0 * value:.0f} %" if unit == "share" else f"{value:.2f} {unit}"
-
-
-def _held(said: Iterable[tuple[str, str, str]], solved: Solved | None) -> Iterator[tuple[str, str, str]]:
-    """Accusations of frames, but that images were turned held against the adjusted positions."""
-    off_deg = {} if solved is None else {solved.names[i]: solved.yawed_deg[i] for i in solved.reheaded}
-    for code, frame, text in said:
-        if code == "frame-turned" and frame in off_deg:
-            text = (
-                f"its heading was off by {abs(off_deg[frame]):.0f} degrees: as given it is against the "
-                "course over the adjusted positions; the run took its image for turned, which laid it alike"
-            )
-            code = "yaw-wrong"
-        yield code, frame, text
 
 
 def _of_frames(warned: Iterable[tuple[str, str, str]], frames: dict[str, dict[str, Any]]) -> Iterator[Fault]:
