@@ -55,7 +55,11 @@ def test_without_frames_all_is_made_but_what_takes_their_pixels(
         assert high - low > 40, "no picture"
     warned = [w for w in json.loads((out / "run.json").read_text())["warnings"] if w["code"] == "frames-gone"]
     assert len(warned) == 1 and "quality.verdict" in warned[0]["text"]
-    assert summary(read_recording(out / "run.mcap"))["altered"] == []
+    recording = read_recording(out / "run.mcap")
+    assert summary(recording)["altered"] == []
+    assert [line.text for line in recording.warnings if "frames-gone" in line.text] == [
+        f"frames-gone: {warned[0]['text']}"
+    ]
 
 
 def test_the_adjustment_is_replayed_and_nothing_before_it(

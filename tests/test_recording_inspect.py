@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -16,6 +17,7 @@ from recording_scene import written
 
 from geomosaic.cli.main import main
 from geomosaic.recording import Recorder, read_recording
+from geomosaic.recording.canvas import RED, Canvas
 from geomosaic.recording.inspection import Inspection
 
 
@@ -215,3 +217,13 @@ def test_tables_of_a_thousand_frames_are_read_in_one_pass(tmp_path: Path) -> Non
 
 
 _LEFT, _RIGHT = (0,) * 10, range(1, 11)
+
+
+def test_a_label_at_the_right_edge_is_drawn_whole() -> None:
+    ends = np.array([[0.0, 0.0], [100.0, 0.0]])
+    inked = []
+    for at in ends:
+        canvas = Canvas(ends, 900)
+        canvas.label(at, "F0016.jpg 4.441 m", RED)
+        inked.append(int((canvas.image != 255).any(axis=2).sum()))
+    assert inked[0] == inked[1] > 300

@@ -128,9 +128,7 @@ def with_thumbnails(
     folder = output.absolute() / _STAND_INS
     made = {i: _standing_in(g, thumbnails, folder) for i, g in given.items()}
     last = max(made)
-    warning = {"code": "frames-gone", "frame": "", "text": f"the frames are gone; left out: {'; '.join(out)}"}
-    notes = dataclasses.replace(made[last].notes, warnings=[*made[last].notes.warnings, warning])
-    made[last] = dataclasses.replace(made[last], notes=notes)
+    made[last] = made[last].with_warning("frames-gone", f"the frames are gone; left out: {'; '.join(out)}")
     return dataclasses.replace(recipe, steps=tuple(steps)), made, out
 
 

@@ -11,6 +11,8 @@ from pathlib import Path, PurePath
 from stat import S_ISDIR, S_ISREG
 from typing import Any
 
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
 from geomosaic.camera.exterior import Poses
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError
@@ -31,7 +33,7 @@ class Given:
 
     replaced: bytes of outputs that aren't the recorded ones, see `with_outputs`. places: where files that it
     read lie now, by where they lay. brought: files that it needs in the run folder and whose bytes are made
-    when they are written, by name.
+    when they are written, by name. added: warnings that the stage didn't give when it ran.
     """
 
     recording: Recording
@@ -42,6 +44,7 @@ class Given:
     replaced: Mapping[str, bytes] = field(default_factory=dict)
     places: Mapping[Path, Path] = field(default_factory=dict)
     brought: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
+    added: tuple[str, ...] = ()
 
     def data(self, name: str) -> bytes:
         """An output's bytes, as they were recorded, or as what they were replaced by."""
@@ -64,7 +67,16 @@ class Given:
 
     def messages(self) -> Iterator[tuple[str, str, bytes]]:
         """Topic, schema and bytes of all the stage recorded, for `Recorder.copy`."""
-        return stage_messages(self.recording, self.record.index)
+        yield from stage_messages(self.recording, self.record.index)
+        for text in self.added:
+            line = Log(level=Log.Level.WARNING, message=text, name=self.record.stage_id)
+            yield "/log", Log.DESCRIPTOR.full_name, line.SerializeToString()
+
+    def with_warning(self, code: str, text: str) -> Given:
+        """The same with one more warning, in its notes and in its log."""
+        warning = {"code": code, "frame": "", "text": text}
+        notes = dataclasses.replace(self.notes, warnings=[*self.notes.warnings, warning])
+        return dataclasses.replace(self, notes=notes, added=(*self.added, f"{code}: {text}"))
 
     def files(self) -> list[str]:
         """Names of the files in the run folder that its outputs stand for, or that are brought there."""

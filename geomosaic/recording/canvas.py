@@ -19,6 +19,7 @@ GOOD: Final[Colour] = (90, 170, 40)
 _MARGIN_PX: Final = 60
 _LINE_PX: Final = 20
 _TIP_PX: Final = 14
+_LETTERS: Final = (cv2.FONT_HERSHEY_SIMPLEX, 0.45)
 _FARTHEST: Final = 30.0
 """Extents of the middle nine tenths that is drawn: farther points lie beyond the edge."""
 
@@ -85,10 +86,13 @@ class Canvas:
                 cv2.circle(self.image, at, 11, colour, 2, cv2.LINE_AA)
 
     def label(self, at_m: Floats, words: str, colour: Colour) -> None:
-        """Words beside a point, on white."""
+        """Words beside a point, on white: to its right, or to its left where there is no room."""
         at = self._at(at_m)
         if at is not None:
-            write(self.image, words, (at[0] + 8, at[1] - 8), colour)
+            (wide, _), _ = cv2.getTextSize(words, *_LETTERS, 1)
+            right = at[0] + 8
+            x = right if right + wide <= self.image.shape[1] else max(at[0] - 8 - wide, 0)
+            write(self.image, words, (x, at[1] - 8), colour)
 
     def finished(self, foot: Sequence[str]) -> Image:
         """The drawing with a scale bar and lines of words below."""
@@ -119,4 +123,4 @@ def write(image: Image, words: str, at: tuple[int, int], colour: Colour) -> None
     """Letters that the drawing knows (ASCII) on a white rim; others as question marks."""
     text = "".join(c if " " <= c <= "~" else "?" for c in words)
     for shade, thick in ((PAPER, 4), (colour, 1)):
-        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, shade, thick, cv2.LINE_AA)
+        cv2.putText(image, text, at, *_LETTERS, shade, thick, cv2.LINE_AA)
