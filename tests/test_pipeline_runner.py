@@ -9,6 +9,7 @@ import os
 import pickle
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -407,6 +408,20 @@ def test_a_worker_has_the_environment_of_now(tmp_path: Path, monkeypatch: pytest
     monkeypatch.delenv("TOY_GONE")
     with executor.Workers(2) as team:
         assert Context(tmp_path, workers=team).map("told", told, ["TOY_SET", "TOY_GONE"]) == ["later", None]
+
+
+def test_workers_need_not_look_through_what_was_imported_for_them() -> None:
+    """A fork server of its own, which the other tests' isn't: it may be there before anything is prepared."""
+    seen = "(__import__('gc').isenabled(), __import__('gc').get_freeze_count() > 1000)"
+    script = (
+        "import gc\n"
+        "from geomosaic.pipeline.executor import Workers, prepare_workers\n"
+        "prepare_workers(['json'])\n"
+        "with Workers(2) as team:\n"
+        f'    print(team.result(team.submit(eval, "{seen}")), gc.isenabled())\n'
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "(True, True) True\n"
 
 
 def test_items_with_keys_are_made_as_they_are_needed(tmp_path: Path) -> None:

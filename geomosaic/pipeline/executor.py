@@ -157,6 +157,7 @@ def _start_worker(environment: dict[str, str]) -> None:
         threading.Thread(target=follow, daemon=True).start()
 
 
+_FIRST = "geomosaic.pipeline.forked"
 _FORKS: Final = "forkserver" in multiprocessing.get_all_start_methods()
 
 
@@ -164,7 +165,7 @@ def prepare_workers(modules: Iterable[str]) -> None:
     """Starts the process that workers are forked from, where the system can: it imports what they need while
     this one goes on, and they have it from there, in the same memory. Later calls do nothing."""
     if _FORKS:
-        multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
+        multiprocessing.get_context("forkserver").set_forkserver_preload([_FIRST, *modules])
         resource_tracker.ensure_running()  # its start lets interrupts through again
         with _without_interrupts(), _one_thread_each():
             forkserver.ensure_running()
