@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -84,7 +85,8 @@ def frame_views(
         gsd_m = ground_sampling_distance_m(pose, camera, ground)
         if not np.isfinite(gsd_m):
             continue
-        seen = ground_from_image(pose, camera, ground, _image_samples(camera)).reshape(-1, 3)
+        samples = _image_samples(camera.width_px, camera.height_px)
+        seen = ground_from_image(pose, camera, ground, samples).reshape(-1, 3)
         seen = np.vstack([pose.position_m, seen[np.isfinite(seen).all(axis=1)]])
         geodetic = work_frame.geodetic_from_enu(seen)
         on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
@@ -93,6 +95,9 @@ def frame_views(
     return tuple(views)
 
 
-def _image_samples(camera: Camera) -> Floats:
+@cache
+def _image_samples(width_px: int, height_px: int) -> Floats:
     t = np.linspace(0.0, 1.0, _SAMPLES_PER_SIDE)
-    return np.stack(np.meshgrid(t * camera.width_px, t * camera.height_px), axis=-1)
+    samples = np.stack(np.meshgrid(t * width_px, t * height_px), axis=-1)
+    samples.flags.writeable = False
+    return samples
