@@ -61,6 +61,10 @@ _NEAR_FLAT: Annotated[
         CHOSEN,
     ),
 ] = 3.0
+_FLAT_PX: Annotated[
+    float,
+    Because("ground pixels", "that relief may move points by on flat land: less is not seen", CHOSEN),
+] = 0.5
 _LEVEL: Annotated[
     float,
     Because(
@@ -83,8 +87,8 @@ def _view(block: Block) -> float:
 
 
 def _least_relief_m(block: Block) -> float:
-    """Relief that moves a point by half a ground pixel: less than that is flat."""
-    return 0.5 * block.ground_pixel_m / _view(block)
+    """Relief that moves a point by _FLAT_PX: less than that is flat."""
+    return _FLAT_PX * block.ground_pixel_m / _view(block)
 
 
 def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle, part: Ints) -> float:
@@ -128,18 +132,27 @@ def chosen_ground(
         return flat, float("nan")
     surface = surface_of(block, flat, bundle, rough=True)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
-    shown = float(np.sqrt(np.mean(np.square(relief - _bends(points, relief, part)))))
-    relief_px = 0.5 * shown / _least_relief_m(block)
-    return surface if asked == "tie_surface" or relief_px > 0.5 else flat, relief_px
+    relief_px = _moves_px(block, relief - _bends(points, relief, part))
+    return surface if asked == "tie_surface" or relief_px > _FLAT_PX else flat, relief_px
+
+
+def _moves_px(block: Block, relief: Floats) -> float:
+    """By how many ground pixels relief (p,) in metres moves points, root mean square."""
+    return _FLAT_PX * float(np.sqrt(np.mean(np.square(relief)))) / _least_relief_m(block)
 
 
 def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
     """Whether flat ground explains the images as well as free points do: the image residuals don't grow,
-    most points come to lie on it, and neither tilts nor heights leave what POS says of them, as far as it is
-    believed beside free points: land that slopes would tilt the whole block."""
-    off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
+    most points come to lie on it, no bend stays that images could have given up (a block without height
+    control may have bent so: drawn to level ground it straightens, but over a land that is bent), and neither
+    tilts nor heights leave what POS says of them, as far as it is believed beside free points: land that
+    slopes would tilt the whole block."""
+    points = bound.points_m
+    off_m = np.abs(points[:, 2] - flat.up_at(points[:, 0], points[:, 1]))
+    relief = surface_of(block, flat, bound, rough=True).up_at(points[:, 0], points[:, 1])
     return bool(
         bound.factors.image_px < _AS_WELL * free.factors.image_px
+        and _moves_px(block, relief - np.median(relief)) <= _FLAT_PX
         and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
         and all(_grown(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
     )
