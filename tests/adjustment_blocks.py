@@ -63,12 +63,12 @@ def fly(
     shaking_hz: float = 0.0,
     swaying_px: float = 0.0,
     gusts_px: float = 0.0,
-    climb_m_per_s: np.ndarray | float = 0.0,
+    untold_m_per_s: np.ndarray | float = 0.0,
     lens: Camera | None = None,
     aslant_deg: Mapping[int, float] | None = None,
     low_m: Mapping[int, float] | None = None,
 ) -> Flown:
-    """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise, and climbing as fast as nobody
+    """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise, and beside that as nobody
     tells. While they are read, frames turn at a
     rate of their own, or shake; some look forward by so many degrees, some fly only so high. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)
@@ -88,9 +88,7 @@ def fly(
         np.zeros((n, 3)),
         velocities,
     )
-    truth = replace(
-        truth, velocities_m_per_s=velocities + np.multiply.outer(climb_m_per_s * np.ones(n), [0, 0, 1])
-    )
+    truth = replace(truth, velocities_m_per_s=velocities + untold_m_per_s)
     for i, degrees in (aslant_deg or {}).items():
         truth.rotations[i] = truth.rotations[i] @ about_x(np.radians(degrees))
     if rate_sd_rad_per_s:

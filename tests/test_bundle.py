@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.solution import points_on_ground
-from geomosaic.adjustment.swing import with_climb, with_swing
+from geomosaic.adjustment.swing import with_drift, with_swing
 from geomosaic.adjustment.tracks import Tracks, join_tracks
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
@@ -112,11 +113,11 @@ def test_derivatives_of_frames_that_turn_against_differences() -> None:
     velocities = rng.normal(0.0, 8.0, (m, 3))
     poses = Poses(positions, rotations, np.ones((m, 3)), np.ones((m, 3)), velocities, turns)
     rows, swing = rng.uniform(20.0, 580.0, m), rng.normal(0.0, 0.001, (m, 4, 3))
-    heights, climb_m = np.full(m, 600.0), rng.normal(0.0, 0.3, m)
+    heights, drift_m = np.full(m, 600.0), rng.normal(0.0, 0.1, (m, 3))
 
-    def seen(readout_s: float, swing: np.ndarray, more_m: float = 0.0) -> tuple[np.ndarray, ...]:
+    def seen(readout_s: float, swing: np.ndarray, more_m: Any = 0.0) -> tuple[np.ndarray, ...]:
         read = readout_of(
-            *(poses, rotations, swing, climb_m + more_m),
+            *(poses, rotations, swing, drift_m + more_m),
             *(np.arange(m), rows, heights, np.full(m, readout_s)),
         )
         numbers = np.column_stack([interior, np.full(m, readout_s)])
@@ -136,9 +137,11 @@ def test_derivatives_of_frames_that_turn_against_differences() -> None:
         d = np.eye(12)[k].reshape(4, 3) * 1e-5
         by_factor = (seen(0.15, swing + d)[0] - seen(0.15, swing - d)[0]) / 2e-5
         assert by_pose[shown, :, 6 + k] == pytest.approx(by_factor[shown], rel=2e-2, abs=5.0)
-    by_climb = (seen(0.15, swing, 1e-3)[0] - seen(0.15, swing, -1e-3)[0]) / 2e-3
-    assert by_pose[shown, :, -1] == pytest.approx(by_climb[shown], rel=2e-3, abs=0.05)
-    whole = with_climb(with_swing(poses, swing, np.full(m, 0.15)), climb_m, np.full(m, 0.15))
+    for k in range(3):
+        d = 1e-3 * np.eye(3)[k]
+        by_drift = (seen(0.15, swing, d)[0] - seen(0.15, swing, -d)[0]) / 2e-3
+        assert by_pose[shown, :, 18 + k] == pytest.approx(by_drift[shown], rel=2e-3, abs=0.05)
+    whole = with_drift(with_swing(poses, swing, np.full(m, 0.15)), drift_m, np.full(m, 0.15))
     off_rows = rows + rng.choice([-2.0, 2.0], m)
     read = readout_of(whole, rotations, None, None, np.arange(m), off_rows, heights, np.full(m, 0.15))
     numbers = np.column_stack([interior, np.full(m, 0.15)])
@@ -164,7 +167,7 @@ def test_errors_of_keypoints_do_not_stretch_frames() -> None:
     errors = rng.normal(0.0, 0.5, (m, 2))
     priors = Priors(told, (camera,), np.full((1, 9), 0.1), ground, np.ones((m, 3)), np.zeros(m, bool))
     state = State(centre[None], rotation, interior_of(camera)[None], ground, np.zeros(len(MOUNTING)))
-    state.swing, state.climb_m = np.zeros((1, 4, 3)), np.zeros(1)
+    state.swing, state.drift_m = np.zeros((1, 4, 3)), np.zeros((1, 3))
 
     def seen(image_px: np.ndarray) -> tuple[np.ndarray, ...]:
         tracks = Tracks(np.zeros(m, np.intp), np.arange(m), image_px)

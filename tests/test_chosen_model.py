@@ -74,7 +74,7 @@ def test_small_turns_are_found_too() -> None:
         shaking_hz=8.0,
     )
     given, chosen = (METHODS["bundle"](flown.block, Settings(model=m)) for m in ("given", "auto"))
-    assert given.figures["sigma_px"] < 0.25
+    assert given.figures["sigma_px"] < 0.3
     assert chosen.model is not None and chosen.model.taken == ("turning",)
     bent_m = [_bent_m(a.poses.positions_m, flown.truth.positions_m) for a in (given, chosen)]
     assert bent_m[1] < 0.3 * bent_m[0], bent_m
@@ -247,6 +247,20 @@ def test_what_stands_for_velocities_turns_about_level_axes_and_by_gusts_alone() 
     rates = np.diff(adjusted.poses.turns.rad, axis=1)[:, 0] / adjusted.poses.turns.span_s
     level, about_sight = np.sqrt((rates**2).mean(axis=0))[[0, 2]]
     assert 0.005 < level < 0.03 and about_sight < 0.1 * level
+    assert adjusted.poses.positions_m[:, :2].std() == pytest.approx(
+        flown.truth.positions_m[:, :2].std(), rel=0.1
+    )
+
+
+def test_velocities_that_are_off_are_found() -> None:
+    """By 0.4 m/s along the ground, over 0.1 s: 0.4 px over a frame. A rate of turning that stands for it leaves 0.07 px
+    along a frame's edges, more than keypoints miss by, and the lens and the block take that up."""
+    off = np.random.default_rng(8).normal(0.0, [0.4, 0.4, 0.0], (14, 3))
+    way = {"points": 500, "noise_px": 0.02, "there_and_back": True, "readout_s": 0.1}
+    flown = fly(8, 2, 7, untold_m_per_s=off, **way)
+    adjusted = METHODS["bundle"](flown.block, Settings(model="given"))
+    missed = adjusted.poses.velocities_m_per_s - flown.truth.velocities_m_per_s
+    assert np.sqrt(np.mean((missed - missed.mean(axis=0))[:, :2] ** 2)) < 0.15
 
 
 def test_tracks_of_one_place_are_one_witness() -> None:

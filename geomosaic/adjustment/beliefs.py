@@ -19,6 +19,7 @@ from geomosaic.adjustment.swing import (
     MOST_SWING,
     RATE_SD_RAD_PER_S,
     TERMS,
+    UPWARDS,
     recorded_share,
 )
 from geomosaic.adjustment.terrain import Terrain
@@ -171,7 +172,7 @@ def priors_of(
         part=part_of_frames(block),
         assumed=assumed,
         swing_sd_rad=_swing_sd_rad(block, settings),
-        climb_sd_m=_climb_sd_m(block, settings),
+        drift_sd_m=_drift_sd_m(block, settings),
         swing_common=settings.turning and _zero_unknown(block, settings),
         most_swing=MOST_SWING if settings.turning else MOST_GUSTS,
     )
@@ -201,11 +202,14 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     return sd[:, :, None] * (np.ones(3) if settings.turning else LEVEL_AXES)
 
 
-def _climb_sd_m(block: Block, settings: Settings) -> Floats | None:
+def _drift_sd_m(block: Block, settings: Settings) -> Floats | None:
     """No turn stands for what velocities are off by upwards: while rows are read scale changes by it, as it
-    does by a tilt that all frames share."""
+    does by a tilt that all frames share. Along the ground a rate about a level axis differs from it by the
+    square of the row's tangent: too little to be seen beside frames that do turn."""
     readouts_s = _readouts_s(block, settings)
-    return None if readouts_s is None else GUST_M_PER_S * np.abs(readouts_s)
+    if readouts_s is None:
+        return None
+    return GUST_M_PER_S * np.abs(readouts_s)[:, None] * (UPWARDS if settings.turning else np.ones(3))
 
 
 def _readouts_s(block: Block, settings: Settings) -> Floats | None:

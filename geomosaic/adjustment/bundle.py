@@ -37,7 +37,7 @@ from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.mounting import MOUNTING
 from geomosaic.adjustment.normal import reduce_normals
 from geomosaic.adjustment.robust import student_weight
-from geomosaic.adjustment.swing import with_climb, with_swing
+from geomosaic.adjustment.swing import with_drift, with_swing
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px
 from geomosaic.adjustment.variance import undetermined
@@ -150,7 +150,7 @@ def _solve(
         level=again.level_m if again else 0.0,
         **_first_while_read(priors, again),
     )
-    settled = again is not None and same_model and len(again.factors.swing) == _components(priors)
+    settled = again is not None and same_model and len(again.factors.while_read) == _components(priors)
     factors = again.factors if again and settled else _first_factors(tracks, camera_of, priors, state)
     clearance_m = clearances_m(tracks, state.positions, state.points)
     priors = replace(priors, unrest=again.unrest if again else None, clearance_m=clearance_m)
@@ -208,18 +208,18 @@ def _with_unreported_shutters(
 
 
 def _first_while_read(priors: Priors, again: Begun | None) -> dict[str, Floats | None]:
-    """Swing and climb as found before, if by the same functions of the row."""
+    """Swing and drift as found before, if by the same functions of the row."""
     if priors.swing_sd_rad is None:
         return {}
     before = None if again is None else again.swing
     if again is None or before is None or before.shape != priors.swing_sd_rad.shape:
-        return {"swing": np.zeros(priors.swing_sd_rad.shape), "climb_m": np.zeros(len(priors.poses))}
-    return {"swing": before, "climb_m": again.climb_m}
+        return {"swing": np.zeros(priors.swing_sd_rad.shape), "drift_m": np.zeros((len(priors.poses), 3))}
+    return {"swing": before, "drift_m": again.drift_m}
 
 
 def _components(priors: Priors) -> int:
-    """Of what frames do while their rows are read: the swing's functions and the climb."""
-    return 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1] + 1
+    """Of what frames do while their rows are read: the swing's functions, drifts along the ground and up."""
+    return 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1] + 2
 
 
 def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Factors:
@@ -227,7 +227,7 @@ def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State
     length = lengths_px(tracks, camera_of, priors, state)
     control = priors.control[tracks.point]
     return Factors(
-        swing=(1.0,) * _components(priors),
+        while_read=(1.0,) * _components(priors),
         image_px=max(Factors.image_px, median_px(length[~control])),
         control_px=max(Factors.control_px, median_px(length[control])),
     )
@@ -264,9 +264,9 @@ def _finish(
         positions_sd_m=sd[:, :3],
         rotations_sd_rad=sd[:, 3:],
     )
-    if state.swing is not None and state.climb_m is not None:
+    if state.swing is not None and state.drift_m is not None:
         poses = with_swing(poses, state.swing, state.interior[camera_of, READOUT])
-        poses = with_climb(poses, state.climb_m, state.interior[camera_of, READOUT])
+        poses = with_drift(poses, state.drift_m, state.interior[camera_of, READOUT])
     return Bundle(
         poses=poses,
         cameras=tuple(with_interior(c, row) for c, row in zip(priors.cameras, state.interior, strict=True)),
@@ -287,7 +287,7 @@ def _finish(
         trust=trust_of(priors),
         left_out=np.zeros(len(state.positions), dtype=bool) if priors.left_out is None else priors.left_out,
         swing=state.swing,
-        climb_m=state.climb_m,
+        drift_m=state.drift_m,
         level_m=state.level,
         iterations=iterations,
         reduced=reduced,

@@ -132,18 +132,20 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
 
 def while_read(state: State) -> Floats:
     """What frames do while their rows are read, beside what is given of it: swings in rad, function by
-    function, and last the climb in m, (f, 3 t + 1), or (f, 0) where all rows are read at once."""
-    if state.swing is None or state.climb_m is None:
+    function, and last the drift in m, (f, 3 t + 3), or (f, 0) where all rows are read at once."""
+    if state.swing is None or state.drift_m is None:
         return np.zeros((len(state.positions), 0))
-    return np.column_stack([state.swing.reshape(len(state.swing), -1), state.climb_m])
+    return np.column_stack([state.swing.reshape(len(state.swing), -1), state.drift_m])
 
 
 def while_read_sd(priors: Priors, factors: Factors) -> Floats:
     """Deviations of `while_read` with their present components."""
-    if priors.swing_sd_rad is None or priors.climb_sd_m is None:
+    if priors.swing_sd_rad is None or priors.drift_sd_m is None:
         return np.zeros((len(priors.poses), 0))
-    swing_sd = priors.swing_sd_rad * np.reshape(factors.swing[:-1], (-1, 1))
-    return np.column_stack([swing_sd.reshape(len(swing_sd), -1), priors.climb_sd_m * factors.swing[-1]])
+    *of_swing, along, up = factors.while_read
+    swing_sd = priors.swing_sd_rad * np.reshape(of_swing, (-1, 1))
+    drift_sd = priors.drift_sd_m * [along, along, up]
+    return np.column_stack([swing_sd.reshape(len(drift_sd), -1), drift_sd])
 
 
 def present_miss(priors: Priors, state: State) -> Floats:
@@ -219,7 +221,7 @@ def observed(
     heights = np.array([c.height_px for c in priors.cameras])[camera]
     rows = tracks.image_px[:, 1] if rows_px is None else rows_px
     read = readout_of(
-        *(priors.poses, state.rotations, state.swing, state.climb_m),
+        *(priors.poses, state.rotations, state.swing, state.drift_m),
         *(frame, rows, heights, interior[:, READOUT]),
     )
     return seen[0], read.rotations, *seen[2:], read, kind

@@ -45,8 +45,8 @@ GROUPS: Annotated[
 @dataclass(frozen=True)
 class Factors:
     """Variance components: deviations of normal errors that would contribute as much as tie points' and
-    control's image coordinates do, in px, and what the stated deviations of each group
-    of pose priors, of each function of a swing and, last, of the climbs are multiplied with."""
+    control's image coordinates do, in px, and what the stated deviations of each group of pose priors, each
+    function of a swing and, last, drifts along the ground and up are multiplied with."""
 
     image_px: float = 0.5
     control_px: float = MEASURED_SD_PX
@@ -54,7 +54,7 @@ class Factors:
     vertical: float = 1.0
     tilt: float = 1.0
     yaw: float = 1.0
-    swing: tuple[float, ...] = ()
+    while_read: tuple[float, ...] = ()
 
     def of(self, group: str) -> float:
         """One of GROUPS."""
@@ -77,10 +77,10 @@ class Priors:
     mounting: what POS and poses differ by in common. part (f,): the number of the connected part of the block
     that each frame belongs to; all are one if it isn't given. assumed (f,): frames whose position nobody
     observed, so that it shows nothing of the others' deviations. swing_sd_rad (f, t, 3): of
-    how frames swing about east, north and up while their rows are read, beside the poses' turns, climb_sd_m
-    (f,): of how far they climb meanwhile, beside their velocities, see `swing`; both None where all rows are
-    read at once; swing_common: whether a part of the swing may be common to all; most_swing: the largest of
-    its components. trust
+    how frames swing about east, north and up while their rows are read, beside the poses' turns, drift_sd_m
+    (f, 3): of how far they go meanwhile along each axis, beside their velocities, see `swing`; both None
+    where all rows are read at once; swing_common: whether a part of the swing may be common to all;
+    most_swing: the largest of its components. trust
     (f, 6): factors of the pose priors' weights, 1 but for tags that lie; held (s,): which of the shared
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
     determine them; left_out (f,): frames whose images have no say, since they made the system unsolvable;
@@ -99,7 +99,7 @@ class Priors:
     part: NDArray[np.intp] | None = None
     assumed: Bools | None = None
     swing_sd_rad: Floats | None = None
-    climb_sd_m: Floats | None = None
+    drift_sd_m: Floats | None = None
     swing_common: bool = False
     most_swing: float = MOST_SWING
     trust: Floats | None = None
@@ -121,7 +121,7 @@ class Begun:
     unrest: Floats | None
     factors: Factors
     swing: Floats | None
-    climb_m: Floats | None
+    drift_m: Floats | None
     level_m: float
 
     def of_points(self, points_m: Floats, cameras: tuple[Camera, ...] | None = None) -> Begun:
@@ -143,7 +143,7 @@ class Bundle(Begun):
     weight: (m,) robust weights, 1 for a good observation; unrest: see `Priors`. factors: the estimated
     variance components.
     trust (f, 6): see `Priors`. left_out (f,): frames that could not be solved for and keep where they began.
-    swing (f, t, 3), climb_m (f,): see `Priors`; the poses' turns and velocities hold them. level_m: of
+    swing (f, t, 3), drift_m (f, 3): see `Priors`; the poses' turns and velocities hold them. level_m: of
     the ground above the terrain's own. reduced: the last normal equations. readout_shown (c,): by how many of
     its deviations the solution would leave the readout of none that is held where none is reported, of each
     camera. steps: that led here, those of the bundle it went on from first.
@@ -176,7 +176,7 @@ class State:
     mounting: Floats
     level: float = 0.0
     swing: Floats | None = None
-    climb_m: Floats | None = None
+    drift_m: Floats | None = None
     seen_px: Floats | None = field(default=None, init=False)
 
 
@@ -200,10 +200,11 @@ def stepped(state: State, share: float, *step: Any) -> State:
     readout, in_step = interior[:, READOUT], scale * state.interior[:, READOUT]
     interior = interior.copy()
     interior[:, READOUT] += np.where(readout == 0.0, 0.0, scale * (readout - in_step))
-    swing, climb_m = state.swing, state.climb_m
-    if swing is not None and climb_m is not None:
-        swing = (swing + pose[:, 6:-1].reshape(swing.shape)) @ turned.T
-        climb_m = (1.0 + scale) * (climb_m + pose[:, -1])
+    swing, drift_m = state.swing, state.drift_m
+    if swing is not None and drift_m is not None:
+        swing = (swing + pose[:, 6:-3].reshape(swing.shape)) @ turned.T
+        drift = pose[:, -3:] - np.cross(turn, drift_m) - scale * drift_m
+        drift_m = (1.0 + scale) * (drift_m + drift) @ turned.T
     return State(
         places[:frames],
         turned @ exp_turn(pose[:, 3:6] - turn) @ state.rotations,
@@ -212,7 +213,7 @@ def stepped(state: State, share: float, *step: Any) -> State:
         state.mounting + mounting if mounting.size else state.mounting,
         state.level + level,
         swing,
-        climb_m,
+        drift_m,
     )
 
 

@@ -211,7 +211,7 @@ def turns_shown(solved: Bundle) -> bool:
     """Whether rates of turning that stand for what velocities are off by are as large as these may be at
     most: then frames do turn while they are read, and a constant rate is too little, though left-out points
     may not show that (seed 986, bent by 1.4 px by swings that left 0.1 px)."""
-    return solved.swing is not None and solved.factors.swing[0] >= MOST_GUSTS
+    return solved.swing is not None and solved.factors.while_read[0] >= MOST_GUSTS
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:

@@ -56,8 +56,8 @@ class Readout:
     rows_px, heights_px (m,): the rows, and heights of the images. rotations (m, 3, 3): as they were when
     each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
     given of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames
-    swing, swinging_rad (m, 3): by how much these turn over a whole height at the present rate; climbing_m
-    (m,): by how much frames climb over a whole height beside their velocities.
+    swing, swinging_rad (m, 3): by how much these turn over a whole height at the present rate; drifting_m
+    (m, 3): by how much frames go over a whole height beside their velocities.
     """
 
     rows_px: Floats
@@ -67,7 +67,7 @@ class Readout:
     rates_rad_per_s: Floats
     terms: Floats | None
     swinging_rad: Floats
-    climbing_m: Floats
+    drifting_m: Floats
 
     @property
     def shares(self) -> Floats:
@@ -95,7 +95,7 @@ def readout_of(
     poses: Poses,
     rotations: Floats,
     swing: Floats | None,
-    climb_m: Floats | None,
+    drift_m: Floats | None,
     frame: Ints,
     rows_px: Floats,
     heights_px: Floats,
@@ -105,8 +105,8 @@ def readout_of(
     images and readout times, (m,) each.
 
     swing (f, t, 3): factors of the functions of the row about the work frame's axes, on top of the poses' own
-    turns: `R(row) = exp(swing(row)) R exp(turn(row))`. climb_m (f,): over a whole height of the image, beside
-    the velocities.
+    turns: `R(row) = exp(swing(row)) R exp(turn(row))`. drift_m (f, 3): over a whole height of the image,
+    beside the velocities.
     """
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
     at_row, rates, terms, swinging = by_component(rotations[frame]), none.T, None, none.T
@@ -122,10 +122,10 @@ def readout_of(
         more = _turned(np.einsum("mt,tjm->jm", terms, of_frame))
         swinging = np.einsum("mt,tjm->jm", slopes, of_frame)
         at_row, rates = _product(more, at_row), _turn(more, rates)
-    climbing = none[:, 0] if climb_m is None else climb_m[frame]
+    drifting = none if drift_m is None else drift_m[frame]
     turned = _by_number(at_row)
     return Readout(
-        *(rows_px, heights_px, turned, velocities, _by_number(rates), terms, _by_number(swinging), climbing)
+        *(rows_px, heights_px, turned, velocities, _by_number(rates), terms, _by_number(swinging), drifting)
     )
 
 
@@ -189,7 +189,7 @@ def project(
         points_m (m, 3). read: of rolling shutters, whose rotations are to be given with it; a point is then
         seen in the row that is read while it is seen there, to first order about the rows of `read`.
         kinds (m,): of lenses, see `kinds_of`.
-    Returns: image_px (m, 2); by_pose (m, 2, d): position, turn in rad, the frame's swing and climb;
+    Returns: image_px (m, 2); by_pose (m, 2, d): position, turn in rad, the frame's swing and drift;
         by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
     """
     seen = project_by_levers(positions_m, rotations, interior, points_m, read, kinds)
@@ -249,8 +249,7 @@ def _directions(
     """
     d = by_component(points_m - positions_m)
     if read is not None:
-        d -= read.velocities_m_per_s.T * (interior[8] * read.shares)
-        d[2] -= read.climbing_m * read.shares
+        d -= (read.velocities_m_per_s.T * interior[8] + read.drifting_m.T) * read.shares
     x, y, z = np.einsum("ijm,im->jm", rotations, d)
     z = np.where(z < 0.0, z, np.nan)
     return d, -x / z, y / z, z
@@ -283,8 +282,7 @@ def _by_row(
     """By how much points' images move while one row after the other is read, (2, m) px a row."""
     readout_s = interior[8]
     a, b, c = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
-    moving = -readout_s * read.velocities_m_per_s.T
-    moving[2] -= read.climbing_m
+    moving = -readout_s * read.velocities_m_per_s.T - read.drifting_m.T
     moving -= np.stack([b * d[2] - c * d[1], c * d[0] - a * d[2], a * d[1] - b * d[0]])
     x, y, along = np.einsum("ijm,im->jm", rotations, moving)
     du, dv = -(x + u * along) / z, (y - v * along) / z

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import GROUPS, Factors, Priors
-from geomosaic.adjustment.variance import PRIOR_FACTORS, swing_limits
+from geomosaic.adjustment.variance import PRIOR_FACTORS, limits_while_read
 from geomosaic.constants import CHOSEN, Because
 
 Floats = NDArray[np.float64]
@@ -47,12 +47,12 @@ def ahead(before: Factors, after: Factors, followed: Floats, priors: Priors) -> 
     groups = {
         g: float(np.exp(np.clip(log, *np.log(PRIOR_FACTORS)))) for g, log in zip(GROUPS, logs, strict=False)
     }
-    swing = np.exp(logs[len(GROUPS) :])
-    if swing.size:
-        swing = np.clip(swing, *swing_limits(priors))
-    sent = replace(after, **groups, swing=tuple(swing.tolist()))
+    while_read = np.exp(logs[len(GROUPS) :])
+    if while_read.size:
+        while_read = np.clip(while_read, *limits_while_read(priors))
+    sent = replace(after, **groups, while_read=tuple(while_read.tolist()))
     return sent, float(np.abs(_logs(sent) - _logs(before)).max())
 
 
 def _logs(factors: Factors) -> Floats:
-    return np.log([*(factors.of(g) for g in GROUPS), *factors.swing])
+    return np.log([*(factors.of(g) for g in GROUPS), *factors.while_read])

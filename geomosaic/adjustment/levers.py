@@ -16,25 +16,25 @@ class Levers:
     pose follow from those by the point, and need not be kept beside them.
 
     arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row by
-    which frames swing; climbs (1, n): share of the image's height by which they have climbed; both empty
-    where all rows are read at once.
+    which frames swing; shares (1, n): of the image's height, by which they have drifted; both empty where
+    all rows are read at once.
     """
 
     arms_m: Floats
     terms: Floats
-    climbs: Floats
+    shares: Floats
 
     def of(self, span: slice) -> Levers:
         """Some of them."""
-        return Levers(self.arms_m[:, span], self.terms[:, span], self.climbs[:, span])
+        return Levers(self.arms_m[:, span], self.terms[:, span], self.shares[:, span])
 
     @property
     def numbers(self) -> int:
         """Of a pose: place and turn, and what a frame does while its rows are read, d."""
-        return 6 + 3 * len(self.terms) + len(self.climbs)
+        return 6 + 3 * (len(self.terms) + len(self.shares))
 
     def by_pose(self, by_point: Floats) -> Floats:
-        """Derivatives (..., d, n) by position, turn, swing and climb, from those by the point (..., 3, n)."""
+        """Derivatives (..., d, n) by position, turn, swing and drift, from those by the point (..., 3, n)."""
         out = np.empty((*by_point.shape[:-2], self.numbers, by_point.shape[-1]))
         np.negative(by_point, out=out[..., :3, :])
         turn = out[..., 3:6, :]
@@ -44,8 +44,8 @@ class Levers:
             turn[..., axis, :] -= by_point[..., two, :] * self.arms_m[one]
         for k, term in enumerate(self.terms):
             np.multiply(turn, term, out=out[..., 6 + 3 * k : 9 + 3 * k, :])
-        for share in self.climbs:
-            np.multiply(by_point[..., 2, :], -share, out=out[..., -1, :])
+        for share in self.shares:
+            np.multiply(by_point, -share, out=out[..., -3:, :])
         return out
 
     def as_points_m(self, step: Floats) -> Floats:
@@ -56,6 +56,6 @@ class Levers:
         x, y, z = self.arms_m
         a, b, c = turn
         moved = np.stack([y * c - z * b, z * a - x * c, x * b - y * a]) - step[:3]
-        for share in self.climbs:
-            moved[2] -= share * step[-1]
+        for share in self.shares:
+            moved -= share * step[-3:]
         return np.asarray(moved)

@@ -100,7 +100,7 @@ def build_normals(
     Derivatives are asked for some points at a time, so that no array of all of them is ever made.
 
     Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing,
-        beside which it climbs. linearised: of
+        beside which it drifts. linearised: of
         some observations (n,) residuals (2, n) observed minus computed, weights (n,), levers, and derivatives
         by interior (2, k, n) and point (2, 3, n) as `collinearity.project_by_levers` gives them.
     """
@@ -114,7 +114,7 @@ def build_normals(
         for kept, of_some in (
             (levers.arms_m, its.arms_m),
             (levers.terms, its.terms),
-            (levers.climbs, its.climbs),
+            (levers.shares, its.shares),
         ):
             kept[:, group.span] = of_some
         rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)

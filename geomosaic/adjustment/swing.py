@@ -68,16 +68,26 @@ MOST_GUSTS: Annotated[
         "docs/results.md, split halves",
     ),
 ] = 3.0
-MOST_CLIMBS: Annotated[
+MOST_DRIFT: Annotated[
     float,
     Because(
         "times GUST_M_PER_S",
-        "that frames may climb by beside their velocities, root mean square. A frame that climbs while it is "
-        "read looks like one that is tilted and lies a little further on, so that only the block as a whole "
-        "shows which: with three times as much, a flight's climbs went to 6 m/s and its block to 11 degrees",
-        "docs/results.md, garfield's halves",
+        "that velocities may be off by as such, along the ground or up, root mean square; what is more along "
+        "the ground stays a rate of turning: in metres, as velocities are, it drew a block whose frames turn "
+        "smaller, to a quarter, where fewer metres are the same turn. A frame that climbs while it is read "
+        "looks like one that is tilted and lies a little further on, so that only the block as a whole shows "
+        "which: with three times as much, a flight's climbs went to 6 m/s and its block to 11 degrees",
+        "docs/results.md, garfield's halves; docs/design.md, velocities",
     ),
 ] = 1.0
+UPWARDS: Annotated[
+    Floats,
+    Because(
+        "of a drift's deviation, east, north and up",
+        "where frames turn; next to nothing along the ground, since equations want more than none",
+        "docs/results.md, garfield's halves: 3 degrees apart with it, 1 without",
+    ),
+] = np.array([1e-3, 1e-3, 1.0])
 LEVEL_AXES: Annotated[
     Floats,
     Because(
@@ -108,11 +118,11 @@ _MOST_RECORDED: Annotated[
 ] = 0.49
 
 
-def with_climb(poses: Poses, climb_m: Floats, readouts_s: Floats) -> Poses:
-    """Poses whose velocities hold the climbs (f,) over their readouts (f,) too."""
-    up = np.divide(climb_m, readouts_s, out=np.zeros(len(climb_m)), where=readouts_s != 0.0)
+def with_drift(poses: Poses, drift_m: Floats, readouts_s: Floats) -> Poses:
+    """Poses whose velocities hold the drifts (f, 3) over their readouts (f,) too."""
+    off = np.divide(drift_m.T, readouts_s, out=np.zeros(drift_m.T.shape), where=readouts_s != 0.0)
     given = np.zeros((len(poses), 3)) if poses.velocities_m_per_s is None else poses.velocities_m_per_s
-    return replace(poses, velocities_m_per_s=given + up[:, None] * [0.0, 0.0, 1.0])
+    return replace(poses, velocities_m_per_s=given + off.T)
 
 
 def recorded_share(turns: Turns | None, frame: Ints, readouts_s: Floats) -> Floats:

@@ -25,7 +25,7 @@ from geomosaic.adjustment.bundle_equations import (
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
 from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.robust import INFORMATION, student_weight
-from geomosaic.adjustment.swing import MOST_CLIMBS
+from geomosaic.adjustment.swing import MOST_DRIFT
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px, observed_of, own_miss, parts_of
@@ -197,17 +197,17 @@ def variance_components(
         factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
     factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / MEDIAN_LENGTH))
     if image_only:
-        return factors, np.zeros((len(GROUPS) + len(factors.swing),) * 2)
+        return factors, np.zeros((len(GROUPS) + len(factors.while_read),) * 2)
     found = [
         *_of_groups(priors, state, factors, share),
         *_of_reading(priors, state, factors, variances[:, 6:]),
     ]
     by_group = {group: its.factor for group, its in zip(GROUPS, found, strict=False)}
-    swing = tuple(its.factor for its in found[len(GROUPS) :])
+    in_rows = tuple(its.factor for its in found[len(GROUPS) :])
     information = np.concatenate([weight / sd**2, 1.0 / of_reading**2], axis=1)
     miss = np.concatenate([present_miss(priors, state), -while_read(state)], axis=1)
     followed = _followed(found, reduced, covariance, miss * information, information)
-    return replace(factors, **by_group, swing=swing), followed
+    return replace(factors, **by_group, while_read=in_rows), followed
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) ->
     """Those of GROUPS; share (f, 6): of each number, what the images leave of its variance."""
     sd, weight = pose_sd(priors, factors), trust_of(priors)
     (miss, slopes), observed = own_miss(priors, state, factors), observed_of(priors)
-    more = ((0, 0), (0, max(3 * len(factors.swing) - 2, 0)))
+    more = ((0, 0), (0, while_read(state).shape[1]))
     for group, columns in GROUPS.items():
         of_group = np.isin(np.arange(6), columns)
         stated: Bools = np.isfinite(sd) & observed & of_group
@@ -279,26 +279,28 @@ def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) ->
         yield _Found(factor, told[0], told[1], squares, r, follows)
 
 
-def swing_limits(priors: Priors) -> tuple[Floats, Floats]:
-    """Least and largest components of the swing's functions and, last, of the climbs, (t + 1,) each. A
-    gyroscope's zero is alike in all frames; until it is known swings don't shrink."""
+def limits_while_read(priors: Priors) -> tuple[Floats, Floats]:
+    """Least and largest components of the swing's functions and, last, of drifts along the ground and up,
+    (t + 2,) each. A gyroscope's zero is alike in all frames; until it is known swings don't shrink."""
     terms = 0 if priors.swing_sd_rad is None else priors.swing_sd_rad.shape[1]
-    least = np.array([1.0 if priors.swing_common else LEAST_SWING] * terms + [LEAST_SWING])
-    return least, np.array([priors.most_swing] * terms + [MOST_CLIMBS])
+    least = np.array([1.0 if priors.swing_common else LEAST_SWING] * terms + [LEAST_SWING] * 2)
+    return least, np.array([priors.most_swing] * terms + [MOST_DRIFT] * 2)
 
 
 def _of_reading(priors: Priors, state: State, factors: Factors, variances: Floats) -> Iterator[_Found]:
-    """Of each function of the row, from all frames' axes that may turn, and of the climbs; less what all
-    frames do alike: that is the readout's or the lens's, not theirs."""
-    if state.swing is None or state.climb_m is None:
+    """Of each function of the row, and of drifts along the ground and up, from all frames; less what all do
+    alike in the camera's axes: that is the readout's or the lens's, not theirs."""
+    if state.swing is None or state.drift_m is None:
         return
-    swing = np.einsum("fji,ftj->fti", state.rotations, state.swing)
-    swing = np.einsum("fij,ftj->fti", state.rotations, swing - np.median(swing, axis=0))
-    own = np.column_stack([swing.reshape(len(swing), -1), state.climb_m - np.median(state.climb_m)])
+    own = np.concatenate([state.swing, state.drift_m[:, None]], axis=1)
+    own = np.einsum("fji,ftj->fti", state.rotations, own)
+    own = np.einsum("fij,ftj->fti", state.rotations, own - np.median(own, axis=0))
+    terms, own = state.swing.shape[1], own.reshape(len(own), -1)
     sd = while_read_sd(priors, factors)
-    of = np.append(np.repeat(np.arange(swing.shape[1]), 3), swing.shape[1])
+    of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
     redundancy = 1.0 - variances / sd**2
-    for k, (factor, least, most) in enumerate(zip(factors.swing, *swing_limits(priors), strict=True)):
+    limits = limits_while_read(priors)
+    for k, (factor, least, most) in enumerate(zip(factors.while_read, *limits, strict=True)):
         its = sd * (of == k)
         of_term = (its > _STIFF * its.max(axis=1, keepdims=True)).astype(float)
         told = np.pad(np.stack([of_term, -own]), ((0, 0), (0, 0), (6, 0)))
