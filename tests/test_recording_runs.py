@@ -114,8 +114,20 @@ def test_the_level_off_leaves_no_recording_not_even_an_older_one(tmp_path: Path)
     assert not (folder / "run.mcap").exists() and (folder / "run.json").exists()
 
 
-def test_a_private_recording_names_no_folder_user_or_host_anywhere(tmp_path: Path) -> None:
+def test_a_private_recording_names_no_folder_user_or_host_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     inside = tmp_path / "Anna's flights"
+    words = [
+        "mosaic",
+        "her flights/frames",
+        "-o",
+        "her flights\\run",
+        "--pos=her flights/p.csv",
+        "--private",
+        "/",
+    ]
+    monkeypatch.setattr(sys, "argv", ["bin/geomosaic", *words])
     recording = read_recording(run_toys(inside, record=RecordOptions(private=True)) / "run.mcap")
     texts = [recording.recipe_yaml, json.dumps([recording.environment, recording.manifest])]
     texts += [json.dumps([s.params, s.notes]) for s in recording.stages]
@@ -123,6 +135,9 @@ def test_a_private_recording_names_no_folder_user_or_host_anywhere(tmp_path: Pat
     texts += [t for a in recording.artefacts for t in texts_in(artefact_data(recording, a))]
     assert not [t for t in texts if str(tmp_path) in t or "flights" in t or str(Path.home()) + "/" in t]
     assert not {"host", "user", "folder"} & set(recording.environment)
+    assert recording.environment["command"][:6] == [
+        *("geomosaic", "mosaic", "frames", "-o", "run", "--pos=p.csv")
+    ]
     assert not altered_artefacts(recording), "what was taken out counts in the fingerprints"
     given = [mark for s in recording.stages for mark in s.outputs.values()]
     assert all(mark in given for s in recording.stages for mark in s.inputs.values())

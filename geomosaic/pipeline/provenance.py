@@ -24,11 +24,17 @@ def surroundings(*, private: bool) -> dict[str, Any]:
     machine = {"processors": os.cpu_count(), "cpu": _processor(), "memory_bytes": memory_bytes}
     here: dict[str, Any] = {"command": [Path(sys.argv[0]).name, *sys.argv[1:]], "machine": machine}
     if private:
-        return here
+        return here | {"command": [without_folders(word) for word in here["command"]]}
     user = ""
     with suppress(OSError, KeyError):
         user = getpass.getuser()
     return here | {"host": platform.node(), "user": user, "folder": str(Path.cwd())}
+
+
+def without_folders(word: str) -> str:
+    """A word of the command line with the last name alone of its path, be it relative or behind an `=`."""
+    name, equals, value = word.rpartition("=")
+    return name + equals + Path(value.replace("\\", "/")).name if value.strip("/\\") else word
 
 
 def commit() -> str:
