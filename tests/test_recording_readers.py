@@ -22,7 +22,7 @@ from geomosaic.recording import Recorder, read_recording, viewer
 from geomosaic.recording.chips import Chip
 from geomosaic.recording.limits import RESIDUAL, badness
 from geomosaic.recording.list_view import frame_text, worst_frames
-from geomosaic.recording.plan_view import by_badness, frame_colours, frame_labels, names_apart, turned_images
+from geomosaic.recording.plan_view import by_badness, frame_colours, frame_labels, names_apart
 from geomosaic.recording.story import Story
 from geomosaic.recording.thumbnail import decoded, thumbnail
 from geomosaic.recording.view import told
@@ -203,28 +203,6 @@ def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
     assert "| east_m | 9.00 | 70.00 |" in text and "b\\|.jpg" in text and "- its position was off" in text
     assert by_badness(np.array([0.0, 1.0, np.nan])).tolist()[:2] == [[60, 200, 80], [255, 60, 60]]
     assert frame_colours(placed, adjusted).tolist()[1:] == [[255, 60, 60]] * 2
-
-
-def test_the_plan_holds_turned_images_against_their_course(tmp_path: Path) -> None:
-    """The run took both for turned; of d the heading goes against the course of its line."""
-    names = [f"{k}.jpg" for k in "abcdefg"]
-    found = {
-        "east_m": 0.0,
-        "north_m": np.arange(7.0) * 20.0,
-        "yaw_deg": np.where(np.arange(7) == 1, 180.0, 0),
-    }
-    with Recorder(tmp_path / "run.mcap") as recorder:
-        recorder.stage_started("match.sift", 1, {}, {})
-        for name in ("b.jpg", "d.jpg"):
-            recorder.log("warning", f"frame-turned: {name}: righted", frame=name)
-        given = np.where(np.arange(7) == 3, 180.0, 0.0)
-        recorder.table("frames.placed", names, found | {"yaw_deg": given})
-        recorder.table("frames.adjusted", names, found, notes=["tied"] * 7)
-    story = told(tmp_path / "run.mcap")
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
-    turned = turned_images(story, placed, adjusted)
-    labels = frame_labels(placed, adjusted, turned)
-    assert labels == ["a", "b image turned", "c", "d heading 180 deg off", "e", "f", "g"]
 
 
 def test_a_survey_that_is_bad_everywhere_is_red_everywhere(tmp_path: Path) -> None:

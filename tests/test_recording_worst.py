@@ -53,28 +53,3 @@ def test_a_frame_that_stands_on_its_head_in_its_line_is_named(
         assert words in named[flown.block.names[i]]
     turned = tuple(("frame-turned", name, "") for name in named)
     assert not [*_against_their_lines(Solved(survey, prior, None, None, adjusted, turned))], "said already"
-
-
-@pytest.mark.parametrize(
-    ("given_deg", "found_deg", "code"),
-    [({8: 180.0}, {}, "yaw-wrong"), ({}, {8: 180.0}, "frame-turned")],
-)
-def test_a_turned_image_is_held_against_the_adjusted_positions(
-    given_deg: dict[int, float], found_deg: dict[int, float], code: str
-) -> None:
-    flown = fly(1)
-    n = len(flown.block.names)
-    prior = Placement(_headed(flown.block.poses, given_deg), tuple(range(n)), (0,) * n, (), 0.1, "rigorous")
-    placement = replace(prior, turned=tuple(2 * (i == 8) for i in range(n)))
-    nothing: Any = None
-    poses = _headed(flown.truth, found_deg)
-    adjusted = Adjusted(poses, flown.block.cameras, ("tied",) * n, (), (), nothing)
-    survey: Any = SimpleNamespace(frames=[SimpleNamespace(name=name) for name in flown.block.names])
-    name = flown.block.names[8]
-    said = (("frame-turned", name, "righted"), ("position-wrong", name, "60 m"))
-    solved = Solved(survey, prior, placement, None, adjusted, said)
-    assert [accused[0] for accused in solved.accused] == [code, "position-wrong"]
-    assert Solved(survey, prior, placement, None, None, said).accused == said, "nothing to hold it against"
-    off_deg = abs(solved.yawed_deg[8])
-    assert off_deg > 170.0 if code == "yaw-wrong" else off_deg < 10.0
-    assert solved.turned[8] == (0 if code == "yaw-wrong" else 2)

@@ -13,7 +13,7 @@ from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z
-from geomosaic.matching.turned import flown_courses_rad, headings_fit, reheaded
+from geomosaic.matching.turned import Seen, flown_courses_rad, headings_fit, reheaded, turn_costs_m
 
 COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
 
@@ -110,6 +110,29 @@ def test_a_wrong_position_bends_no_course() -> None:
     assert course == pytest.approx([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0], nan_ok=True)
     honest = np.degrees(flown_courses_rad(at, [(a, b, np.full((4, 4), 2.0)) for a, b, _ in costs], {}))
     assert honest == pytest.approx(np.zeros(7))
+
+
+@pytest.mark.parametrize("on_its_head", [False, True])
+def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(on_its_head: bool) -> None:
+    """A line to the north-east; frame 3, 60 m aside, sees the same ground as 1, 2, 4 and 5, upright or on its head."""
+    at = np.outer(20.0 * np.arange(7.0), [0.6, 0.8])
+    told = at + np.outer(np.arange(7) == 3, [60.0, -20.0])
+    turns = {3: 2} if on_its_head else {}
+    rng = np.random.default_rng(5)
+    spots = rng.uniform(-15.0, 15.0, (40, 2))
+
+    def sees(i: int, ground: np.ndarray) -> np.ndarray:
+        place = (ground - at[i]) * (-1.0 if i in turns else 1.0)
+        return told[i] + place + rng.normal(0.0, 0.5, place.shape)
+
+    seen = [
+        Seen(a, b, *(sees(i, (at[a] + at[b]) / 2.0 + spots) for i in (a, b)))
+        for a in range(7)
+        for b in range(a + 1, min(a + 3, 7))
+    ]
+    costs = [(s.left, s.right, turn_costs_m(s.left_m, s.right_m, told[s.left], told[s.right])) for s in seen]
+    course = np.degrees(flown_courses_rad(told, costs, turns, seen))
+    assert course == pytest.approx(np.full(7, np.degrees(np.arctan2(0.6, 0.8))), abs=2.0)
 
 
 def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:

@@ -123,7 +123,7 @@ def found_turned(
     turns = turned_frames(n, costs, cap_m, possible_quarters(sizes_px))
     turns = {i: quarters for i, quarters in turns.items() if not assumed[i]}
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
-    course = np.where(assumed, np.nan, flown_courses_rad(nadir, costs, turns))
+    course = np.where(assumed, np.nan, flown_courses_rad(nadir, costs, turns, seen))
     laid = yaw - np.pi / 2.0 * np.array([turns.get(i, 0) for i in range(n)])
     fits, usual_rad = headings_fit(turns, yaw, laid, course)
     headings = {i: float((course[i] + usual_rad) % (2.0 * np.pi)) for i, fit in fits.items() if not fit}
@@ -142,9 +142,13 @@ def found_turned(
 
 
 def flown_courses_rad(
-    nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], turns: dict[int, int]
+    nadir_m: Floats,
+    costs_m: Sequence[tuple[int, int, Floats]],
+    turns: dict[int, int],
+    seen: Sequence[Seen] = (),
 ) -> Floats:
-    """Courses over ground (n,) by positions that go with the images; NaN for frames whose don't.
+    """Courses over ground (n,) by positions that go with the images; frames whose don't lie where their
+    neighbours' images have them, and have no course (NaN) where no good neighbour sees them.
 
     A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs,
     turned images righted, are all as far apart as it is off.
@@ -158,10 +162,27 @@ def flown_courses_rad(
     usual_m = np.array([np.median(mine) if mine else 0.0 for mine in apart_m])
     known = usual_m[usual_m > 0.0]
     good = usual_m <= (_MISPLACED * np.median(known) if len(known) else 0.0)
-    out = np.full(len(nadir_m), np.nan)
-    if good.any():
-        out[good] = np.radians(courses_deg(nadir_m[good], flight_lines(nadir_m[good])))
+    aside_m: dict[int, list[Floats]] = {}
+    for s in seen:
+        if good[s.left] != good[s.right]:
+            frame, sign = (s.right, -1.0) if good[s.left] else (s.left, 1.0)
+            aside_m.setdefault(frame, []).append(sign * _miss_m(s, nadir_m, turns))
+    lies_m = np.where(good[:, None], nadir_m, np.nan)
+    for frame, moves_m in aside_m.items():
+        lies_m[frame] = nadir_m[frame] + np.median(moves_m, axis=0)
+    out, known = np.full(len(nadir_m), np.nan), np.isfinite(lies_m).all(axis=1)
+    if known.any():
+        out[known] = np.radians(courses_deg(lies_m[known], flight_lines(lies_m[known])))
     return out
+
+
+def _miss_m(pair: Seen, nadir_m: Floats, turns: dict[int, int]) -> Floats:
+    """By how much the right frame lies too far from the left one, (2,), turned images righted."""
+    left_m, right_m = (
+        (at - nadir_m[i]) @ _QUARTERS[turns.get(i, 0)].T + nadir_m[i]
+        for i, at in ((pair.left, pair.left_m), (pair.right, pair.right_m))
+    )
+    return np.asarray(np.median(right_m - left_m, axis=0))
 
 
 def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_nadir: Floats) -> Floats:

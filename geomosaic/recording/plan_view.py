@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.recording.headings import against_their_course
 from geomosaic.recording.limits import MOVE, RESIDUAL, badness, moves_sd
 from geomosaic.recording.story import Story, ToldTable
 
@@ -65,7 +64,7 @@ def draw_plan(story: Story, stream: Any) -> None:
     far_sd = moves_in_sd(placed, adjusted)
     if adjusted.row:
         _draw_moves(stream, adjusted, at, far_sd)
-    turned = turned_images(story, placed, adjusted)
+    turned = {line.frame for line in story.log if line.text.startswith(_TURNED)}
     labels, colours = frame_labels(placed, adjusted, turned), frame_colours(placed, adjusted)
     points = rerun.Points2D(
         at, colors=colours, radii=_ui(3.5 * thin), labels=labels, show_labels=False, draw_order=5.0
@@ -156,16 +155,6 @@ def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats, far_sd: Floats) ->
         draw_order=4.0,
     )
     stream.log(f"{PLAN}/moved", arrows, static=True)
-
-
-def turned_images(story: Story, placed: ToldTable, adjusted: ToldTable) -> set[str]:
-    """Frames whose images were turned after the flight, but for those whose headings are wrong."""
-    turned = {line.frame for line in story.log if line.text.startswith(_TURNED)}
-    rows = [k for k, name in enumerate(adjusted.row) if name in turned]
-    given_rad = np.radians(_given(placed, adjusted, "yaw_deg"))
-    found_rad = np.radians(adjusted.column("yaw_deg"))
-    wrong = against_their_course(rows, given_rad, found_rad, _places(adjusted))
-    return turned - {adjusted.row[k] for k in wrong}
 
 
 def frame_labels(placed: ToldTable, adjusted: ToldTable, turned: Collection[str] = ()) -> list[str]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import Rotation, log_turn
+from geomosaic.camera.rotation import log_turn
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.matching.model import TiePoints
@@ -22,7 +22,6 @@ from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
-from geomosaic.recording.headings import against_their_course, reheaded
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -124,26 +123,6 @@ class Solved:
     @cached_property
     def turned(self) -> tuple[int, ...]:
         """Quarter turns of each frame's image after the flight."""
-        return tuple(0 if i in self.reheaded else q for i, q in enumerate(self._righted))
-
-    @cached_property
-    def reheaded(self) -> frozenset[int]:
-        """Frames righted as turned images whose headings are what is wrong, by the adjusted positions."""
-        if self.adjusted is None or self.prior is None:
-            return frozenset()
-        prior, found = self.prior.poses, self.adjusted.poses
-        given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (prior, found))
-        given_rad[heading_assumed(prior)] = np.nan
-        turned = np.flatnonzero(self._righted).tolist()
-        return against_their_course(turned, given_rad, found_rad, found.positions_m[:, :2])
-
-    @property
-    def accused(self) -> tuple[tuple[str, str, str], ...]:
-        """The warnings, but that images were turned held against the adjusted positions."""
-        return reheaded(self.warned, {self.names[i]: abs(self.yawed_deg[i]) for i in self.reheaded})
-
-    @property
-    def _righted(self) -> tuple[int, ...]:
         return (self.placement and self.placement.turned) or (0,) * len(self.names)
 
     @cached_property
@@ -212,7 +191,7 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
     by_frame = pairs_by_frame(pairs)
     residual_px, doubted = _image_figures(solved)
     said: dict[str, list[str]] = {}
-    for code, frame, text in solved.accused:
+    for code, frame, text in solved.warned:
         said.setdefault(frame, []).append(f"{code}: {text}")
     placement = solved.placement or solved.prior
     out: list[dict[str, Any]] = []

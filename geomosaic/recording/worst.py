@@ -72,8 +72,7 @@ def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, A
     Args: frames: `frame_figures` of `solved`.
     """
     found = [*_of_run(recording), *_of_verdict(recording)]
-    said = warned(recording) if solved is None else solved.accused
-    found += _of_frames(said, {f["frame"]: f for f in frames})
+    found += _of_frames(warned(recording), {f["frame"]: f for f in frames})
     if solved is not None:
         found += _against_their_lines(solved)
         found += _bare_ground(solved)
