@@ -378,14 +378,20 @@ def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: t
     def moved(places: np.ndarray) -> np.ndarray:
         return scale * (places - middle) + np.cross(turn, places - middle)
 
-    pose, interior = np.zeros((frames, 6)), np.zeros((1, 9))
+    state.swing, drift_m = np.zeros((frames, 1, 3)), rng.normal(0.0, 0.1, (frames, 3))
+    state.drift_m = drift_m
+    pose, interior = np.zeros((frames, 12)), np.zeros((1, 9))
+    pose[:, 9:] = moved(drift_m + middle)
     pose[:, :3] = moved(positions) - [principal_px * 100.0 / camera.focal_length_px, 0.0, 0.0]
-    pose[:, 3:] = turn
+    pose[:, 3:6] = turn
     interior[0, 1] = -principal_px
     step = pose, interior, moved(points), 0.0, np.zeros(len(MOUNTING))
-    off_px = np.linalg.norm(seen(stepped(state, 1.0, *step)) - seen(state), axis=1)
+    after = stepped(state, 1.0, *step)
+    whole_m = (1.0 + scale) * drift_m @ exp_turn(np.array([turn]))[0].T
+    assert after.drift_m == pytest.approx(whole_m, abs=0.02 * np.abs(drift_m).max())
+    off_px = np.linalg.norm(seen(after) - seen(state), axis=1)
     added = replace(state, positions=positions + pose[:, :3], points=points + step[2])
-    added = replace(added, rotations=exp_turn(pose[:, 3:]) @ upright, interior=state.interior + interior)
+    added = replace(added, rotations=exp_turn(pose[:, 3:6]) @ upright, interior=state.interior + interior)
     added_px = np.linalg.norm(seen(added) - seen(state), axis=1)
     assert off_px.max() < 0.1 and added_px.max() > 1.0, (off_px.max(), added_px.max())
 

@@ -92,7 +92,10 @@ def test_strong_correlations_come_first_and_held_numbers_not_at_all():
          "relief moves points by 0.31 px at the mosaic's resolution, not more than half a pixel"),
         ("flat", 0.31, "flat", "chosen by parameter"),
         ("tie_surface", 0.2, "auto",
-         "chosen by parameter, though relief moves points by 0.2 px at the mosaic's resolution"),
+         "relief moves points by 0.2 px at the mosaic's resolution, but images or positions and attitudes contradict level "
+         "ground"),
+        ("flat", 0.7, "auto",
+         "chosen by parameter, though relief moves points by 0.7 px at the mosaic's resolution"),
         ("flat", None, "auto", "no DEM was given; images and attitudes agree with level ground"),
     ],
 )  # fmt: skip

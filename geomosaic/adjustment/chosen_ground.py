@@ -138,7 +138,14 @@ def chosen_ground(
 
 def _moves_px(block: Block, relief: Floats) -> float:
     """By how many ground pixels relief (p,) in metres moves points, root mean square."""
-    return _FLAT_PX * float(np.sqrt(np.mean(np.square(relief)))) / _least_relief_m(block)
+    return _view(block) * float(np.sqrt(np.mean(np.square(relief)))) / block.ground_pixel_m
+
+
+def surface_and_relief(block: Block, flat: GroundSurface, bundle: Bundle) -> tuple[GroundSurface, float]:
+    """The rough surface of the points, and by how many ground pixels its relief moves them, bends and all."""
+    surface = surface_of(block, flat, bundle, rough=True)
+    up_m = surface.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
+    return surface, _moves_px(block, up_m - np.median(up_m))
 
 
 def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
@@ -147,14 +154,12 @@ def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) ->
     control may have bent so: drawn to level ground it straightens, but over a land that is bent), and neither
     tilts nor heights leave what POS says of them, as far as it is believed beside free points: land that
     slopes would tilt the whole block."""
-    points = bound.points_m
-    off_m = np.abs(points[:, 2] - flat.up_at(points[:, 0], points[:, 1]))
-    relief = surface_of(block, flat, bound, rough=True).up_at(points[:, 0], points[:, 1])
+    off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
     return bool(
         bound.factors.image_px < _AS_WELL * free.factors.image_px
-        and _moves_px(block, relief - np.median(relief)) <= _FLAT_PX
         and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
         and all(_grown(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
+        and surface_and_relief(block, flat, bound)[1] <= _FLAT_PX
     )
 
 

@@ -19,7 +19,7 @@ from geomosaic.adjustment.chosen_ground import (
     levelled,
     lies_flat,
     off_ground_m,
-    surface_of,
+    surface_and_relief,
 )
 from geomosaic.adjustment.clearance import clearances_m, too_near
 from geomosaic.adjustment.control import control_residuals, with_control
@@ -48,7 +48,8 @@ _DATUM_IN_DOUBT: Annotated[
 @dataclass(frozen=True)
 class Solution:
     """Tie points, the same with control points, what was believed, what was solved, and the ground that goes
-    with it. relief_px: see `chosen_ground`."""
+    with it. relief_px: see `chosen_ground`, of a surface that was taken since flat ground was tried in vain
+    with its bends and slopes."""
 
     ties: Tracks
     seen: Tracks
@@ -105,8 +106,9 @@ def solution(
     ground = levelled(ground, _of_ties(bound, kept))
     tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
     if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
-        surface = surface_of(block, ground, _of_ties(solved, kept), rough=True)
-        return Solution(kept, seen, priors, solved, surface, relief_px)
+        return Solution(
+            kept, seen, priors, solved, *surface_and_relief(block, ground, _of_ties(solved, kept))
+        )
     return Solution(kept, seen, bound_priors, bound, ground, relief_px)
 
 

@@ -77,7 +77,7 @@ MOST_DRIFT: Annotated[
         "smaller, to a quarter, where fewer metres are the same turn. A frame that climbs while it is read "
         "looks like one that is tilted and lies a little further on, so that only the block as a whole shows "
         "which: with three times as much, a flight's climbs went to 6 m/s and its block to 11 degrees",
-        "docs/results.md, garfield's halves; docs/design.md, velocities",
+        "docs/results.md, garfield's halves; docs/design.md, climbs",
     ),
 ] = 1.0
 UPWARDS: Annotated[
@@ -85,7 +85,7 @@ UPWARDS: Annotated[
     Because(
         "of a drift's deviation, east, north and up",
         "where frames turn; next to nothing along the ground, since equations want more than none",
-        "docs/results.md, garfield's halves: 3 degrees apart with it, 1 without",
+        "docs/design.md, climbs: a flight's halves lay 3 degrees apart with as much along the ground, 1 without",
     ),
 ] = np.array([1e-3, 1e-3, 1.0])
 LEVEL_AXES: Annotated[

@@ -170,7 +170,7 @@ def flown_courses_rad(
     lies_m = np.where(good[:, None], nadir_m, np.nan)
     for frame, moves_m in aside_m.items():
         lies_m[frame] = nadir_m[frame] + np.median(moves_m, axis=0)
-    out, known = np.full(len(nadir_m), np.nan), np.isfinite(lies_m).all(axis=1)
+    out, known = np.full(len(nadir_m), np.nan), ~np.isnan(lies_m[:, 0])
     if known.any():
         out[known] = np.radians(courses_deg(lies_m[known], flight_lines(lies_m[known])))
     return out

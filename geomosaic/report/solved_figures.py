@@ -75,6 +75,8 @@ def ground_reason(adjusted: Adjusted, asked: str = "auto") -> str:
         return f"{moves}, more than half a pixel"
     if kind == "flat" and relief_px <= _HALF_PIXEL:
         return f"{moves}, not more than half a pixel"
+    if kind == "tie_surface":
+        return f"{moves}, but images or positions and attitudes contradict level ground"
     return f"chosen by parameter, though {moves}"
 
 
