@@ -112,17 +112,19 @@ def test_a_wrong_position_bends_no_course() -> None:
     assert honest == pytest.approx(np.zeros(7))
 
 
-@pytest.mark.parametrize("on_its_head", [False, True])
-def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(on_its_head: bool) -> None:
-    """A line to the north-east; frame 3, 60 m aside, sees the same ground as 1, 2, 4 and 5, upright or on its head."""
+@pytest.mark.parametrize(("off_deg", "quarters"), [(0.0, 0), (180.0, 2), (180.0, 0), (50.0, 0)])
+def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(
+    off_deg: float, quarters: int
+) -> None:
+    """A line to the north-east; frame 3, 60 m aside, sees the same ground as 1, 2, 4 and 5, whatever its heading."""
     at = np.outer(20.0 * np.arange(7.0), [0.6, 0.8])
     told = at + np.outer(np.arange(7) == 3, [60.0, -20.0])
-    turns = {3: 2} if on_its_head else {}
+    turns = {3: quarters}
     rng = np.random.default_rng(5)
     spots = rng.uniform(-15.0, 15.0, (40, 2))
 
     def sees(i: int, ground: np.ndarray) -> np.ndarray:
-        place = (ground - at[i]) * (-1.0 if i in turns else 1.0)
+        place = (ground - at[i]) @ about_z(np.radians(off_deg * (i == 3)))[:2, :2].T
         return told[i] + place + rng.normal(0.0, 0.5, place.shape)
 
     seen = [

@@ -85,7 +85,7 @@ UPWARDS: Annotated[
     Because(
         "of a drift's deviation, east, north and up",
         "where frames turn; next to nothing along the ground, since equations want more than none",
-        "docs/design.md, climbs: a flight's halves lay 3 degrees apart with as much along the ground, 1 without",
+        "docs/design.md, climbs: a flight's halves lay 3 degrees apart with as much along the ground",
     ),
 ] = np.array([1e-3, 1e-3, 1.0])
 LEVEL_AXES: Annotated[

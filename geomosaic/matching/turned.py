@@ -162,27 +162,36 @@ def flown_courses_rad(
     usual_m = np.array([np.median(mine) if mine else 0.0 for mine in apart_m])
     known = usual_m[usual_m > 0.0]
     good = usual_m <= (_MISPLACED * np.median(known) if len(known) else 0.0)
-    aside_m: dict[int, list[Floats]] = {}
+    places_m: dict[int, list[Floats]] = {}
     for s in seen:
         if good[s.left] != good[s.right]:
-            frame, sign = (s.right, -1.0) if good[s.left] else (s.left, 1.0)
-            aside_m.setdefault(frame, []).append(sign * _miss_m(s, nadir_m, turns))
+            both = (s.left, s.left_m), (s.right, s.right_m)
+            base, other = both if good[s.left] else both[::-1]
+            at_m = _seen_from_m(*base, *other, nadir_m, turns.get(base[0], 0))
+            places_m.setdefault(other[0], []).append(at_m)
     lies_m = np.where(good[:, None], nadir_m, np.nan)
-    for frame, moves_m in aside_m.items():
-        lies_m[frame] = nadir_m[frame] + np.median(moves_m, axis=0)
+    for frame, at in places_m.items():
+        lies_m[frame] = np.median(at, axis=0)
     out, known = np.full(len(nadir_m), np.nan), ~np.isnan(lies_m[:, 0])
     if known.any():
         out[known] = np.radians(courses_deg(lies_m[known], flight_lines(lies_m[known])))
     return out
 
 
-def _miss_m(pair: Seen, nadir_m: Floats, turns: dict[int, int]) -> Floats:
-    """By how much the right frame lies too far from the left one, (2,), turned images righted."""
-    left_m, right_m = (
-        (at - nadir_m[i]) @ _QUARTERS[turns.get(i, 0)].T + nadir_m[i]
-        for i, at in ((pair.left, pair.left_m), (pair.right, pair.right_m))
-    )
-    return np.asarray(np.median(right_m - left_m, axis=0))
+def _seen_from_m(
+    base: int, base_m: Floats, other: int, other_m: Floats, nadir_m: Floats, quarters: int
+) -> Floats:
+    """Where a frame lies, (2,), by its image and that of a base frame, which lies right once it is turned back
+    by so many quarters: whatever the other's own heading and place."""
+    z, w = ((at - nadir_m[i]) @ [1, 1j] for i, at in ((base, base_m), (other, other_m)))
+    z = z * 1j**quarters
+    turn = joints_of([(base, other)], [(z, w)]).turn[0]
+    return np.asarray(nadir_m[base] + np.median(_plane(z - turn * w), axis=0))
+
+
+def _plane(along: Complexes) -> Floats:
+    """East and north, (k, 2)."""
+    return np.column_stack([along.real, along.imag])
 
 
 def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_nadir: Floats) -> Floats:
