@@ -181,8 +181,8 @@ def flown_courses_rad(
 def _seen_from_m(
     base: int, base_m: Floats, other: int, other_m: Floats, nadir_m: Floats, quarters: int
 ) -> Floats:
-    """Where a frame lies, (2,), by its image and that of a base frame, which lies right once it is turned back
-    by so many quarters: whatever the other's own heading and place."""
+    """Where a frame lies, (2,), by its image and that of a base frame, which lies right once it is turned
+    back by so many quarters: whatever the other's own heading and place."""
     z, w = ((at - nadir_m[i]) @ [1, 1j] for i, at in ((base, base_m), (other, other_m)))
     z = z * 1j**quarters
     turn = joints_of([(base, other)], [(z, w)]).turn[0]
