@@ -113,9 +113,9 @@ def test_a_stopped_program_waits_for_nothing_at_its_exit() -> None:
     code = (
         "import sys, time, geomosaic.cli.main as main\n"
         "class Slow:\n"
-        "    def __del__(self): time.sleep(60)\n"
+        "    def __del__(self, sleep=time.sleep): sleep(60)\n"
         "def stopped(argv, stop):\n"
-        "    sys.kept = Slow()\n"
+        "    sys.modules['__main__'].kept = Slow()\n"
         "    print('ready', flush=True)\n"
         "    try: time.sleep(60)\n"
         "    except KeyboardInterrupt: return 130\n"
@@ -129,6 +129,26 @@ def test_a_stopped_program_waits_for_nothing_at_its_exit() -> None:
     process.communicate(timeout=20)
     assert process.returncode == 130
     assert time.monotonic() - started < 2.0
+
+
+def test_a_program_that_has_ended_gives_nothing_back_piece_by_piece() -> None:
+    """Its files are written and its output is flushed; the exit code is the command's."""
+    code = (
+        "import atexit, sys, time, geomosaic.cli.main as main\n"
+        "class Slow:\n"
+        "    def __del__(self, sleep=time.sleep): sleep(60)\n"
+        "def ended(argv, stop):\n"
+        "    sys.modules['__main__'].kept = Slow()\n"
+        "    atexit.register(print, 'others have their turn')\n"
+        "    print('said', end=' ')\n"
+        "    return 3\n"
+        "main._main = ended\n"
+        "sys.exit(main.main())"
+    )
+    started = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+    assert (done.returncode, done.stdout, done.stderr) == (3, "said others have their turn\n", "")
+    assert time.monotonic() - started < 10.0
 
 
 def test_a_signal_that_is_ignored_stays_so() -> None:

@@ -22,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with stoppable() as stop:
         if argv is None:  # the program itself: registered first, so that it comes last
             atexit.register(stop.leave)
-        exit_code = _main(argv, stop)
+        exit_code = stop.ended = _main(argv, stop)
     return exit_code if stop.signal is None else stop.exit_code
 
 

@@ -26,6 +26,8 @@ class Stop:
 
     def __init__(self) -> None:
         self.signal: int | None = None
+        self.ended: int | None = None
+        """With which exit code the command itself ended."""
 
     @property
     def exit_code(self) -> int:
@@ -49,12 +51,15 @@ class Stop:
         os.close(pipe)
 
     def leave(self) -> None:
-        """The last of a program's doings at its exit: no library waits for a disk or a thread after it."""
-        if self.signal is not None:
-            for stream in (sys.stdout, sys.stderr):
-                with suppress(OSError, ValueError, AttributeError):
-                    stream.flush()
-            os._exit(self.exit_code)
+        """The last of a program's doings at its exit: no library waits for a disk or a thread after it, and no
+        array is given back piece by piece."""
+        code = self.ended if self.signal is None else self.exit_code
+        if code is None:
+            return
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        os._exit(code)
 
 
 @contextmanager
