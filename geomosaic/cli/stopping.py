@@ -51,8 +51,8 @@ class Stop:
         os.close(pipe)
 
     def leave(self) -> None:
-        """The last of a program's doings at its exit: no library waits for a disk or a thread after it, and no
-        array is given back piece by piece."""
+        """The last of a program's doings at its exit: no library waits for a disk or a thread after it, and
+        no array is given back piece by piece."""
         code = self.ended if self.signal is None else self.exit_code
         if code is None:
             return
