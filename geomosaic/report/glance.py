@@ -54,13 +54,14 @@ def glance_of(dataset: Raster | WarpedVRT, longest_px: int, quality: int = 82) -
     scale = max(1.0, max(dataset.shape) / longest_px)
     shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
     colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
-    colours = colours[:3] if len(colours) >= 3 else colours[:1] * 3
-    bands = dataset.read(colours, out_shape=(3, *shape), resampling=Resampling.average)
+    colours = colours[:3] if len(colours) >= 3 else colours[:1]
+    bands = dataset.read(colours, out_shape=(len(colours), *shape), resampling=Resampling.average)
     valid = dataset.dataset_mask(out_shape=shape) > 127
     t = dataset.transform
     full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
     size = dataset.width, dataset.height
-    drawn = np.moveaxis(bands if bands.dtype == np.uint8 else stretched(bands, valid), 0, -1)
+    eight_bits = bands if bands.dtype == np.uint8 else stretched(bands, valid)
+    drawn = np.moveaxis(np.broadcast_to(eight_bits, (3, *shape)), 0, -1)
     reduce = np.diag([shape[1] / size[0], shape[0] / size[1], 1.0])
     pixel_m2 = abs(np.linalg.det(full[:2, :2])) * size[0] * size[1] / (shape[0] * shape[1])
     return Glance(
@@ -75,10 +76,14 @@ def glance_of(dataset: Raster | WarpedVRT, longest_px: int, quality: int = 82) -
 def stretched(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Values (..., rows, cols) in 8 bits: 0 at the 1st percentile of the valid ones (rows, cols), 255 at the
     99th."""
-    full = values.astype(np.float64)
-    low, high = np.nanpercentile(full[..., valid], [1.0, 99.0]) if valid.any() else (0.0, 1.0)
-    grey = (full - low) * (255.0 / max(high - low, 1e-9))
-    return np.nan_to_num(np.clip(grey, 0.0, 255.0)).astype(np.uint8)
+    grey = values.astype(np.float32)
+    low, high = 0.0, 1.0
+    if valid.any():
+        low, high = np.nanpercentile(grey[..., valid], [1.0, 99.0], overwrite_input=True)
+    grey -= np.float32(low)
+    grey *= np.float32(255.0 / max(high - low, 1e-9))
+    np.clip(grey, 0.0, 255.0, out=grey)
+    return np.nan_to_num(grey, copy=False).astype(np.uint8)
 
 
 def webp(colours: NDArray[np.uint8], valid: NDArray[np.bool_], quality: int) -> str:
