@@ -76,22 +76,42 @@ def outcome(survey: Survey, off_m: np.ndarray) -> Adjusted:
 
 
 def test_an_unknown_datum_is_shared_by_all_frames(survey: Survey) -> None:
+    """15 m of a receiver's own and 30 m of the sea's level about the ellipsoid."""
     adjusted = outcome(survey, np.full(6, 3.0))
-    assert common_height_sd_m(survey, adjusted) == pytest.approx(15.0, abs=1e-3)
+    assert common_height_sd_m(survey, adjusted) == pytest.approx(np.hypot(15.0, 30.0), abs=1e-3)
     stated = with_common_height(adjusted, 15.0)
     assert stated.poses.positions_sd_m[3] == pytest.approx([0.2, 0.2, np.hypot(0.2, 15.0)])
     assert stated.pose_covariance is not None
     assert np.diag(stated.pose_covariance[3])[:3] == pytest.approx([0.04, 0.04, 225.04])
 
 
+@pytest.mark.parametrize(
+    ("ground_m", "stated_m"), [(-40.0, 800.0), (0.0, 800.0), (40.0, 800.0), (60.0, 30.0)]
+)
+def test_heights_that_may_count_from_the_take_off_tell_no_datum(
+    survey: Survey, ground_m: float, stated_m: float
+) -> None:
+    """100 m above the ground. Dirty survey 1727 was 522 m higher than it said, with 15 m stated."""
+    low = tuple(
+        replace(f, position=replace(f.position, height_ellipsoidal_m=100.0 + ground_m)) for f in survey.frames
+    )
+    low_survey = replace(survey, frames=low)
+    adjusted = outcome(low_survey, np.zeros(6))
+    ground = replace(adjusted.ground, up_m=adjusted.poses.positions_m[:1, 2:] - 100.0)
+    found_m = common_height_sd_m(low_survey, replace(adjusted, ground=ground))
+    assert found_m == pytest.approx(np.hypot(15.0, stated_m), rel=1e-4)
+
+
 def test_a_drift_is_shared_too_and_control_holds_all(survey: Survey) -> None:
     adjusted = outcome(survey, np.arange(6) * 20.0)
-    assert common_height_sd_m(survey, adjusted) == pytest.approx(np.hypot(15.0, 1.4826 * 30.0), rel=0.01)
+    assert common_height_sd_m(survey, adjusted) == pytest.approx(
+        np.hypot(np.hypot(15.0, 30.0), 1.4826 * 30.0), rel=0.01
+    )
     image = (survey.frames[0].name, 10.0, 10.0)
     point = ControlPoint("A", 9.12, 48.77, 400.0, 0.03, 0.05, check=False, images=(image,))
     assert common_height_sd_m(replace(survey, control=(point,)), adjusted) == 0.0
     in_plan = replace(point, plan_only=True)
-    assert common_height_sd_m(replace(survey, control=(in_plan,)), adjusted) > 15.0
+    assert common_height_sd_m(replace(survey, control=(in_plan,)), adjusted) > 30.0
     pos = tuple(
         replace(f, position=replace(f.position, source="pos", sd_vertical_m=3.0)) for f in survey.frames
     )
