@@ -84,6 +84,19 @@ def test_flags_at_pixels_and_in_planning_cells() -> None:
     assert margin[8, 2] == pytest.approx(np.hypot(7.5, 13.5), rel=0.1)
 
 
+@pytest.mark.parametrize("side_px", [8, 4, 2, 1])
+def test_pixels_are_given_where_cells_of_three_frames_meet(side_px: int) -> None:
+    giver = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 2, 0], [1, 2, 0, 0]])
+    side = side_px * len(giver)
+    margins = [
+        Clear(Hidden.of(k, side_px, 3, 5, giver != k)).margin_px(Window(5 * side_px, 3 * side_px, side, side))
+        for k in range(3)
+    ]
+    of_pixels = np.kron(giver, np.ones((side_px, side_px), dtype=int))
+    for k, margin in enumerate(margins):
+        assert (margin[of_pixels == k] > 0.0).all()
+
+
 def composed(folder: Path, shade: bool) -> tuple[np.ndarray, np.ndarray, float]:
     """The mosaic about the house, what it should be, and the share that no frame sees."""
     ground = house()

@@ -78,7 +78,8 @@ class Clear:
         self._hidden, self._away_px = hidden, (away - np.float32(0.5)) * np.float32(hidden.side_px)
 
     def margin_px(self, window: Window) -> Floats32:
-        """Of a window's pixels, (h, w), in px; not above 0 where they are hidden."""
+        """Of a window's pixels, (h, w), in px; above 0 wherever their own cell is seen. Between cells it is
+        interpolated, and where cells of three frames meet no frame would have the corner."""
         side = self._hidden.side_px
         cols, rows = (
             ((np.arange(n, dtype=np.float32) + np.float32(first + 0.5)) / side - np.float32(begin + 0.5))
@@ -88,6 +89,8 @@ class Clear:
             )
         )
         at = np.meshgrid(cols, rows)
-        return np.asarray(
-            cv2.remap(self._away_px, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32
+        between, own = (
+            cv2.remap(self._away_px, *at, how, borderMode=cv2.BORDER_REPLICATE)
+            for how in (cv2.INTER_LINEAR, cv2.INTER_NEAREST)
         )
+        return np.asarray(np.maximum(between, np.float32(0.5), out=between, where=own > 0.0), dtype=np.float32)
