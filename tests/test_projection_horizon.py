@@ -70,3 +70,36 @@ def test_what_is_unsure_and_what_is_narrow_hides_nothing() -> None:
     ground = GroundSurface("dense", 0.0, 0.0, SPACING_M, mast)
     below = hidden_m(ground, (0.0, 25.0, 80.0), np.stack([east, north, mast], axis=-1))
     assert (below[mast == 0.0] <= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shape"),
+    [
+        ((3.1, 0.6), (7.9, 2.2), (7, 10)),
+        ((-9.0, 4.0), (0.2, 90.0), (6, 6)),
+        ((50.0, -9.0), (60.0, -8.0), (1, 1)),
+    ],
+)
+def test_the_part_of_a_ground_about_places_is_the_same_there(
+    low: tuple[float, float], high: tuple[float, float], shape: tuple[int, int]
+) -> None:
+    """Two nodes more on every side, as far as there are some; and off the grid its nearest edge."""
+    up = np.random.default_rng(3).random((9, 13))
+    whole = GroundSurface("dense", -2.0, -1.0, 1.0, up, 0.1 * up)
+    places = np.random.default_rng(4).uniform(low, high, (50, 2))
+    places[:2] = low, high
+    part = whole.about(places, 2)
+    np.testing.assert_allclose(part.up_at(*places.T), whole.up_at(*places.T), atol=1e-12)
+    np.testing.assert_allclose(part.sd_at(*places.T), whole.sd_at(*places.T), atol=1e-12)
+    assert part.up_m.shape == shape
+
+
+def test_what_lies_beyond_all_lines_of_sight_is_not_looked_at() -> None:
+    """A wide ground costs a frame no more than what it sees, and no height out there moves a bit."""
+    ground, places = box()
+    near = places[200:360, 240:400]
+    up = ground.up_m.copy()
+    up[:150], up[:, 420:] = 500.0, -500.0
+    far = GroundSurface("dense", ground.east_0_m, ground.north_0_m, SPACING_M, up)
+    camera = (12.0, 8.0, 60.0)
+    np.testing.assert_array_equal(hidden_m(far, camera, near), hidden_m(ground, camera, near))

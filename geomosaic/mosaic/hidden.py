@@ -93,4 +93,5 @@ class Clear:
             cv2.remap(self._away_px, *at, how, borderMode=cv2.BORDER_REPLICATE)
             for how in (cv2.INTER_LINEAR, cv2.INTER_NEAREST)
         )
-        return np.asarray(np.maximum(between, np.float32(0.5), out=between, where=own > 0.0), dtype=np.float32)
+        np.maximum(between, np.float32(0.5), out=between, where=own > 0.0)
+        return np.asarray(between, dtype=np.float32)

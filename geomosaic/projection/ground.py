@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -100,6 +100,18 @@ class GroundSurface:
         east = self.east_0_m + self.spacing_m * np.arange(cols)
         north = self.north_0_m + self.spacing_m * np.arange(rows)
         return np.stack(np.meshgrid(east, north), axis=-1)
+
+    def about(self, places_m: Floats, nodes: int) -> GroundSurface:
+        """The part under places (..., 2 or 3), with so many nodes more on every side: views of its arrays."""
+        corner, size = np.array([self.east_0_m, self.north_0_m]), np.array(self.up_m.shape[::-1])
+        ends = np.array([f(places_m[..., :2].reshape(-1, 2), axis=0) for f in (np.min, np.max)])
+        low, high = (ends - corner) / self.spacing_m
+        first = np.clip(np.floor(low).astype(np.intp) - nodes, 0, size - 1)
+        last = np.clip(np.ceil(high).astype(np.intp) + nodes, first, size - 1)
+        at = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
+        east_m, north_m = (corner + first * self.spacing_m).tolist()
+        sd_m = None if self.sd_m is None else self.sd_m[at]
+        return replace(self, east_0_m=east_m, north_0_m=north_m, up_m=self.up_m[at], sd_m=sd_m)
 
     def up_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
         """Up (m) under points of any shape."""

@@ -50,6 +50,14 @@ _POLE_M: Annotated[
         CHOSEN,
     ),
 ] = 1.0
+_BESIDE_NODES: Annotated[
+    int,
+    Because(
+        "nodes",
+        "beside all lines of sight that are looked at as well: one line more on each side, and the next node",
+        CHOSEN,
+    ),
+] = 2
 
 
 def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Floats32:
@@ -64,6 +72,8 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
     off = (places_m[..., :2] - camera[:2]).astype(np.float32)
     away = np.hypot(off[..., 0], off[..., 1])
     bearing, first_rad, width_rad, zero_rad = _bearings(off)
+    between = np.concatenate([places_m[..., :2].reshape(-1, 2), camera[None, :2]])
+    ground = ground.about(between, _hiding_nodes(ground) + _BESIDE_NODES)
     heights = _hiding(ground)
     low, high = float(heights.min()), float(heights.max())
     last_m = float(away.max(initial=0.0))
@@ -110,10 +120,15 @@ def _bearings(off: Floats32) -> tuple[Floats32, float, float, float]:
     return bearing, first, max(last - first, 1e-6), zero
 
 
+def _hiding_nodes(ground: GroundSurface) -> int:
+    """Nodes a side of what is too narrow to hide: an odd number."""
+    return 2 * round(_POLE_M / ground.spacing_m / 2.0) + 1
+
+
 def _hiding(ground: GroundSurface) -> Floats32:
     """Heights of what may hide, (rows, cols). The edge of what stands is seldom sure: it is as sure as what
     stands about it."""
-    side = 2 * round(_POLE_M / ground.spacing_m / 2.0) + 1
+    side = _hiding_nodes(ground)
     square = np.ones((side, side), np.uint8)
     heights = cv2.morphologyEx(ground.up_m.astype(np.float32), cv2.MORPH_OPEN, square)
     if ground.sd_m is not None:

@@ -50,6 +50,13 @@ def first_drops(
     its height there; per_drop (n, 2): rows and cols per m that it comes down; first, last (n,): m between
     which it is looked for. All of that lies within the grid.
     """
+    if not first.size:
+        return np.full(first.shape, np.nan)
+    ends = np.concatenate([start + per_drop * of[:, None] for of in (first, last)])
+    low = np.minimum(np.floor(ends.min(axis=0)), np.array(up_m.shape) - 2.0).astype(np.intp)
+    high = np.maximum(np.ceil(ends.max(axis=0)), low + 1.0).astype(np.intp)
+    up_m = up_m[low[0] : high[0] + 1, low[1] : high[1] + 1]
+    start = start - low
     levels = pyramid(up_m)
     drop, level = first.copy(), np.full(first.shape, len(levels) - 1)
     found = np.full(first.shape, np.nan)

@@ -24,7 +24,7 @@ class MosaicGround(Stage):
     id = "mosaic.ground"
     display_name = "Choose the mosaic's ground"
     group = "Mosaic"
-    version = 3
+    version = 4
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "adjusted": Adjusted,

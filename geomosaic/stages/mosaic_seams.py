@@ -41,7 +41,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 8
+    version = 9
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
