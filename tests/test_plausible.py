@@ -162,12 +162,28 @@ def test_the_estimate_is_told_and_comes_true(
         assert estimate[f"{side}_px"] == pytest.approx(found[side], rel=0.05)
     least, most = estimate["disk_gb"]
     raster = run / "work" / "mosaic.compose" / "mosaic.tif"
-    taken = sum(p.stat().st_size for p in (raster, run / "mosaic.tif", run / "sources.tif")) / 1e9
+    keypoints = [p for p in (run / "work" / "matching.sift").rglob("*") if p.is_file()]
+    files = (raster, run / "mosaic.tif", run / "sources.tif", *keypoints)
+    taken = sum(p.stat().st_size for p in files) / 1e9
     whole_tiles = math.prod(512 * math.ceil(found[side] / 512) / found[side] for side in ("width", "height"))
     assert 0.5 * least < taken < 2.0 * whole_tiles * most, f"of {found}"
     assert not [
         w for w in summary(run)["warnings"] if "absurd" in w["code"] or w["code"].startswith("mosaic-")
     ]
+
+
+def test_a_surface_takes_its_time_and_room_too(
+    flown: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Four times the cells, four times as much."""
+    told = []
+    for how in ((), ("--surface", "dense"), ("--surface", "dense", "--set", "surface.dense.cell_px=2")):
+        asked = ("--pos", flown.pos, "--camera", flown.camera, "--dry-run", "--json", *how)
+        assert mosaic(flown.frames, tmp_path / "run", *QUICK, *asked) == 0
+        told.append(json.loads(capfd.readouterr().out)["metrics"]["estimate"])
+    for of in (lambda e: e["scratch_gb"], lambda e: e["minutes"][0], lambda e: e["minutes"][1]):
+        without, four, two = map(of, told)
+        assert two - without == pytest.approx(4.0 * (four - without)) and four > without
 
 
 def view(frame: int, east: float, north: float, side_m: float = 100.0) -> FrameView:

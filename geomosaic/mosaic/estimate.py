@@ -35,6 +35,13 @@ COMPOSE: Final = Rate(
     0.2, 0.8, "core s/MP filled", "tones, seams, each frame that sees a pixel resampled, packing: 0.3", _HERE
 )
 WRITE: Final = Rate(0.01, 0.1, "core s/MP filled", "the packed tiles are copied: 0.015", _HERE)
+SURFACE: Final = Rate(
+    0.8,
+    5.0,
+    "core s/MP filled",
+    "a surface of cells of 4 ground pixels matched, what it hides found, frames laid on it",
+    "18 frames of 9 MP: 1.7; widened",
+)
 _SCENE: Final = "8 strips of 4,096 x 35,000 lines on two cores by joint: 0.074 s/MP, 0.91 GB; widened"
 STRIPS: Final = Rate(0.05, 0.5, "s/MP", "offsets to overviews; SIFT chains take several times joint", _SCENE)
 ON_MAP: Final = Rate(
@@ -124,6 +131,40 @@ _SOURCE_BYTES: Annotated[
 ] = 0.05
 
 
+_FRAMES_BYTES: Annotated[
+    float,
+    Because(
+        "bytes/px",
+        "of the frames' brightness at a reduced size, which the run keeps until its end, and of keypoints: "
+        "with less, the room is stated too low",
+        "18 frames of 9 MP: 2.7 and 1.2 MB each",
+    ),
+] = 0.45
+_SURFACE_BYTES: Annotated[
+    float,
+    Because(
+        "bytes/px",
+        "of a surface of cells of 4 ground pixels on the disk, its steps and what the recording holds of it: "
+        "with less, the room is stated too low",
+        "18 frames of 9 MP: 360 MB for 46 MP",
+    ),
+] = 8.0
+_SURFACE_CELL_PX: Annotated[
+    float,
+    Because("ground px", "side of the cells for which that and `SURFACE` hold", "as they were measured"),
+] = 4.0
+
+
+@dataclass(frozen=True)
+class Before:
+    """What comes before a mosaic is composed: s of a core, least and most; bytes of memory that the whole run
+    takes beside the windows at work; bytes on the disk."""
+
+    core_s: Range
+    memory_bytes: float
+    disk_bytes: float
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A mosaic's size, and the least and the most of what it takes.
@@ -167,16 +208,25 @@ def estimate(
     filled_share: float,
     pixel_bytes: int,
     sources: bool = False,
-    memory_bytes: float,
-    core_s: Range,
+    surface_cell_px: float | None = None,
+    before: Before,
     threads: int,
 ) -> Estimate:
-    """Of a grid: what its pixels take, besides core_s of work and memory_bytes that come before them."""
+    """Of a grid: what its pixels take, besides what comes before them. surface_cell_px: the side of the cells
+    of a surface that is matched."""
     pixels = float(width_px) * float(height_px)
     filled = filled_share * pixels
     raw_gb = filled * pixel_bytes / 1e9
     scratch = _HALVES * raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
-    memory = (memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
+    of_surface = 0.0 if surface_cell_px is None else filled * (_SURFACE_CELL_PX / surface_cell_px) ** 2
+    scratch += (before.disk_bytes + _SURFACE_BYTES * of_surface) / 1e9
+    s = [
+        before.core_s[k] + ((compose + write) * filled + surface * of_surface) / 1e6 / threads
+        for k, (compose, write, surface) in enumerate(
+            ((COMPOSE.least, WRITE.least, SURFACE.least), (COMPOSE.most, WRITE.most, SURFACE.most))
+        )
+    ]
+    memory = (before.memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
     return Estimate(
         width_px=width_px,
         height_px=height_px,
@@ -186,10 +236,7 @@ def estimate(
         mosaic_gb=(PACKED.least * raw_gb, PACKED.most * raw_gb),
         parts_gb=(PARTS.least * raw_gb, PARTS.most * raw_gb),
         memory_gb=(MEMORY.least * memory, MEMORY.most * memory),
-        minutes=(
-            (core_s[0] + (COMPOSE.least + WRITE.least) * filled / 1e6 / threads) / 60.0,
-            (core_s[1] + (COMPOSE.most + WRITE.most) * filled / 1e6 / threads) / 60.0,
-        ),
+        minutes=(s[0] / 60.0, s[1] / 60.0),
     )
 
 
@@ -233,14 +280,14 @@ def estimate_scene(
 
 def before_composing(
     sizes_px: list[tuple[int, int]], pairs: int, workers: int, memory_bytes: float
-) -> tuple[Range, float]:
-    """Seconds that matching and adjusting take, least and most, and bytes of memory of the whole run.
+) -> Before:
+    """What reading, matching and adjusting take.
 
     Args: sizes_px: of all frames; memory_bytes: that composing takes beside the windows at work.
     """
-    matched = np.array([float(w) * h for w, h in sizes_px])
+    whole = np.array([float(w) * h for w, h in sizes_px])
     longest = np.array([max(size) for size in sizes_px])
-    matched /= 4.0 ** np.ceil(np.log2(np.maximum(longest / _LONGEST_MATCHED_PX, 1.0)))
+    matched = whole / 4.0 ** np.ceil(np.log2(np.maximum(longest / _LONGEST_MATCHED_PX, 1.0)))
     s = [
         (keypoints * matched.sum() / 1e6 + of_pair * pairs) / workers + solve * len(sizes_px)
         for keypoints, of_pair, solve in (
@@ -249,7 +296,11 @@ def before_composing(
     ]  # fmt: skip
     matching = (workers if workers > 1 else 0) * _PROGRAM_BYTES
     matching += workers * _SIFT_BYTES_PER_PX * float(matched.max(initial=0.0))
-    return (s[0], s[1]), _PROGRAM_BYTES + matching + memory_bytes + workers * _WINDOW_BYTES
+    return Before(
+        (s[0], s[1]),
+        _PROGRAM_BYTES + matching + memory_bytes + workers * _WINDOW_BYTES,
+        _FRAMES_BYTES * float(whole.sum()),
+    )
 
 
 def room(range_gb: Range) -> str:

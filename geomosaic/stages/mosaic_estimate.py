@@ -19,7 +19,8 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.stages.mosaic_seams import MosaicSeams
-from geomosaic.stages.reporting import params_of, report_estimate
+from geomosaic.stages.reporting import is_asked, params_of, report_estimate
+from geomosaic.stages.surface_dense import SurfaceDense
 from geomosaic.survey.model import Survey
 
 
@@ -71,7 +72,8 @@ class MosaicEstimate(Stage):
         pixel_bytes = first.bands * np.dtype(first.dtype).itemsize
         memory = float(context.workers * max(map(decoded_bytes, survey.frames)))
         sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
-        core_s, memory = before_composing(sizes_px, len(placement.pairs), context.workers, memory)
+        before = before_composing(sizes_px, len(placement.pairs), context.workers, memory)
+        cell_px = params_of(context, SurfaceDense).cell_px
         expected = estimate(
             grid.width_px,
             grid.height_px,
@@ -79,8 +81,8 @@ class MosaicEstimate(Stage):
             filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
             pixel_bytes=pixel_bytes,
             sources=compose.sources,
-            memory_bytes=memory,
-            core_s=core_s,
+            surface_cell_px=cell_px if is_asked(context, SurfaceDense) else None,
+            before=before,
             threads=context.workers,
         )
         if (far := stretching(views, gsd_m)) is not None:
