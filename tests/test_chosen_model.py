@@ -223,11 +223,14 @@ def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_bel
     assert missed["tail"][0] < 0.7 * missed["whole"][0], missed
 
 
-def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_large_for_velocities() -> None:
-    """Shakes of 0.1 rad/s at 3.5 Hz over 0.03 s of rows: a rate a frame follows all but 0.05 px of them, and
-    bends the block by what it leaves."""
+@pytest.mark.parametrize("rad_per_s", [0.1, 0.02])
+def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_large_for_velocities(
+    rad_per_s: float,
+) -> None:
+    """Shakes at 3.5 Hz over 0.03 s of rows: a rate a frame follows all but 0.05 px of them, and bends the block
+    by what it leaves. Those of 0.02 rad/s look like velocities that are 1.2 m/s off."""
     way = {"points": 500, "noise_px": 0.15, "there_and_back": True, "readout_s": 0.03}
-    flown = fly(5, 2, 7, rate_sd_rad_per_s=0.1, shaking_hz=3.5, **way)
+    flown = fly(5, 2, 7, rate_sd_rad_per_s=rad_per_s, shaking_hz=3.5, **way)
     given, chosen = (METHODS["bundle"](flown.block, Settings(model=m)) for m in ("given", "auto"))
     assert chosen.model is not None and chosen.model.taken == ("turning",) and chosen.model.shown
     said = [w.text for w in chosen.warnings if w.code == "model-chosen"]
