@@ -22,6 +22,15 @@ _MOST_SAMPLES: Annotated[
         CHOSEN,
     ),
 ] = 8_000_000
+_LINES_AT_ONCE: Annotated[
+    int,
+    Because(
+        "lines",
+        "that are walked together: with all at once, what is between takes five times the memory of what is "
+        "found; with fewer, calls take longer than their work",
+        CHOSEN,
+    ),
+] = 256
 _STEPS_PER_NODE: Annotated[
     int,
     Because(
@@ -90,19 +99,20 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
         apart_m *= 1.25
     line = zero_rad + first_rad + width_rad * (np.arange(lines)[:, None] - 1.0) / (lines - 3)
     out = np.maximum(nearest + step_m * np.arange(steps), step_m / 2.0).astype(np.float32)
-    at = [
-        (
-            np.float32((camera[k] - corner) / ground.spacing_m)
-            + out * (of(line) / ground.spacing_m).astype(np.float32)
-        )
-        for k, corner, of in ((0, ground.east_0_m, np.cos), (1, ground.north_0_m, np.sin))
-    ]
-    up = cv2.remap(heights, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    below = np.subtract(np.float32(camera[2]), up, dtype=np.float32)
-    below /= out
-    np.minimum.accumulate(below, axis=1, out=below)
-    seen = np.full_like(below, np.float32(low - 1e4))
-    seen[:, 1:] = np.float32(camera[2]) - out[1:] * below[:, :-1]
+    corner = ground.east_0_m, ground.north_0_m
+    seen = np.full((lines, steps), low - 1e4, dtype=np.float32)
+    for first in range(0, lines, _LINES_AT_ONCE):
+        part = line[first : first + _LINES_AT_ONCE]
+        at = [
+            np.float32((camera[k] - corner[k]) / ground.spacing_m)
+            + out * (of(part) / ground.spacing_m).astype(np.float32)
+            for k, of in enumerate((np.cos, np.sin))
+        ]
+        up = cv2.remap(heights, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        below = np.subtract(np.float32(camera[2]), up, out=up)
+        below /= out
+        np.minimum.accumulate(below, axis=1, out=below)
+        seen[first : first + len(part), 1:] = np.float32(camera[2]) - out[1:] * below[:, :-1]
     to_line = (bearing - np.float32(first_rad)) * np.float32((lines - 3) / width_rad) + np.float32(1.0)
     to_step = (away - np.float32(nearest)) / np.float32(step_m)
     lowest = cv2.remap(seen, to_step, to_line, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
