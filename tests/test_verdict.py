@@ -154,8 +154,6 @@ def test_each_figure_can_spoil_the_verdict() -> None:
     assert grade(outcome()) == "good"
     assert grade(outcome(figures={"sigma_px": 1.5})) == "doubtful"
     assert grade(outcome(figures={"sigma_px": 14.7})) == "bad"
-    assert grade(outcome(figures={"sigma_tilt": 1.0, "lean": 2.0})) == "good"
-    assert grade(outcome(figures={"sigma_tilt": 1.0, "lean": 4.0})) == "doubtful"
     assert grade(outcome(), seams_of(0.2, 0.3, 0.4)) == "good"
     assert grade(outcome(), seams_of(0.2, 2.0, 2.2)) == "doubtful"
     assert grade(outcome(), seams_of(*[0.2] * 8, 9.0, 9.0)) == "doubtful"

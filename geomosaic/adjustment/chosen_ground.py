@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.surface import level_m, tie_surface
-from geomosaic.adjustment.trust import lean
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import footprint
@@ -159,18 +158,15 @@ def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) ->
     return bool(
         bound.factors.image_px < _AS_WELL * free.factors.image_px
         and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
-        and all(_grown(block, free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
+        and all(_grown(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
         and surface_and_relief(block, flat, bound)[1] <= _FLAT_PX
     )
 
 
-def _grown(block: Block, free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
-    """By how many variances the squares of a group's misses have grown, of so many numbers a frame; of tilts
-    with what all frames lean by."""
-    before, after = (
-        b.factors.of(group) ** 2 + (lean(block, b) ** 2 if group == "tilt" else 0.0) for b in (free, bound)
-    )
-    return (after / before - 1.0) * numbers * float((~bound.left_out).sum())
+def _grown(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
+    """By how many variances the squares of a group's misses have grown, of so many numbers a frame."""
+    shares = (bound.factors.of(group) / free.factors.of(group)) ** 2 - 1.0
+    return shares * numbers * float((~bound.left_out).sum())
 
 
 def surface_of(

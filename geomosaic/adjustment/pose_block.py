@@ -50,7 +50,6 @@ from geomosaic.adjustment.shared_unknowns import shared_unknowns
 from geomosaic.adjustment.solution import Solution, by_all_points, points_on_ground, solution
 from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
-from geomosaic.adjustment.trust import lean
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
@@ -362,10 +361,7 @@ def _outcome(work: _Work) -> Adjusted:
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
         strayed=strayed,
-        figures=_figures(bundle, found.ties)
-        | {"lean": lean(block, bundle)}
-        | _relief(found)
-        | _shape(block, found),
+        figures=_figures(bundle, found.ties) | _relief(found) | _shape(block, found),
         spread=spread_of(bundle, block.lens_of, common_m2),
     )
     residuals = ImageResiduals(found.ties.frame, found.ties.image_px, bundle.residual_px, bundle.weight)

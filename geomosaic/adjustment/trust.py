@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_equations import pose_sd, present_miss
-from geomosaic.adjustment.bundle_model import GROUPS, Bundle, Factors, Priors, State
-from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.mounting import pose_miss
+from geomosaic.adjustment.bundle_model import GROUPS, Factors, Priors, State
 from geomosaic.adjustment.robust import lie_weight
 from geomosaic.constants import MEDIAN_LENGTH, Because
-from geomosaic.placement.graph import connected_parts
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -54,8 +51,8 @@ def observed_of(priors: Priors) -> Bools:
 
 def own_miss(priors: Priors, state: State, factors: Factors) -> tuple[Floats, int]:
     """Given minus present (f, 6), less what the frames of each part miss in common: a similarity of the
-    plane, a height that slopes, a lean, a heading. Frames that lie don't show what is common. Of assumed
-    positions it is 0. The second: of how many parts the height does slope."""
+    plane, a height that slopes, a heading. Frames that lie don't show what is common. Of assumed positions it
+    is 0. The second: of how many parts the height does slope."""
     miss, sd, observed = present_miss(priors, state), pose_sd(priors, factors), observed_of(priors)
     out, slopes = miss.copy(), 0
     for part in parts_of(priors):
@@ -65,22 +62,9 @@ def own_miss(priors: Priors, state: State, factors: Factors) -> tuple[Floats, in
         common = _common_slope(state.positions[frames, :2], miss[frames, 2], sd[frames, 2], may)
         slopes += bool(len(frames)) and bool(np.ptp(common))
         out[frames, 2] -= common
-        for turn in (3, 4, 5):
-            frames = part[observed[part, turn]]
-            out[frames, turn] -= _common(miss[frames, turn], sd[frames, turn])
+        frames = part[observed[part, 5]]
+        out[frames, 5] -= _common(miss[frames, 5], sd[frames, 5])
     return np.where(observed, out, 0.0), slopes
-
-
-def lean(block: Block, bundle: Bundle) -> float:
-    """What the tilts of a part's frames miss in common, root mean square of both axes in stated deviations;
-    of the part that leans most."""
-    given, poses = block.poses, bundle.poses
-    miss = pose_miss(given, poses.positions_m, poses.rotations, bundle.mounting)[:, 3:5]
-    sd, leans = given.rotations_sd_rad[:, :2], [0.0]
-    for part in connected_parts(len(block.names), block.ties.frames):
-        common = [_common(miss[part, k], sd[part, k]) / np.median(sd[part, k]) for k in range(2)]
-        leans.append(float(np.sqrt(np.mean(np.square(common)))))
-    return max(leans)
 
 
 def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:

@@ -126,10 +126,10 @@ _COMMON: Annotated[
     Because(
         "unknowns",
         "that the frames of a part have in common, taken off the redundancy as their miss is (see "
-        "`own_miss`): place, turn and scale; height; lean; heading",
-        "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 2 of a lean, 1 of a heading",
+        "`own_miss`): place, turn and scale; height; of tilts nothing; heading",
+        "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
     ),
-] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 2.0, "yaw": 1.0}
+] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
 _OF_SLOPE: Annotated[
     float,
     Because("unknowns", "more of a part whose heights miss by a slope", "degrees of freedom of a slope"),
@@ -171,9 +171,8 @@ def variance_components(
     found of the priors' groups and the swings follows that of each that it was found with, (g, g).
 
     The priors' wait until the image's has settled: before, they would take up what the poses haven't yet.
-    What all frames of a part miss in common (its place, turn and scale, its height, its lean, its heading)
-    says nothing of the deviation of one: else a block at a wrong scale would excuse itself, as one did that
-    tipped over by 10 degrees, its tilts stated to 0.5.
+    What all frames of a part miss in common (its place, turn and scale, its height, its heading) says nothing
+    of the deviation of one: else a block at a wrong scale would excuse itself.
 
     Args: reduced: the equations of the step that led here; redundancies are theirs.
     """

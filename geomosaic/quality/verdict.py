@@ -291,7 +291,7 @@ def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dic
     if "shape_sd_px" in adjusted.figures:
         found["shape"] = adjusted.figures["shape_sd_px"]
     if "sigma_tilt" in adjusted.figures:
-        found["tilts"] = float(np.hypot(adjusted.figures["sigma_tilt"], adjusted.figures.get("lean", 0.0)))
+        found["tilts"] = adjusted.figures["sigma_tilt"]
     if adjusted.shared is not None:
         found["principal point"] = _principal_point_off(adjusted)
     if patterns:
