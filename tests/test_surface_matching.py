@@ -150,7 +150,7 @@ def test_cells_that_no_frame_sees_keep_the_base(town: Scene) -> None:
     surface, counted, level = town.matched(town.cells(20.0, 500.0, 500.0))
     assert (surface.views == 0).all()
     assert np.allclose(surface.up_m, town.base.up_m)
-    told = dict(doubts(counted, level))
+    told = dict(doubts(counted, level, town.base.kind))
     assert list(told) == ["surface-not-matched"]
 
 
@@ -161,16 +161,16 @@ def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
     errors_m, kind = pair.truth(surface)
     seen = (pair.frames_seeing(surface) == 2) & (kind == GROUND)
     assert float(np.median(np.abs(errors_m[seen]))) < GSD_M
-    told = dict(doubts(counted, level))
+    told = dict(doubts(counted, level, town.base.kind))
     assert "surface-two-views" in told
 
 
 def test_hills_beyond_the_search_are_told_and_a_base_that_knows_them_finds_them(town: Scene, found) -> None:
     deep = GroundSurface("flat", 0.0, 0.0, 1.0, town.base.up_m - 17.0)
     _, counted, level = town.matched(town.cells(24.0), deep)
-    told = dict(doubts(counted, level))
+    told = dict(doubts(counted, level, town.base.kind))
     assert told.keys() & {"surface-out-of-reach", "surface-not-matched"}
-    told = dict(doubts(*found[1:]))
+    told = dict(doubts(*found[1:], town.base.kind))
     assert not told
 
 
@@ -181,7 +181,7 @@ def test_water_stays_as_it_was(tmp_path) -> None:
     assert counted.looked_at > 1000
     assert counted.share < 0.3
     assert float(np.mean(land)) < 0.1
-    told = dict(doubts(counted, level))
+    told = dict(doubts(counted, level, lake.base.kind))
     assert "surface-not-matched" in told
 
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from dense_scene import GSD_M, scene
+from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.simulate.flight import fly
 from geomosaic.simulate.survey import world_of
+from geomosaic.surface.cells import Cells
 from geomosaic.surface.doubts import doubts
+from geomosaic.surface.fused import Counted
+from geomosaic.surface.levels import levels
 
 
 def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
@@ -16,7 +23,7 @@ def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
     surface, counted, level = line.matched(line.cells(12.0))
     assert line.frames_seeing(surface).max() == 2
     assert surface.views.max() <= 2
-    told = dict(doubts(counted, level))
+    told = dict(doubts(counted, level, line.base.kind))
     assert told.keys() & {"surface-two-views", "surface-not-matched"}
     assert np.isfinite(surface.up_m).all()
 
@@ -39,3 +46,22 @@ def test_a_dem_given_as_well_is_where_the_search_starts(tmp_path) -> None:
         seen = (kind == 0) & (hills.frames_seeing(surface) >= 3)
         off[name] = float(np.mean(np.abs(errors_m[seen]) > 10.0 * GSD_M))
     assert off["dem"] < 0.05 < off["level"]
+
+
+@pytest.mark.parametrize(
+    ("known", "mend"), [("flat", "(--dem)"), ("tie_surface", "(--dem)"), ("dem", "--dem-offset")]
+)
+def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, mend: str) -> None:
+    level = levels(Cells(0.0, 0.0, 0.4, 8, 8), 100.0)[-1]
+    told = dict(doubts(Counted(looked_at=64, matched=64, beyond=10, alike=64), level, known))
+    assert list(told) == ["surface-out-of-reach"]
+    assert "10 m below to 30 m above" in told["surface-out-of-reach"]
+    assert mend in told["surface-out-of-reach"]
+
+
+def test_run_and_report_say_that_two_frames_are_few(tmp_path: Path) -> None:
+    survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=2)
+    asked = ("--surface", "dense", "--pos", survey.pos, "--camera", survey.camera)
+    assert mosaic(survey.frames, tmp_path / "run", *asked) == 0
+    told = {w["code"]: w["text"] for w in summary(tmp_path / "run")["warnings"]}
+    assert told["surface-two-views"] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -101,7 +101,7 @@ class SurfaceDense(Stage):
         surface, counted = _matched(context, both, base, sighted, kept)
         for pictures in kept:
             pictures.forget()
-        for code, text in doubts(counted, both[-1]):
+        for code, text in doubts(counted, both[-1], base.kind):
             context.warn(code, "", text)
         context.metric("surface.matched", counted.share)
         return {"ground": surface.ground(), "surface": surface}

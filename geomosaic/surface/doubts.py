@@ -19,10 +19,11 @@ _MOST_AT_END: Annotated[
 ] = 0.1
 
 
-def doubts(counted: Counted, level: Level) -> Iterator[tuple[str, str]]:
+def doubts(counted: Counted, level: Level, known: str) -> Iterator[tuple[str, str]]:
     """Code and text of each warning.
 
-    Args: counted: the surface's cells; level: one of those that they were matched by.
+    Args: counted: the surface's cells; level: one of those that they were matched by; known: the kind of
+    ground about which they were searched.
     """
     if counted.share < _LEAST_MATCHED:
         yield (
@@ -39,9 +40,13 @@ def doubts(counted: Counted, level: Level) -> Iterator[tuple[str, str]]:
         )
     beyond = counted.beyond / max(counted.matched, 1)
     if beyond > _MOST_AT_END:
+        ground, mend = (
+            ("elevation model that was given", "its heights may count from another level (--dem-offset)")
+            if known == "dem"
+            else ("ground that was known before", "an elevation model (--dem) tells where to search")
+        )
         yield (
             "surface-out-of-reach",
             f"{100.0 * beyond:.0f} % of the surface lies at the end of what is searched, "
-            f"{-level.lowest_m:.0f} m below to {level.highest_m:.0f} m above the ground that was known "
-            "before; an elevation model (--dem) tells where to search",
+            f"{-level.lowest_m:.0f} m below to {level.highest_m:.0f} m above the {ground}; {mend}",
         )
