@@ -147,9 +147,9 @@ def table(runs: list[Run]) -> list[str]:
 
 
 def plot(runs: list[Run]) -> str:
-    """What a frame takes by the number of frames: whole, and the five stages that take longest."""
+    """What a frame takes by the number of frames: whole, and the three stages that take longest."""
     frames = [r.frames for r in runs]
-    longest = sorted(runs[-1].stages_s, key=lambda name: -runs[-1].stages_s[name])[:5]
+    longest = sorted(runs[-1].stages_s, key=lambda name: -runs[-1].stages_s[name])[:3]
     series = [Series("whole", frames, [1e3 * r.frame_s for r in runs])]
     series += [
         Series(name, frames, [1e3 * r.stages_s.get(name, 0.0) / r.frames for r in runs]) for name in longest
