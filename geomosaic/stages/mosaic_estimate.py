@@ -19,7 +19,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
 from geomosaic.stages.mosaic_seams import MosaicSeams
-from geomosaic.stages.reporting import is_asked, params_of, report_estimate
+from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.stages.surface_dense import SurfaceDense
 from geomosaic.survey.model import Survey
 
@@ -73,7 +73,7 @@ class MosaicEstimate(Stage):
         memory = float(context.workers * max(map(decoded_bytes, survey.frames)))
         sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
         before = before_composing(sizes_px, len(placement.pairs), context.workers, memory)
-        cell_px = params_of(context, SurfaceDense).cell_px
+        dense = in_recipe(context, SurfaceDense)
         expected = estimate(
             grid.width_px,
             grid.height_px,
@@ -81,7 +81,7 @@ class MosaicEstimate(Stage):
             filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
             pixel_bytes=pixel_bytes,
             sources=compose.sources,
-            surface_cell_px=cell_px if is_asked(context, SurfaceDense) else None,
+            surface_cell_px=params_of(context, SurfaceDense).cell_px if dense else None,
             before=before,
             threads=context.workers,
         )

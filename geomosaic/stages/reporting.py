@@ -172,11 +172,6 @@ def in_recipe(context: Context, stage: type[Stage]) -> bool:
     return any(step["stage"] == stage.id for step in context.summary().get("recipe", {}).get("stages", []))
 
 
-def is_asked(context: Context, stage: type[Stage]) -> bool:
-    """Whether the run's recipe has a stage."""
-    return any(step["stage"] == stage.id for step in context.summary().get("recipe", {}).get("stages", []))
-
-
 def params_of(context: Context, stage: type[Stage]) -> Any:
     """The parameters that the run's recipe gives another stage, or its own defaults where it isn't in it."""
     steps = context.summary().get("recipe", {}).get("stages", [])
