@@ -106,8 +106,11 @@ def _roof_rows(what: str, found: dict[str, Roofs]) -> list[Row]:
 def _class_row(what: str, name: str, of: Judged, cell_m: float) -> Row:
     nmad_px = of.nmad_m / (cell_m / _CELL_PX)
     text = (
-        f"NMAD {nmad_px:.2f} ground px, {100.0 * of.off_1_m:.1f} % off by 1 m; within 1 and 2 deviations "
-        f"{100.0 * of.within_1_sd:.0f} and {100.0 * of.within_2_sd:.0f} %, held {100.0 * of.held:.0f} %"
+        f"NMAD {nmad_px:.2f} ground px, {100.0 * of.off_1_m:.1f} % off by 1 m "
+        f"({100.0 * of.two_off_1_m:.1f} % of {of.two_see:,} that two see, "
+        f"{100.0 * of.three_off_1_m:.1f} % of {of.three_see:,} that three see); "
+        f"within 1 and 2 deviations {100.0 * of.within_1_sd:.0f} and {100.0 * of.within_2_sd:.0f} %, "
+        f"held {100.0 * of.held:.0f} %"
     )
     what = f"{what} ({of.cells:,} cells)"
     if name in WANTED_NMAD_PX:

@@ -1,4 +1,9 @@
-"""A surface of a simulated survey against its true heights, class by class."""
+"""A surface of a simulated survey against its true heights, class by class.
+
+Judged are all cells whose middle, at its true height, two frames have in their images. Told apart are those
+that two and three frames see, with nothing of the true land before it: what fewer than two see no method can
+match, only guess.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +24,31 @@ from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.relief import Relief
 from geomosaic.simulate.standing import heights_on_grid
 from geomosaic.simulate.survey import landscape_of
+from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Counts = NDArray[np.int64]
 CLASSES = ("ground", "roofs", "trees", "edges", "beside trees")
 _FINE_M = 0.1
 _BAND_M = 1.0
-_LEAST_FRAMES = 3
 _AT_ONCE = 200_000
 """Cells that are judged together: some 200 MB, whatever the size of the town."""
+_LAND_M = 0.2
+"""Side of the squares of the true land that may stand before a place."""
+_NEAREST_SQUARES = 1.5
+"""Away from a place: what is nearer leans, and hides itself."""
+_BEFORE_M = 0.15
+"""By which land has to reach above a line of sight to hide what lies behind: half a square of a steep
+roof."""
 
 
 @dataclass(frozen=True)
 class Judged:
     """A class's cells: how many, NMAD (m), shares off by more than 1 m, within 1 and 2 stated deviations, and
-    held."""
+    held; how many of them two frames see and three, and the shares of those that are off by more than 1 m."""
 
     cells: int
     nmad_m: float
@@ -42,14 +56,18 @@ class Judged:
     within_1_sd: float
     within_2_sd: float
     held: float
+    two_see: int
+    two_off_1_m: float
+    three_see: int
+    three_off_1_m: float
 
 
 def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[dict[str, Judged], float]:
-    """By class the cells that three frames see, and the side of a cell (m); of another surface if given.
+    """By class, and the side of a cell (m); of another surface if given.
 
     Heights are compared in each cell's middle with the land there, roofs and crowns as they stand. What all
-    frames miss in common (place, turn, scale) is taken off by the projection centres, the ground's median
-    height as well: it is the positions' error, not the surface's.
+    frames miss in common (place, turn, scale) is taken off by the projection centres, the median height of
+    the ground that three frames see as well: it is the positions' error, not the surface's.
     """
     summary = read_summary(run)
     survey: Survey = load_artefact(run, summary, "survey", Survey)
@@ -57,27 +75,56 @@ def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[d
     surface = other or load_artefact(run, summary, "surface", DenseSurface)
     true = true_positions(truth, survey)
     told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+
+    def errors(cells: Cells, up_m: Floats32 | None = None) -> tuple[Floats32, NDArray[np.uint8]]:
+        return _errors(told, survey, adjusted, true, cells, up_m)
+
+    off_m, kind = errors(surface.cells, surface.up_m)
+    squares = _squares(surface.cells)
     east, north = surface.cells.axes_m()
-    bands = []
-    for some in np.array_split(np.arange(len(north)), -(-surface.up_m.size // _AT_ONCE)):
-        points = np.stack(
-            np.broadcast_arrays(east, north[some, None], surface.up_m[some].astype(float)), axis=-1
-        )
-        bands.append((*errors_at(told, survey, adjusted, true, points), seen_by(adjusted, points)))
-    errors, kind, seen = (np.concatenate(parts) for parts in zip(*bands, strict=True))
-    there = seen >= _LEAST_FRAMES
-    errors -= np.median(errors[there & (kind == 0)])
+    points = np.stack(np.broadcast_arrays(east, north[:, None], surface.up_m - off_m), axis=-1)
+    looking, seeing = frames_seeing(adjusted, points, squares, -errors(squares)[0])
+    off_m -= np.median(off_m[(seeing > 2) & (kind == 0)])
     found = {}
     for number, name in enumerate(CLASSES):
-        of = there & (kind == number)
+        of = (looking > 1) & (kind == number)
         if of.any():
-            off, sd = np.abs(errors[of]), surface.sd_m[of]
-            spread = np.median(np.abs(errors[of] - np.median(errors[of])))
+            off, sd = np.abs(off_m[of]), surface.sd_m[of]
+            spread = np.median(np.abs(off_m[of] - np.median(off_m[of])))
             shares = (
                 float(np.mean(m)) for m in (off > 1.0, off < sd, off < 2.0 * sd, surface.views[of] == 0)
             )
-            found[name] = Judged(int(of.sum()), 1.4826 * float(spread), *shares)
+            two, three = (
+                (int(m.sum()), float(np.mean(off[m] > 1.0))) for m in (seeing[of] > 1, seeing[of] > 2)
+            )
+            found[name] = Judged(int(of.sum()), 1.4826 * float(spread), *shares, *two, *three)
     return found, surface.cells.cell_m
+
+
+def _squares(cells: Cells) -> Cells:
+    """Of about `_LAND_M`, over the same rectangle."""
+    by = max(round(cells.cell_m / _LAND_M), 1)
+    return Cells(cells.west_m, cells.south_m, cells.cell_m / by, cells.rows * by, cells.cols * by)
+
+
+def _errors(
+    told: dict[str, Any],
+    survey: Survey,
+    adjusted: Adjusted,
+    true: Floats,
+    cells: Cells,
+    up_m: Floats32 | None,
+) -> tuple[Floats32, NDArray[np.uint8]]:
+    """`errors_at` of cells' middles at given heights, at 0 if none are."""
+    east, north = cells.axes_m()
+    found = []
+    for some in np.array_split(np.arange(cells.rows), -(-cells.rows * cells.cols // _AT_ONCE)):
+        up = np.zeros(1) if up_m is None else up_m[some].astype(float)
+        points = np.stack(np.broadcast_arrays(east, north[some, None], up), axis=-1)
+        off_m, kind = errors_at(told, survey, adjusted, true, points)
+        found.append((off_m.astype(np.float32), kind))
+    off, kinds = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return off, kinds
 
 
 def errors_at(
@@ -91,13 +138,42 @@ def errors_at(
     return geodetic[..., 2] - height_m, kind
 
 
-def seen_by(adjusted: Adjusted, points: Floats) -> NDArray[np.int64]:
-    """How many frames see points (..., 3), whatever hides them."""
-    seen = np.zeros(points.shape[:-1], dtype=np.int64)
+def frames_seeing(
+    adjusted: Adjusted, points: Floats, squares: Cells, land_m: Floats32
+) -> tuple[Counts, Counts]:
+    """How many frames have points (..., 3) inside their image, and how many see them past
+    land_m (rows, cols), the heights of squares."""
+    looking, seeing = (np.zeros(points.shape[:-1], dtype=np.int64) for _ in range(2))
     for pose, camera in zip(adjusted.poses, adjusted.cameras, strict=True):
         col, row = np.moveaxis(pose.image_from_ground(camera, points), -1, 0)
-        seen += (col >= 0) & (col < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    return seen
+        inside = (col >= 0) & (col < camera.width_px) & (row >= 0) & (row < camera.height_px)
+        looking += inside
+        seeing[inside] += _unhidden(pose.position_m, points[inside], squares, land_m)
+    return looking, seeing
+
+
+def _unhidden(camera_m: Floats, points: Floats, squares: Cells, land_m: Floats32) -> NDArray[np.bool_]:
+    """Which points (n, 3) nothing of the land stands before, seen from a place above it (3,)."""
+    towards = camera_m - points
+    away = np.maximum(np.hypot(*towards[:, :2].T), 1e-6)
+    per_square = (towards * (squares.cell_m / away)[:, None]).astype(np.float32)
+    at = (points - [squares.west_m, squares.south_m, -_BEFORE_M]).astype(np.float32)
+    at[:, :2] /= squares.cell_m
+    per_square[:, :2] /= squares.cell_m
+    at += np.float32(_NEAREST_SQUARES) * per_square
+    found = np.ones(len(points), dtype=bool)
+    which = np.arange(len(points))
+    highest = land_m.max()
+    while which.size:
+        col, row = np.floor(at[:, :2]).astype(np.int32).T
+        inside = (col >= 0) & (col < squares.cols) & (row >= 0) & (row < squares.rows)
+        at, per_square, which = (a[inside] for a in (at, per_square, which))
+        hidden = land_m[row[inside], col[inside]] > at[:, 2]
+        found[which[hidden]] = False
+        on = ~hidden & (at[:, 2] < highest)
+        at, per_square, which = (a[on] for a in (at, per_square, which))
+        at += per_square
+    return found
 
 
 def true_positions(truth: Path, survey: Survey) -> Floats:
