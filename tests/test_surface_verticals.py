@@ -17,6 +17,7 @@ from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import census
 from geomosaic.surface.costs import PER_BIT, census_costs
+from geomosaic.surface.squares import Squares
 from geomosaic.surface.tile import steps_about
 from geomosaic.surface.verticals import Sighted, Verticals
 from geomosaic.surface.visibility import asked_frames, hidden_below
@@ -81,7 +82,7 @@ def test_frames_that_see_all_of_a_square_are_asked_first_and_of_those_the_steepe
     ]
     cells = Cells(-8.0, -8.0, 0.5, 32, 32)
     verticals = Verticals(cells, LEVEL, [Sighted(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
-    [(_, asked)] = asked_frames(verticals, [(600, 800)] * 4, 32, 3)
+    [(_, asked)] = asked_frames(verticals, [(600, 800)] * 4, 32, 0, 3)
     assert asked[:2] == (3, 1)
     assert 2 not in asked
 
@@ -105,6 +106,42 @@ def test_a_height_that_two_frames_agree_on_costs_least(  # of three, one of whic
     none = census_costs(verticals, [census(v) for v in views], steps, 1.0, whole, blind)
     assert (none == none[0, 0, 0]).all()
     assert none[0, 0, 0] < 12 * PER_BIT
+
+
+def test_squares_show_what_their_own_frames_see() -> None:
+    """Of different frames and sizes, at the tile's edge, and one of a frame less than the other."""
+    random = np.random.default_rng(3)
+    cells = Cells(-8.0, -8.0, 0.25, 70, 40)
+    frames = [looking_down(x, 3.0) for x in (0.0, 12.0, -14.0)]
+    verticals = Verticals(cells, LEVEL, [Sighted(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
+    views = [random.integers(0, 255, (600, 800)).astype(np.uint8) for _ in frames]
+    asked = [
+        ((slice(0, 32), slice(0, 32)), (2, 0)),
+        ((slice(32, 64), slice(8, 40)), (1, 2, 0)),
+        ((slice(64, 70), slice(8, 40)), (0, 1)),
+        ((slice(0, 32), slice(32, 40)), (1,)),
+    ]
+    height_m = random.uniform(0.0, 9.0, (70, 40)).astype(np.float32)
+    low_m = np.full((70, 40), 4.0, dtype=np.float32)
+    squares = Squares(verticals, views, asked, rim=2)
+    several = squares.cut(height_m)[:, None]
+    for rank, (grey, sees) in enumerate(squares.shown(several, {0: low_m})):
+        shown, seen = (np.full((70, 40), 7, dtype=np.uint8) for _ in range(2))
+        squares.put(grey[:, 0], shown)
+        squares.put(np.ones_like(grey[:, 0]) if sees is None else sees[:, 0].astype(np.uint8), seen)
+        for at, whom in asked[:3]:
+            if rank >= len(whom):
+                assert not seen[at].any()
+                continue
+            places = verticals.places(whom[rank], verticals.bent(height_m[at]), at)
+            expected = cv2.remap(
+                views[whom[rank]], *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            assert abs(shown[at].astype(int) - expected).max() <= 1
+            assert (seen[at] == (height_m[at] >= 4.0 if whom[rank] == 0 else 1)).all()
+    few = list(squares.some(10**9))
+    assert [len(some) for some in few] == [1, 1, 1]
+    assert np.array_equal(np.concatenate([some.cut(height_m) for some in few]), squares.cut(height_m))
 
 
 def _seen(scene: np.ndarray, pose: Pose, height_m: float) -> np.ndarray:

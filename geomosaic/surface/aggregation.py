@@ -8,7 +8,7 @@ height have it at the same place.
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
@@ -61,43 +61,49 @@ def aggregated(costs: Bytes, steps: Steps) -> Costs:
 
     steps: the same heights in every cell, upwards, or a `ring`.
     """
-    heights = len(costs)
+    heights, rows, cols = costs.shape
     shared = (steps == steps[0, 0, 0] + np.arange(heights, dtype=np.int16)[:, None, None]).all()
     turns = None if shared else (steps // np.int16(heights)).astype(np.uint8) * _TURN
-    by_rows, by_cols = (
-        _both_ways(costs.transpose(order), None if turns is None else turns.transpose(order), aslant)
-        for order, aslant in (((1, 0, 2), (-1, 0, 1)), ((2, 0, 1), (0,)))
+    total = np.zeros((rows, heights, cols), dtype=np.uint16)
+    _add_paths(
+        total, costs.transpose(1, 0, 2), None if turns is None else turns.transpose(1, 0, 2), (-1, 0, 1)
     )
-    total = np.add(by_rows[:, :, 0], by_rows[::-1, :, 1], dtype=np.uint16)
-    total += (by_cols[:, :, 0] + by_cols[::-1, :, 1]).transpose(2, 1, 0)
+    by_cols = np.zeros((cols, heights, rows), dtype=np.uint8)
+    across = [None if a is None else np.ascontiguousarray(a.transpose(2, 0, 1)) for a in (costs, turns)]
+    assert across[0] is not None
+    _add_paths(by_cols, across[0], across[1], (0,))
+    total += by_cols.transpose(2, 1, 0)
     return total.transpose(1, 0, 2)
 
 
-def _both_ways(costs: Bytes, turns: Bytes | None, aslant: tuple[int, ...]) -> Bytes:
-    """Sums of paths from the first row to the last and back, each so many cols on with every row.
+def _add_paths(total: NDArray[Any], costs: Bytes, turns: Bytes | None, aslant: tuple[int, ...]) -> None:
+    """Adds the sums of paths from the first row to the last and back, each so many cols on with every row.
 
-    What paths cost counts from their cheapest height, so that a byte holds it, and three paths' sum.
+    What paths cost counts from their cheapest height, so that a byte holds it, and three paths' sum, or both
+    ways' of one.
 
-    Args: costs, turns (rows, heights, cols). Returns: (rows, heights, 2, cols); the second of both ways has
-    the last row first.
+    Args: total, costs, turns (rows, heights, cols).
     """
     rows, heights, cols = costs.shape
-    ways, of_ways = (None if a is None else np.stack([a, a[::-1]], axis=2) for a in (costs, turns))
-    out = np.empty((rows, heights, 2, cols), dtype=np.uint8)
     shape = heights, 2, len(aslant), cols
     path, best, other, here = (np.empty(shape, dtype=np.uint8) for _ in range(4))
     before, there = (np.full((heights + 2, *shape[1:]), 255 - _JUMP_COST, np.uint8) for _ in range(2))
+    own, own_turns, summed = (np.empty((heights, 2, cols), dtype=np.uint8) for _ in range(3))
     near = (slice(0, -2), slice(2, None))
-    assert ways is not None
     for row in range(rows):
+        both = row, rows - 1 - row
+        for way, at in enumerate(both):
+            own[:, way] = costs[at]
+            if turns is not None:
+                own_turns[:, way] = turns[at]
         if not row:
             best.fill(0)
-        elif of_ways is None:
+        elif turns is None:
             np.minimum(before[near[0]], before[near[1]], out=best)
             best += _SLOPE_COST
             np.minimum(best, before[1:-1], out=best)
         else:
-            here[:] = of_ways[row][:, :, None]
+            here[:] = own_turns[:, :, None]
             np.bitwise_xor(there[1:-1], here, out=best)
             best |= before[1:-1]
             before += _SLOPE_COST
@@ -106,15 +112,16 @@ def _both_ways(costs: Bytes, turns: Bytes | None, aslant: tuple[int, ...]) -> By
                 other |= before[at]
                 np.minimum(best, other, out=best)
         np.minimum(best, _JUMP_COST, out=best)
-        np.add(best, ways[row][:, :, None], out=path)
-        np.sum(path, axis=2, dtype=np.uint8, out=out[row])
+        np.add(best, own[:, :, None], out=path)
+        np.sum(path, axis=2, dtype=np.uint8, out=summed)
+        for way, at in enumerate(both):
+            total[at] += summed[:, way]
         path -= path.min(axis=0)
         _move(path, before[1:-1], aslant)
-        if of_ways is not None:
+        if turns is not None:
             before[0], before[-1] = before[-2], before[1]
-            _move(of_ways[row][:, :, None], there[1:-1], aslant)
+            _move(own_turns[:, :, None], there[1:-1], aslant)
             there[0], there[-1] = there[-2] + _TURN, there[1] - _TURN
-    return out
 
 
 def _move(values: Bytes, to: Bytes, aslant: tuple[int, ...]) -> None:

@@ -72,6 +72,9 @@ def _cost_of(frames: int, bits: int) -> int:
 _PER_FRAME: Final = AGREEING * _MOST_BITS + 1
 _COSTS: Final = np.array([_cost_of(*divmod(i, _PER_FRAME)) for i in range(256)], dtype=np.uint8)
 """By how many frames agree, times `_PER_FRAME`, and by how many bits they differ together."""
+_COUNTED: Final = np.array([_PER_FRAME + min(bits, _MOST_BITS) for bits in range(256)], dtype=np.uint8)
+"""One frame and its bits, by bits; nothing for none."""
+_COUNTED[_NONE] = 0
 _AT_ONCE: Annotated[
     int, Because("points", "whose costs are found at once: as many as stay in a processor's cache", CHOSEN)
 ] = 1 << 15
@@ -112,27 +115,35 @@ def census_costs(
 
 
 def _cost(found: Sequence[Bits]) -> Bytes:
-    first = found[0].copy()
-    of_first = np.zeros(first.shape, dtype=np.uint8)
-    for k, bits in enumerate(found[1:], 1):
-        lacking = first >= NOT_SEEN
-        if not lacking.any():
-            break
-        np.copyto(first, bits, where=lacking)
-        of_first[lacking] = k
+    lacking = [bits >= NOT_SEEN if bits.max() >= NOT_SEEN else None for bits in found]
+    first, of_first = found[0], None
+    without = lacking[0]
+    if without is not None:
+        first, of_first = first.copy(), np.zeros(first.shape, dtype=np.uint8)
+        for k, bits in enumerate(found[1:], 1):
+            if not without.any():
+                break
+            np.copyto(first, bits, where=without)
+            of_first[without] = k
+            without = first >= NOT_SEEN
     best = [np.full(first.shape, _NONE, dtype=np.uint8) for _ in range(AGREEING)]
-    for k, bits in enumerate(found):
-        differing = np.minimum(np.bitwise_count(bits ^ first), np.uint8(_MOST_BITS))
-        differing[(bits >= NOT_SEEN) | (of_first == k)] = _NONE
+    for k, (bits, none) in enumerate(zip(found, lacking, strict=True)):
+        if of_first is None and k == 0:
+            continue
+        differing = np.bitwise_count(bits ^ first)
+        if none is not None:
+            differing[none] = _NONE
+        if of_first is not None:
+            differing[of_first == k] = _NONE
         for rank, least in enumerate(best):
             worse = np.maximum(differing, least) if rank + 1 < AGREEING else differing
             np.minimum(differing, least, out=least)
             differing = worse
-    which = np.zeros(first.shape, dtype=np.uint8)
-    for least in best:
-        which += np.where(least < _NONE, least + np.uint8(_PER_FRAME), np.uint8(0))
-    which[first >= NOT_SEEN] = 0
-    costs: Bytes = np.asarray(cv2.LUT(which.reshape(len(which), -1), _COSTS), dtype=np.uint8)
+    counted = [cv2.LUT(least.reshape(len(least), -1), _COUNTED) for least in best]
+    which = np.asarray(np.sum(counted, axis=0, dtype=np.uint8))
+    if without is not None:
+        which[without.reshape(which.shape)] = 0
+    costs: Bytes = np.asarray(cv2.LUT(which, _COSTS), dtype=np.uint8)
     return costs.reshape(first.shape)
 
 

@@ -23,11 +23,11 @@ TILE_CELLS: Annotated[
     int,
     Because(
         "cells",
-        "side of a tile: a smaller one is more margin than tile, a larger one takes more memory, a worker's "
-        "130 MB",
+        "side of a tile, which with the 8 about it that are refined is so many squares of 32: a smaller one "
+        "is more margin than tile, a larger one takes more memory, a worker's 100 MB",
         CHOSEN,
     ),
-] = 224
+] = 304
 _BELOW: Annotated[
     float,
     Because(

@@ -6,7 +6,7 @@ it; a parabola through the three.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Final
 
 import cv2
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.verticals import Block, Verticals
+from geomosaic.surface.squares import Squares
+from geomosaic.surface.verticals import Verticals
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
@@ -37,6 +38,7 @@ _SIDE_CELLS: Annotated[
         CHOSEN,
     ),
 ] = 3
+_RIM_CELLS: Final = _SIDE_CELLS // 2
 _AGREEING: Annotated[
     int,
     Because(
@@ -82,21 +84,19 @@ def refined(
     """
     out = height_m.copy()
     alike = np.full_like(height_m, UNSEEN)
-    for at, wide, inner, frames in _with_rims(asked, height_m.shape):
-        height = height_m[wide]
+    for squares in Squares(verticals, pictures, asked, _RIM_CELLS).some(3):
+        height = squares.cut(height_m)
         for k in range(_ROUNDS):
             by = np.float32(0.5 * step_m / 2.0**k)
-            below, middle, above = (
-                _correlations(verticals, pictures, height + s * by, wide, frames, hidden_below_m)
-                for s in (-1, 0, 1)
-            )
-            best = _most_alike(middle)
-            low, here, high = (_mean_of(c, best) for c in (below, middle, above))
+            three = height[:, None] + np.array([-by, 0.0, by], dtype=np.float32)[:, None, None]
+            found = _correlations(squares, three, hidden_below_m)
+            low, here, high = np.moveaxis(_mean_of(found, _most_alike(found[:, :, 1])[:, :, None]), 1, 0)
             bend = low - 2.0 * here + high
             peak = bend < 0.0
             off = np.where(peak, (low - high) / (2.0 * np.where(peak, bend, 1.0)), np.sign(high - low))
             height = np.asarray(height + np.nan_to_num(off).clip(-1.0, 1.0) * by, dtype=np.float32)
-        out[at], alike[at] = height[inner], here[inner]
+        squares.put(height, out)
+        squares.put(here, alike)
     return out, alike
 
 
@@ -107,26 +107,12 @@ def likeness(
     where no two see it. How many frames agree there, the first one with them; and how many see it."""
     alike = np.full_like(height_m, UNSEEN)
     views, seeing = (np.zeros(height_m.shape, dtype=np.uint8) for _ in range(2))
-    for at, wide, inner, frames in _with_rims(asked, height_m.shape):
-        found = _correlations(verticals, pictures, height_m[wide], wide, frames, {})
-        alike[at], views[at] = _mean_of(found, _most_alike(found))[inner], _views(found)[inner]
-        seeing[at] = 1 + (found > -np.inf).sum(axis=0, dtype=np.uint8)[inner]
+    for squares in Squares(verticals, pictures, asked, _RIM_CELLS).some(1):
+        found = _correlations(squares, squares.cut(height_m)[:, None], {})[:, :, 0]
+        squares.put(_mean_of(found, _most_alike(found)), alike)
+        squares.put(_views(found), views)
+        squares.put(1 + (found > -np.inf).sum(axis=0, dtype=np.uint8), seeing)
     return alike, views, seeing
-
-
-def _with_rims(asked: Asked, shape: tuple[int, ...]) -> Iterator[tuple[Block, Block, Block, Sequence[int]]]:
-    """Blocks that two frames see; each with what windows about its cells reach; where it lies in that."""
-    reach = _SIDE_CELLS // 2
-    for at, frames in asked:
-        if len(frames) > 1:
-            wide = [
-                slice(max(s.start - reach, 0), min(s.stop + reach, n)) for s, n in zip(at, shape, strict=True)
-            ]
-            inner = [
-                slice(s.start - w.start, min(s.stop, n) - w.start)
-                for s, w, n in zip(at, wide, shape, strict=True)
-            ]
-            yield at, (wide[0], wide[1]), (inner[0], inner[1]), frames
 
 
 def _views(correlations: Floats32) -> Bytes:
@@ -134,53 +120,51 @@ def _views(correlations: Floats32) -> Bytes:
     return np.asarray(agreeing + (agreeing > 0), dtype=np.uint8)
 
 
-def _most_alike(correlations: Floats32) -> NDArray[np.intp]:
-    """Which frames count in each cell, (frames that count, rows, cols)."""
-    return np.argsort(-correlations, axis=0)[:_AGREEING]
+def _most_alike(correlations: Floats32) -> NDArray[np.bool_]:
+    """Which frames count in each cell, as the correlations (frames, ...)."""
+    better = np.zeros(correlations.shape, dtype=np.uint8)
+    for k, one in enumerate(correlations):
+        for other in range(k + 1, len(correlations)):
+            ahead = one >= correlations[other]
+            better[other] += ahead
+            better[k] += ~ahead
+    return np.asarray(better < _AGREEING)
 
 
-def _mean_of(correlations: Floats32, which: NDArray[np.intp]) -> Floats32:
-    chosen = np.take_along_axis(correlations, which, axis=0)
-    seen = chosen > -np.inf
-    total = np.where(seen, chosen, np.float32(0.0)).sum(axis=0)
-    return np.asarray(np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), UNSEEN), np.float32)
+def _mean_of(correlations: Floats32, which: NDArray[np.bool_]) -> Floats32:
+    """Of those (frames, ...) that count and see the cell."""
+    seen = which & (correlations > -np.inf)
+    count = seen.sum(axis=0, dtype=np.uint8)
+    total = np.where(seen, correlations, np.float32(0.0)).sum(axis=0)
+    return np.asarray(np.where(count, total / np.maximum(count, 1), np.float32(UNSEEN)), np.float32)
 
 
-def _correlations(
-    verticals: Verticals,
-    pictures: Sequence[Bytes],
-    height_m: Floats32,
-    at: Block,
-    frames: Sequence[int],
-    hidden_below_m: Mapping[int, Floats32],
-) -> Floats32:
-    """Of each frame with the first one that sees a cell, (frames, rows, cols); -inf where one of both
-    doesn't see it, and for the first one itself."""
-    bent = verticals.bent(height_m)
-    shown, seen = [], []
-    for k in frames:
-        cols, rows = verticals.places(k, bent, at)
-        border = cv2.BORDER_REPLICATE
-        shown.append(
-            np.asarray(cv2.remap(pictures[k], cols, rows, cv2.INTER_LINEAR, borderMode=border), np.float32)
-        )
-        down, across = (n - 1 for n in pictures[k].shape)
-        sees = (cols >= 0.0) & (cols <= across) & (rows >= 0.0) & (rows <= down)
-        if k in hidden_below_m:
-            sees &= height_m >= hidden_below_m[k][at]
-        seen.append(sees)
+def _correlations(squares: Squares, height_m: Floats32, hidden_below_m: Mapping[int, Floats32]) -> Floats32:
+    """At heights (n, heights, rows, cols) of each frame with the first one that sees a point, (frames, n,
+    heights, rows, cols); -inf where one of both doesn't see it, and for the first one itself."""
+    shown = squares.shown(height_m, hidden_below_m)
+    (first, sees), others = shown[0], shown[1:]
+    of_first = None
+    if sees is not None:
+        first, of_first, lacking = first.copy(), np.zeros(first.shape, dtype=np.uint8), ~sees
+        for k, (grey, sees) in enumerate(others, 1):
+            own = lacking if sees is None else lacking & sees
+            np.copyto(first, grey, where=own)
+            of_first[own] = k
+            lacking = lacking & ~own
+        others = shown
+    picture = first.astype(np.float32)
+    mean, spread = _mean_and_spread(picture)
     found = []
-    all_by_one = bool(seen[0].all())
-    of_first = np.zeros((1, 1), dtype=np.intp) if all_by_one else np.argmax(np.stack(seen), axis=0)
-    first = shown[0] if all_by_one else np.take_along_axis(np.stack(shown), of_first[None], axis=0)[0]
-    mean, spread = _mean_and_spread(first)
-    for k, (picture, sees) in enumerate(zip(shown, seen, strict=True)):
-        if all_by_one and k == 0:
-            found.append(np.full_like(first, -np.inf))
-            continue
-        own_mean, own_spread = _mean_and_spread(picture)
-        alike = (_mean(first * picture) - mean * own_mean) / np.sqrt(spread * own_spread)
-        found.append(np.where(sees & (of_first != k), alike, np.float32(-np.inf)))
+    for k, (grey, sees) in enumerate(others):
+        own_picture = grey.astype(np.float32)
+        own_mean, own_spread = _mean_and_spread(own_picture)
+        alike = (_mean(picture * own_picture) - mean * own_mean) / np.sqrt(spread * own_spread)
+        if sees is not None:
+            alike[~sees] = -np.inf
+        if of_first is not None:
+            alike[of_first == k] = -np.inf
+        found.append(alike)
     return np.stack(found)
 
 
@@ -190,5 +174,7 @@ def _mean_and_spread(picture: Floats32) -> tuple[Floats32, Floats32]:
 
 
 def _mean(values: Floats32) -> Floats32:
+    """In windows; squares lie one below the other, and are mixed at their rims, which nobody looks at."""
     side = (_SIDE_CELLS, _SIDE_CELLS)
-    return np.asarray(cv2.boxFilter(values, -1, side, borderType=cv2.BORDER_REFLECT_101), np.float32)
+    found = cv2.boxFilter(values.reshape(-1, values.shape[-1]), -1, side)
+    return np.asarray(found, dtype=np.float32).reshape(values.shape)

@@ -7,7 +7,7 @@ some a little up or down, along the surface as it leans.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Final
 
 import cv2
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.verticals import Block, Verticals
+from geomosaic.surface.squares import Mask, Squares, dense
+from geomosaic.surface.verticals import Verticals
 from geomosaic.surface.visibility import Asked, hidden_from
 
 Bytes = NDArray[np.uint8]
@@ -39,14 +40,20 @@ _AROUND_CELLS: Annotated[
 ] = 6
 _STEP_CELLS: Annotated[
     float,
-    Because("cells", "between the lowest and the highest around, from which on heights leap", CHOSEN),
-] = 2.5
+    Because(
+        "cells",
+        "between the lowest and the highest around, from which on heights leap",
+        "computed of the same towns: with 2.5 no class is better by more than 0.3 %, and slopes of real land "
+        "take time",
+    ),
+] = 4.0
 _MOVES_CELLS: Annotated[
     tuple[tuple[float, ...], ...],
     Because(
         "cells",
         "of height that are offered in each round of moving up or down, its own first: with more, time grows",
-        "computed of a simulated town: crowns off by more than 1 m 24 % with these, 23 % with four moves",
+        "computed of four more: crowns off by more than 1 m are 0.6 to 1.8 % more with one round "
+        "by two cells, and as many with a round by three instead",
     ),
 ] = ((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0))
 _WINDOW: Annotated[
@@ -64,13 +71,9 @@ _MOST_GREY: Annotated[
 _KEPT_GREY: Annotated[
     float, Because("grey levels", "that another height must be better by, against noise", CHOSEN)
 ] = 0.5
-_BLOCK_CELLS: Annotated[
-    int,
-    Because(
-        "cells", "side of the squares that are looked at whole if a cell of them leaps: less work", CHOSEN
-    ),
-] = 32
-_WIDER_CELLS: Annotated[int, Because("cells", "that windows reach past a square", "_WINDOW twice")] = 2
+_DENSER: Final = 2
+"""Windows' pixels along a cell's side."""
+_RIM_CELLS: Annotated[int, Because("cells", "that windows reach past a square", "_WINDOW twice")] = 2
 _FAR_M: Final = np.float32(1e6)
 
 
@@ -93,126 +96,75 @@ def sharpened(
     highest = cv2.dilate(np.where(sure, height_m, -_FAR_M), window)
     lowest, highest = (np.where(abs(a) < _FAR_M, a, height_m).astype(np.float32) for a in (lowest, highest))
     leaping = highest - lowest > _STEP_CELLS * cell_m
-    blocks = _leaping_blocks(leaping, asked)
-    if not blocks:
+    blocks = [(at, frames) for at, frames in asked if leaping[at].any()]
+    squares = Squares(verticals, pictures, blocks, _RIM_CELLS)
+    if not len(squares):
         return height_m
-    finer = _Finer(verticals, pictures)
     for k, moves in enumerate(((), *_MOVES_CELLS)):
         if k < 2:  # later rounds move what stands by less than hides anything else
             land_m = np.where(sure, height_m, np.minimum(lowest, height_m)).astype(np.float32)
             hidden_m = hidden_from(verticals, blocks, land_m, cell_m)
         moved = height_m.copy()
-        for at, frames in blocks:
-            wide = _widened(at, height_m.shape)
-            if k == 0:
-                offered = np.stack([a[wide] for a in (height_m, lowest, highest)])
-            else:
-                offered = np.stack([height_m[wide] + np.float32(by * cell_m) for by in moves])
-            differing = finer.differing(offered, wide, frames, hidden_m, lean=k > 0)
-            differing[0] -= _KEPT_GREY
-            best = np.take_along_axis(offered, differing.argmin(axis=0)[None], axis=0)[0]
-            inner = tuple(slice(s.start - w.start, s.stop - w.start) for s, w in zip(at, wide, strict=True))
-            moved[at] = np.where(leaping[at], best[inner[0], inner[1]], height_m[at])
+        if k == 0:
+            offers = np.stack([height_m, lowest, highest])
+        else:
+            offers = height_m + np.array(moves, dtype=np.float32)[:, None, None] * np.float32(cell_m)
+        for some in squares.some(len(offers) * _DENSER**2):
+            offered = some.cut(offers)
+            differing = _differing(some, offered, hidden_m, lean=k > 0)
+            differing[:, 0] -= _KEPT_GREY
+            best = differing.argmin(axis=1)[:, None]
+            some.put(np.take_along_axis(offered, best, axis=1)[:, 0], moved)
+        moved = np.where(leaping, moved, height_m)
         height_m = np.asarray(cv2.medianBlur(moved, 3), dtype=np.float32)
     return height_m
 
 
-def _leaping_blocks(leaping: NDArray[np.bool_], asked: Asked) -> list[tuple[Block, Sequence[int]]]:
-    found = []
-    for at, frames in asked:
-        rows, cols = (slice(s.start, min(s.stop, n)) for s, n in zip(at, leaping.shape, strict=True))
-        for top in range(rows.start, rows.stop, _BLOCK_CELLS):
-            for left in range(cols.start, cols.stop, _BLOCK_CELLS):
-                part = (
-                    slice(top, min(top + _BLOCK_CELLS, rows.stop)),
-                    slice(left, min(left + _BLOCK_CELLS, cols.stop)),
-                )
-                if len(frames) > 1 and leaping[part].any():
-                    found.append((part, frames))
+def _differing(
+    squares: Squares, offered_m: Floats32, hidden_m: Mapping[int, Floats32], lean: bool
+) -> Floats32:
+    """Grey levels (n, heights, rows, cols) by which the two frames most like the first that sees a place
+    differ from it. offered_m: as many heights over the base; lean: they are a surface's."""
+    dense_m = dense(offered_m, _DENSER, cv2.INTER_LINEAR if lean else cv2.INTER_NEAREST)
+    sums = _two_most_alike(squares.shown(dense_m, hidden_m, _DENSER))
+    *more, rows, cols = sums.shape
+    size = cols // _DENSER, int(np.prod(more)) * rows // _DENSER
+    found = cv2.resize(0.5 * sums.reshape(-1, cols).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    if lean:
+        found = cv2.blur(found, (3, 3))
+    return np.asarray(found, dtype=np.float32).reshape(offered_m.shape)
+
+
+def _two_most_alike(shown: Sequence[tuple[Bytes, Mask | None]]) -> Bytes:
+    """The sum of the two least differences with the first frame that sees a place."""
+    (first, sees), *others = shown
+    if sees is not None:
+        first, lacking = first.copy(), ~sees
+        for k, (grey, sees) in enumerate(others):
+            own = lacking if sees is None else lacking & sees
+            np.copyto(first, grey, where=own)
+            others[k] = grey, ~own if sees is None else sees & ~own
+            lacking = lacking & ~own
+    least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
+    for grey, sees in others:
+        apart = cv2.absdiff(_flat(first), _flat(_as_bright(grey, first, sees)))
+        apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW)).reshape(first.shape)
+        if sees is not None:
+            np.copyto(apart, np.uint8(_MOST_GREY), where=~sees)
+        np.minimum(second, np.maximum(least, apart), out=second)
+        np.minimum(least, apart, out=least)
+    return np.asarray(least + second, dtype=np.uint8)
+
+
+def _as_bright(grey: Bytes, first: Bytes, sees: Mask | None) -> Bytes:
+    """What a frame shows, each square (n, ...) as bright as the first one's where the frame sees it."""
+    found = np.empty_like(grey)
+    for k in range(len(grey)):
+        mask = None if sees is None else _flat(sees[k].view(np.uint8))
+        mean, own_mean = (cv2.mean(_flat(a[k]), mask)[0] for a in (first, grey))
+        cv2.convertScaleAbs(_flat(grey[k]), _flat(found[k]), alpha=mean / own_mean if own_mean else 0.0)
     return found
 
 
-def _widened(at: Block, shape: tuple[int, ...]) -> Block:
-    rows, cols = (
-        slice(max(s.start - _WIDER_CELLS, 0), min(s.stop + _WIDER_CELLS, n))
-        for s, n in zip(at, shape, strict=True)
-    )
-    return rows, cols
-
-
-class _Finer:
-    """The same verticals twice as dense each way, and what frames show there."""
-
-    def __init__(self, verticals: Verticals, pictures: Sequence[Bytes]) -> None:
-        self._verticals = verticals.finer(2)
-        self._pictures = pictures
-
-    def differing(
-        self,
-        offered_m: Floats32,
-        at: Block,
-        frames: Sequence[int],
-        hidden_m: dict[int, Floats32],
-        lean: bool,
-    ) -> Floats32:
-        """Grey levels (heights, rows, cols) by which the two frames most like the first that sees a place
-        differ from it."""
-        rows, cols = (slice(2 * s.start, 2 * s.stop) for s in at)
-        interpolation = cv2.INTER_LINEAR if lean else cv2.INTER_NEAREST
-        size = (cols.stop - cols.start, rows.stop - rows.start)
-        dense_m = np.stack([cv2.resize(o, size, interpolation=interpolation) for o in offered_m])
-        bent = self._verticals.bent(dense_m)
-        shown, seen = [], []
-        for k in frames:
-            col, row = (a.reshape(-1, size[0]) for a in self._verticals.places(k, bent, (rows, cols)))
-            low_m = hidden_m[k][at]
-            sees = _inside(col, row, self._pictures[k].shape)
-            if not low_m.max() <= dense_m.min():
-                dense_low_m = cv2.resize(low_m, size, interpolation=cv2.INTER_NEAREST)
-                unhidden = (dense_m >= dense_low_m).reshape(col.shape)
-                sees = unhidden if sees is None else sees & unhidden
-            border = cv2.BORDER_REPLICATE
-            grey = cv2.remap(self._pictures[k], col, row, cv2.INTER_LINEAR, borderMode=border)
-            shown.append(np.asarray(grey, dtype=np.uint8))
-            seen.append(sees)
-        sums = self._two_most_alike(shown, seen)
-        own = (size[0] // 2, len(sums) // 2)
-        found = cv2.resize(0.5 * sums.astype(np.float32), own, interpolation=cv2.INTER_AREA)
-        if lean:
-            found = cv2.blur(found, (3, 3))
-        return np.asarray(found.reshape(len(offered_m), size[1] // 2, size[0] // 2), dtype=np.float32)
-
-    def _two_most_alike(self, shown: Sequence[Bytes], seen: Sequence[NDArray[np.bool_] | None]) -> Bytes:
-        """The sum of the two least differences with the first frame that sees a place (seen: None where all
-        are); several heights lie one below the other, and are mixed at their rims, which nobody looks at."""
-        first, others = shown[0], list(seen[1:])
-        if seen[0] is not None:
-            first, lacking = first.copy(), ~seen[0]
-            for k, grey in enumerate(shown[1:]):
-                if lacking.any():
-                    sees = others[k]
-                    own = lacking.copy() if sees is None else lacking & sees
-                    np.copyto(first, grey, where=own)
-                    lacking &= ~own
-                    others[k] = ~own if sees is None else sees & ~own
-        least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
-        for grey, other in zip(shown[1:], others, strict=True):
-            mask = None if other is None else other.view(np.uint8)
-            mean, own_mean = cv2.mean(first, mask)[0], cv2.mean(grey, mask)[0]
-            if own_mean <= 0.0:
-                continue
-            apart = cv2.absdiff(first, cv2.convertScaleAbs(grey, alpha=mean / own_mean))
-            apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW))
-            if other is not None:
-                np.copyto(apart, np.uint8(_MOST_GREY), where=~other)
-            np.minimum(second, np.maximum(least, apart), out=second)
-            np.minimum(least, apart, out=least)
-        return np.asarray(least + second, dtype=np.uint8)
-
-
-def _inside(col: Floats32, row: Floats32, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Which places lie in a picture; None where all do."""
-    down, across = shape
-    if col.min() >= 0.0 and col.max() < across - 1.0 and row.min() >= 0.0 and row.max() < down - 1.0:
-        return None
-    return np.asarray((col >= 0.0) & (col < across - 1.0) & (row >= 0.0) & (row < down - 1.0))
+def _flat(values: Bytes) -> Bytes:
+    return values.reshape(-1, values.shape[-1])

@@ -59,8 +59,14 @@ _PAST_HEIGHTS: Annotated[
     ),
 ] = 8
 _MOST_HEIGHTS: Annotated[
-    int, Because("heights", "of a tile with high walls: more take time in proportion", CHOSEN)
-] = 64
+    int,
+    Because(
+        "heights",
+        "of a tile with high walls: more take time in proportion",
+        "computed of seven simulated towns, cells of 0.2 and 0.4 m: with 64 no class is better by more than "
+        "0.2 %",
+    ),
+] = 40
 _ABOUT_CELLS: Annotated[
     int, Because("cells", "side of the window in which the level above is asked for its heights", CHOSEN)
 ] = 5
@@ -162,7 +168,9 @@ def matched(
     """Heights of cells, by the frames that see them, two at least."""
     verticals = Verticals(search.cells, base, frames, search.lowest_m, search.highest_m)
     seen = [p.census for p in pictures]
-    asked: Asked = asked_frames(verticals, [p.grey.shape for p in pictures], _BLOCK_CELLS, _CANDIDATES)
+    unrefined = MARGIN_CELLS - _LOOKED_AT_CELLS
+    shapes = [p.grey.shape for p in pictures]
+    asked: Asked = asked_frames(verticals, shapes, _BLOCK_CELLS, unrefined, _CANDIDATES)
     hidden: dict[int, Floats32] = {}
     if search.about_m is None:
         steps = _all_steps(search, verticals.base_m.shape)
@@ -181,7 +189,7 @@ def matched(
     if not search.fine:
         return unseen((verticals.base_m + height_m)[inner])
     greys = [p.grey for p in pictures]
-    asked = _within(asked, MARGIN_CELLS - _LOOKED_AT_CELLS, search.cells)
+    asked = _within(asked, unrefined, search.cells)
     height_m, alike = refined(verticals, greys, height_m, search.step_m, asked, hidden)
     height_m = sharpened(verticals, search.cells.cell_m, greys, _smoothed(height_m), alike, asked)
     alike, views, seeing = likeness(verticals, greys, height_m, asked)

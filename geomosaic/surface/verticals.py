@@ -9,7 +9,6 @@ flies about as high, and what a tilt, a lens or a rolling shutter bends is left 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Annotated, Any, Final
 
@@ -86,25 +85,14 @@ class Verticals:
         self.frames = tuple(frames)
         above = [float(f.pose.position_m[2] - ground[..., 2].mean()) for f in frames]
         self._away_m = np.float32(max(float(np.median(above)), 1.5 * highest_m))
-        self._nodes_up_m = ground[..., 2]
         self._nodes_terms = []
         for frame in frames:
             terms = self._terms_at(frame, ground) / frame.reduction
             terms[0] -= 0.5  # OpenCV counts from the first pixel's middle
             self._nodes_terms.append(np.moveaxis(terms, -1, 0))
-        self._spread(cells, NODE_CELLS)
-
-    def _spread(self, cells: Cells, node_cells: int) -> None:
-        self._cells, self._node_cells = cells, node_cells
-        self.base_m = self._at_cells(self._nodes_up_m)
-        self._terms: dict[int, list[list[Floats32]]] = {}
-
-    def finer(self, by: int) -> Verticals:
-        """The same, so many times as dense each way, from the same nodes."""
-        found, cells = copy(self), self._cells
-        fine = Cells(cells.west_m, cells.south_m, cells.cell_m / by, by * cells.rows, by * cells.cols)
-        found._spread(fine, by * self._node_cells)
-        return found
+        self._cells = cells
+        self.base_m = self._at_cells(ground[..., 2])
+        self._terms: dict[int, Floats32] = {}
 
     def _terms_at(self, frame: Sighted, ground: Floats) -> Floats:
         """Constant, linear and square (3, nodes north, nodes east, 2) of a frame's cols and rows; of nodes
@@ -121,6 +109,13 @@ class Verticals:
             found[:, lacking] = np.tensordot(np.linalg.inv(np.vander(bent, 3, increasing=True)), seen, axes=1)
         return _gone_on(found)
 
+    def terms(self, frame: int) -> Floats32:
+        """Constant, linear and square (2, 3, rows, cols) of a frame's cols and rows, by `bent`."""
+        if frame not in self._terms:
+            nodes = self._nodes_terms[frame]
+            self._terms[frame] = np.stack([np.stack([self._at_cells(t) for t in terms]) for terms in nodes])
+        return self._terms[frame]
+
     def bent(self, height_m: Floats32) -> Floats32:
         """What `places` takes, of heights over the base (rows, cols)."""
         return np.asarray(height_m / (np.float32(1.0) - height_m / self._away_m))
@@ -128,10 +123,8 @@ class Verticals:
     def places(self, frame: int, bent: Floats32, at: Block = WHOLE) -> tuple[Floats32, Floats32]:
         """Cols and rows in a frame's picture of points over the cells at a block, as bent (..., rows, cols);
         NaN where it doesn't see the point."""
-        if frame not in self._terms:
-            self._terms[frame] = [[self._at_cells(t) for t in terms] for terms in self._nodes_terms[frame]]
         found = []
-        for constant, linear, square in self._terms[frame]:
+        for constant, linear, square in self.terms(frame):
             place = square[at] * bent
             place += linear[at]
             place *= bent
@@ -153,13 +146,13 @@ class Verticals:
         up = cv2.resize(
             nodes.astype(np.float32),
             None,
-            fx=self._node_cells,
-            fy=self._node_cells,
+            fx=NODE_CELLS,
+            fy=NODE_CELLS,
             interpolation=cv2.INTER_LINEAR,
         )
         inner = (
-            slice(self._node_cells, self._node_cells + self._cells.rows),
-            slice(self._node_cells, self._node_cells + self._cells.cols),
+            slice(NODE_CELLS, NODE_CELLS + self._cells.rows),
+            slice(NODE_CELLS, NODE_CELLS + self._cells.cols),
         )
         return np.ascontiguousarray(up[inner])
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Annotated
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.verticals import Block, Verticals
+from geomosaic.surface.verticals import WHOLE, Block, Verticals
 
 Floats32 = NDArray[np.float32]
 Asked = Sequence[tuple[Block, Sequence[int]]]
@@ -42,20 +43,21 @@ _MOST_HIDDEN: Annotated[
 
 
 def asked_frames(
-    verticals: Verticals, shapes: list[tuple[int, int]], side: int, most: int
+    verticals: Verticals, shapes: list[tuple[int, int]], side: int, rim: int, most: int
 ) -> list[tuple[Block, tuple[int, ...]]]:
-    """Squares of cells, and for each the frames that see most of it, of those the steepest first."""
+    """Squares of cells, and for each the frames that see most of it, of those the steepest first; those along
+    the tile's edge have its rim as well."""
     rows, cols = verticals.base_m.shape
     flat = np.zeros((rows, cols), dtype=np.float32)
     inside, slant = [], []
-    for k, (down, across) in enumerate(shapes):
+    for k, (height_px, width_px) in enumerate(shapes):
         col, row = verticals.places(k, flat)
-        inside.append((col >= 0.0) & (col < across - 1.0) & (row >= 0.0) & (row < down - 1.0))
+        inside.append((col >= 0.0) & (col < width_px - 1.0) & (row >= 0.0) & (row < height_px - 1.0))
         slant.append(1.0 / verticals.towards(k)[2])
     found = []
-    for top in range(0, rows, side):
-        for left in range(0, cols, side):
-            at = slice(top, top + side), slice(left, left + side)
+    for down in _parts(rows, side, rim):
+        for across in _parts(cols, side, rim):
+            at = down, across
             share = [float(mask[at].mean()) for mask in inside]
             seeing = [k for k, s in enumerate(share) if s > 0.0]
             seeing.sort(key=lambda k: (share[k] < 1.0, float(slant[k][at].mean())))
@@ -63,13 +65,21 @@ def asked_frames(
     return found
 
 
-def hidden_below(verticals: Verticals, frame: int, height_m: Floats32, cell_m: float) -> Floats32:
-    """The height over the base (rows, cols) from which on a frame sees a cell, if the land is height_m high:
-    the highest line of sight's foot that anything on the way to the camera throws."""
-    east, north, rise = verticals.towards(frame)
-    rows, cols = height_m.shape
-    col, row = np.meshgrid(np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32))
-    low = np.full(height_m.shape, -np.inf, dtype=np.float32)
+def _parts(count: int, side: int, rim: int) -> Iterator[slice]:
+    ends = [0, *range(rim + side, count - rim, side), count]
+    return (slice(*pair) for pair in pairwise(ends))
+
+
+def hidden_below(
+    verticals: Verticals, frame: int, height_m: Floats32, cell_m: float, at: Block = WHOLE
+) -> Floats32:
+    """The height over the base of the cells at a block from which on a frame sees a cell, if the land (rows,
+    cols of the tile) is height_m high: the highest line of sight's foot that anything on the way to the
+    camera throws."""
+    east, north, rise = (a[at] for a in verticals.towards(frame))
+    rows, cols = (np.arange(n, dtype=np.float32)[s] for n, s in zip(height_m.shape, at, strict=True))
+    col, row = np.meshgrid(cols, rows)
+    low = np.full(rise.shape, -np.inf, dtype=np.float32)
     for away in np.arange(_NEAREST_CELLS, _REACH_CELLS, 1.0, dtype=np.float32):
         there = cv2.remap(
             height_m,
@@ -83,13 +93,23 @@ def hidden_below(verticals: Verticals, frame: int, height_m: Floats32, cell_m: f
 
 
 def hidden_from(verticals: Verticals, asked: Asked, height_m: Floats32, cell_m: float) -> dict[int, Floats32]:
-    """For each frame that is asked anywhere `hidden_below`; nothing is hidden in blocks where many cells of
-    the land itself would be seen by less than two frames: it is too rough to be a surface that hides."""
-    frames = sorted({k for _, chosen in asked for k in chosen})
-    found = {k: hidden_below(verticals, k, height_m, cell_m) for k in frames}
+    """For each frame that is asked anywhere `hidden_below`, -inf where it isn't; nothing is hidden in blocks
+    where many cells of the land itself would be seen by less than two frames: it is too rough to be a surface
+    that hides."""
+    found: dict[int, Floats32] = {}
+    for frame in sorted({k for _, chosen in asked for k in chosen}):
+        at = _about([block for block, chosen in asked if frame in chosen])
+        found[frame] = np.full(height_m.shape, -np.inf, dtype=np.float32)
+        found[frame][at] = hidden_below(verticals, frame, height_m, cell_m, at)
     for at, chosen in asked:
         seeing = sum((height_m[at] >= found[k][at]).astype(np.uint8) for k in chosen)
         if float(np.mean(seeing < 2)) > _MOST_HIDDEN:
             for k in chosen:
                 found[k][at] = -np.inf
     return found
+
+
+def _about(blocks: Sequence[Block]) -> Block:
+    """The least block that holds them."""
+    rows, cols = (slice(min(b[k].start for b in blocks), max(b[k].stop for b in blocks)) for k in (0, 1))
+    return rows, cols
