@@ -13,6 +13,8 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.fused import RIM_CELLS, Part
+from geomosaic.surface.held import RIM_CELLS as RIM
+from geomosaic.surface.held import lower_side
 from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.tile import Heights, unseen
 
@@ -64,7 +66,8 @@ def up_on(base: GroundSurface, cells: Cells) -> Floats32:
 
 
 def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]) -> DenseSurface:
-    """All cells' heights: where a part keeps none, the base's, raised by what lies around.
+    """All cells' heights: where a part keeps none, the lower side's of what lies around; far from anything
+    the base's, raised by it.
 
     cells: an even number of rows and cols.
     """
@@ -73,16 +76,32 @@ def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]
     for tile, part in parts:
         over_m[tile.at], sd_m[tile.at], views[tile.at] = part.over_m, part.sd_m, part.views
     around_m, around_m2 = _around(over_m, sd_m)
+    for band in _bands(cells):
+        np.copyto(over_m[band], _finer(around_m, band), where=np.isnan(sd_m[band]))
+    for tile in cells.tiles(_BAND_ROWS):
+        _lowered(over_m, sd_m, tile)
     east, north = cells.axes_m()
     for band in _bands(cells):
         at = east, north[band, None]
         held = np.isnan(sd_m[band])
         near_m, near_m2 = (_finer(a, band) for a in (around_m, around_m2))
-        varying = np.maximum(near_m2 - near_m**2, np.float32(0.0))
-        over_m[band] = base.up_at(*at) + np.where(held, near_m, over_m[band])
+        varying = np.maximum(near_m2 - near_m**2, np.float32(0.0)) + (over_m[band] - near_m) ** 2
+        over_m[band] += base.up_at(*at)
         held_sd_m = np.sqrt(np.nan_to_num(base.sd_at(*at)) ** 2 + varying)
         sd_m[band] = np.where(held, held_sd_m, sd_m[band])
     return DenseSurface(cells, over_m, sd_m, views)
+
+
+def _lowered(over_m: Floats32, sd_m: Floats32, tile: Tile) -> None:
+    """Puts a tile's held cells on the lower side of what lies around."""
+    first = max(tile.row - RIM, 0), max(tile.col - RIM, 0)
+    wide = slice(first[0], tile.row + tile.rows + RIM), slice(first[1], tile.col + tile.cols + RIM)
+    own = Tile(tile.row - first[0], tile.col - first[1], tile.rows, tile.cols).at
+    known = np.isfinite(sd_m[wide])
+    if not known[own].all():
+        lower_m, enclosed = (a[own] for a in lower_side(over_m[wide], known))
+        held_m = np.where(enclosed, lower_m, np.minimum(lower_m, over_m[tile.at]))
+        np.copyto(over_m[tile.at], held_m, where=~known[own])
 
 
 def _bands(cells: Cells) -> Iterator[slice]:

@@ -1,0 +1,82 @@
+"""Heights of cells that nothing was matched in: those of the lower side of what lies around.
+
+What a wall hides, and what no two frames agree on beside it, lies at its foot: a mean of what lies around is
+a ramp. What is raised on all sides is raised itself.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import CHOSEN, Because
+
+Bools = NDArray[np.bool_]
+Floats32 = NDArray[np.float32]
+_REACH_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "along each of eight directions in which a known cell is looked for: houses 10 m high hide 12 m of "
+        "ground from frames that look at it by 50 degrees",
+        CHOSEN,
+    ),
+] = 32
+_ENCLOSED: Annotated[
+    int,
+    Because("directions", "that have a known cell, from which on what they have is taken over", CHOSEN),
+] = 6
+_EVENED_CELLS: Annotated[
+    int,
+    Because(
+        "cells",
+        "side of the window whose median evens held heights out, which leap from line to line; a mean would "
+        "be a ramp again",
+        CHOSEN,
+    ),
+] = 5
+RIM_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
+"""About some cells, from where their heights come."""
+
+
+def lower_side(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
+    """Of cells (rows, cols) the second lowest of the nearest known values in eight directions, evened out:
+    the lowest alone may be a wrong one. Which cells known ones enclose; others may lie at the rim of what was
+    matched, where one house would be carried on."""
+    lowest, second = (np.full(values.shape, np.inf, dtype=np.float32) for _ in range(2))
+    count = np.zeros(values.shape, dtype=np.uint8)
+    for quarters in range(4 * known.any()):
+        turned, where = np.rot90(values, quarters), np.rot90(known, quarters)
+        sheared = _nearest(_sheared(turned), _sheared(where))
+        for near in (_nearest(turned, where), _unsheared(sheared, turned.shape[1])):
+            near = np.rot90(near, -quarters)
+            np.minimum(second, np.maximum(lowest, near), out=second)
+            np.minimum(lowest, near, out=lowest)
+            count += near < np.inf
+    far = np.float32(np.finfo(np.float32).max)
+    evened = np.asarray(cv2.medianBlur(np.minimum(second, far), _EVENED_CELLS), dtype=np.float32)
+    return evened, (count >= _ENCLOSED) & (evened < far)
+
+
+def _nearest(values: Floats32, known: Bools) -> Floats32:
+    """Of each cell the last known value in the rows before; infinite where it is farther than is looked."""
+    row = np.arange(len(values), dtype=np.int32)[:, None]
+    last = np.maximum.accumulate(np.where(known, row, np.int32(-_REACH_CELLS - 1)), axis=0)
+    near = np.take_along_axis(values, np.maximum(last, 0), axis=0)
+    return np.asarray(np.where(row - last <= _REACH_CELLS, near, np.float32(np.inf)))
+
+
+def _sheared(values: NDArray[Any]) -> NDArray[Any]:
+    """Values (rows, cols) moved so that those of a diagonal stand one below the other, zeros about them."""
+    rows, cols = values.shape
+    flat = np.zeros(rows * (cols + rows + 1), dtype=values.dtype)
+    flat[: rows * (cols + rows)].reshape(rows, -1)[:, rows:] = values
+    return flat.reshape(rows, -1)
+
+
+def _unsheared(values: Floats32, cols: int) -> Floats32:
+    rows = len(values)
+    return values.ravel()[: rows * (cols + rows)].reshape(rows, -1)[:, rows:]
