@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.matching.displacement import measure_displacements
+from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import Similarity, best_similarity
 from geomosaic.quality.ssim import luma, ssim_maps
@@ -44,6 +44,13 @@ _INWARD_PX: Annotated[
 _SEARCH_PX: Annotated[
     int, Because("px", "a roof 14 m high at the side of a frame leans by 60 on a smooth ground", CHOSEN)
 ] = 64
+_SAME_PX: Annotated[
+    float, Because("px", "by which a corner that is looked for both ways may come back beside itself", CHOSEN)
+] = 1.0
+_BACK_SD_PX: Annotated[
+    float, Because("px", "deviation of the way back: it only has to tell one place from another", CHOSEN)
+] = 1.0
+FAR_PX: Annotated[float, Because("px", "by which a corner is off that is listed", "what is asked")] = 2.0
 _RIM_M: Annotated[
     float, Because("m", "of the mosaic at its border, where less than three frames see", CHOSEN)
 ] = 15.0
@@ -97,14 +104,16 @@ _MOST_PATCHES: Annotated[
 
 @dataclass(frozen=True)
 class Roofs:
-    """Corners: how many, how many of them matched, RMSE and 90 % of what they are off (px); edges: pieces
-    that the true ortho shows, shares of them that are missing, doubled, and that lie farther off than
-    `_APART_M`; SSIM of all, and about roofs."""
+    """Corners: how many, how many of them matched both ways, RMSE and 90 % of what they are off (px); col,
+    row and how far off of those that are off by more than `FAR_PX`. Edges: pieces that the true ortho shows,
+    shares of them that are missing, doubled, and that lie farther off than `_APART_M`. SSIM of all, and about
+    roofs."""
 
     corners: int
     matched: int
     rmse_px: float
     p90_px: float
+    far: tuple[tuple[float, float, float], ...]
     pieces: int
     missing: float
     doubled: float
@@ -187,7 +196,10 @@ def _judged(
     corners = np.concatenate([_inward(px) for px in outlines])
     at = np.round(corners[:, ::-1] - _PATCH_PX / 2.0).astype(np.int64)
     found = measure_displacements(grey, true_grey, seen, seen, at, patch_px=_PATCH_PX, search_px=_SEARCH_PX)
-    off = np.linalg.norm(found.displacement_px, axis=1)
+    same = _both_ways(grey, true_grey, seen, found)
+    off = np.linalg.norm(found.displacement_px[same], axis=1)
+    far = np.flatnonzero(off > FAR_PX)
+    places = found.centres_px[same][far]
     pieces = [_steps(image, true, a, b, pixel_m) for px in outlines for a, b in _edges(px, pixel_m)]
     counted = [p for p in pieces if p is not None]
     maps = ssim_maps(np.clip(grey, 0, 255), true_grey, seen, 255.0).ssim
@@ -200,11 +212,25 @@ def _judged(
         len(off),
         float(np.sqrt(np.mean(off**2))) if off.size else np.nan,
         float(np.quantile(off, 0.9)) if off.size else np.nan,
+        tuple((float(c), float(r), float(o)) for (c, r), o in zip(places, off[far], strict=True)),
         len(counted),
         *np.mean(counted, axis=0).tolist(),
         float(np.nanmean(maps[inner])),
         float(np.nanmean(maps[about > 0])),
     )
+
+
+def _both_ways(image: Image, true: Image, seen: Bools, found: Displacements) -> Bools:
+    """Which patches the mosaic finds in the truth again where they came from: others met something alike."""
+    first = found.centres_px + np.rint(found.displacement_px) - _PATCH_PX / 2.0
+    at = first[:, ::-1].astype(np.int64)
+    back = measure_displacements(
+        true, image, seen, seen, at, patch_px=_PATCH_PX, search_px=_SEARCH_PX, max_sd_px=_BACK_SD_PX
+    )
+    came = {tuple(c): d for c, d in zip(back.centres_px.tolist(), back.displacement_px, strict=True)}
+    nowhere = np.full(2, np.inf)
+    again = np.array([came.get(tuple(c), nowhere) for c in (first + _PATCH_PX / 2.0).tolist()]).reshape(-1, 2)
+    return np.asarray(np.linalg.norm(found.displacement_px + again, axis=1) < _SAME_PX)
 
 
 def _inward(px: Floats) -> Floats:
