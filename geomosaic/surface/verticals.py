@@ -132,15 +132,16 @@ class Verticals:
             found.append(place)
         return found[0], found[1]
 
-    def towards(self, frame: int) -> tuple[Floats32, Floats32, Floats32]:
-        """From each cell to below the camera: cells east and cells north, of length 1, and by how much a
-        line of sight rises with each cell (m); (rows, cols) each."""
+    def towards(self, frame: int, at: Block = WHOLE) -> tuple[Floats32, Floats32, Floats32]:
+        """From each cell of a block to below the camera: cells east and cells north, of length 1, and by how
+        much a line of sight rises with each cell (m); (rows, cols) each."""
         east, north = self._cells.axes_m()
         place = self.frames[frame].pose.position_m
-        off = np.stack(np.broadcast_arrays(place[0] - east, (place[1] - north)[:, None])).astype(np.float32)
-        away_m = np.maximum(np.hypot(*off), np.float32(1e-3))
-        rise = (np.float32(place[2]) - self.base_m) * np.float32(self._cells.cell_m) / away_m
-        return off[0] / away_m, off[1] / away_m, rise
+        off = np.broadcast_arrays(place[0] - east[at[1]], (place[1] - north[at[0]])[:, None])
+        right, up = (np.asarray(a, dtype=np.float32) for a in off)
+        away_m: Floats32 = np.maximum(np.hypot(right, up), np.float32(1e-3))
+        rise = (np.float32(place[2]) - self.base_m[at]) * np.float32(self._cells.cell_m) / away_m
+        return np.asarray(right / away_m), np.asarray(up / away_m), np.asarray(rise)
 
     def _at_cells(self, nodes: NDArray[Any]) -> Floats32:
         up = cv2.resize(

@@ -76,7 +76,7 @@ def hidden_below(
     """The height over the base of the cells at a block from which on a frame sees a cell, if the land (rows,
     cols of the tile) is height_m high: the highest line of sight's foot that anything on the way to the
     camera throws."""
-    east, north, rise = (a[at] for a in verticals.towards(frame))
+    east, north, rise = verticals.towards(frame, at)
     rows, cols = (np.arange(n, dtype=np.float32)[s] for n, s in zip(height_m.shape, at, strict=True))
     col, row = np.meshgrid(cols, rows)
     low = np.full(rise.shape, -np.inf, dtype=np.float32)
