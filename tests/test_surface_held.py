@@ -77,18 +77,18 @@ def test_a_roof_at_the_rim_is_not_carried_on() -> None:
 def test_held_heights_do_not_depend_on_where_squares_meet() -> None:
     rng = np.random.default_rng(1)
     over_m = rng.normal(0.0, 3.0, (520, 540)).astype(np.float32)
-    known = rng.uniform(size=over_m.shape) < 0.2
+    known = rng.uniform(size=over_m.shape) < 0.4
     whole, enclosed = lower_side(over_m, known)
     there = enclosed & ~known
     assert there[~known].mean() > 0.9
     assert np.array_equal(filled(over_m, ~known)[there], whole[there])
 
 
-def kept(alike: NDArray[np.float32], up_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which cells stay where two frames see them."""
+def kept(alike: NDArray[np.float32], up_m: NDArray[np.float32], frames: int = 2) -> NDArray[np.bool_]:
+    """Which cells stay where two frames see them, or more."""
     nothing = np.zeros(up_m.shape, dtype=np.float32)
-    two = np.full(up_m.shape, 2, dtype=np.uint8)
-    heights = Heights(up_m, alike, np.where(alike > 0.6, two, 0).astype(np.uint8), two, nothing)
+    seeing = np.full(up_m.shape, frames, dtype=np.uint8)
+    heights = Heights(up_m, alike, np.where(alike > 0.6, seeing, 0).astype(np.uint8), seeing, nothing)
     cells = Cells(0.0, 0.0, CELL_M, *up_m.shape)
     return np.isfinite(
         np.pad(fused(heights, cells, FLAT, (-5.0, 30.0)).sd_m, RIM_CELLS, constant_values=np.nan)
@@ -114,3 +114,40 @@ def test_cells_of_two_frames_that_nothing_of_their_height_stands_by_are_held() -
     found = kept(alike, up_m)
     assert not found[30:33, 50:53].any()
     assert found[30:33, 56:60].all()
+
+
+def test_islands_that_two_frames_agree_on_are_held() -> None:
+    """On water, and in woods that wind moves."""
+    up_m = np.full((60, 80), 2.0, dtype=np.float32)
+    alike = np.full((60, 80), 0.3, dtype=np.float32)
+    alike[30:36, 40:46] = 0.9
+    assert not kept(alike, up_m).any()
+
+
+def test_what_few_cells_are_known_of_has_no_lower_side() -> None:
+    """A mean stays, where cells were matched by chance: eight directions drew stars over the sea."""
+    rng = np.random.default_rng(4)
+    over_m = rng.normal(0.0, 5.0, (90, 90)).astype(np.float32)
+    known = rng.uniform(size=over_m.shape) < 0.05
+    assert np.abs(filled(over_m, ~known)[~known]).mean() < 3.0
+
+
+def test_what_a_house_hides_is_held_though_three_frames_seem_to_see_it() -> None:
+    """By its heights, some above the roof's, three frames saw it: sure cells of the roof were enough."""
+    up_m = house()
+    hidden = np.zeros(up_m.shape, dtype=bool)
+    hidden[15:, 30:36] = True
+    up_m[hidden] = ROOF_M + 4.0
+    found = kept(np.where(hidden, np.float32(0.3), np.float32(0.9)), up_m, frames=3)
+    inner = np.zeros_like(hidden)
+    inner[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS] = True
+    assert not found[hidden & inner].any()
+    assert found[~hidden & inner].all()
+
+
+def test_crowns_that_few_cells_are_sure_of_are_kept() -> None:
+    up_m = np.abs(np.arange(80) - 40.0)[None] * np.full((60, 1), -0.6) + 9.0
+    alike = np.full(up_m.shape, 0.2, dtype=np.float32)
+    alike.ravel()[::6] = 0.9
+    found = kept(alike, up_m.astype(np.float32), frames=3)[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]
+    assert found.mean() > 0.9

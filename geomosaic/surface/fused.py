@@ -46,7 +46,7 @@ _AROUND_CELLS: Annotated[
     int,
     Because(
         "cells",
-        "side of the window in which steps are looked for, and cells that were matched surely",
+        "side of the window in which steps are looked for, and cells about those that two frames see",
         "as far as `sharpening` looks",
     ),
 ] = 13
@@ -71,23 +71,12 @@ _WITNESSES: Annotated[
     ),
 ] = 3
 _LEAST_VIEWS: Annotated[int, Because("frames", "that a match takes", "a pair")] = 2
-_SUPPORT: Annotated[
-    float,
-    Because(
-        "share",
-        "of the cells around that were matched surely, below which a cell is held: water and blank roofs, "
-        "where some match by chance; with more, crowns are given up, whose heights are better than what lies "
-        "around",
-        "computed: two simulated lakes reach 0.05; groves at a town's rim (seed 11), seen aslant by three "
-        "and four, are off by more than 1 m 45 % with 0.25, 39 % with 0.12; 82 % within a deviation, not 70",
-    ),
-] = 0.12
 _LIKE_AROUND_CELLS: Annotated[
     int,
     Because(
         "cells",
-        "side of the window in which sure cells of the same height are counted where two frames alone see a "
-        "cell: a corner of a roof has a third of it, and reaches no farther than its edges are wide",
+        "side of the window in which sure cells of the same height are counted: a corner of a roof has a "
+        "third of it; with 13 a crown's heights differ too much in it",
         CHOSEN,
     ),
 ] = 7
@@ -95,23 +84,41 @@ _LIKE_CELLS: Annotated[
     float,
     Because(
         "cells",
-        "of height between cells of the same: roofs that lean by 40 degrees rise by as much in three cells",
-        "computed of three simulated towns (seeds 5, 7, 11): with 5 edges off by more than 1 m are 0.9 to "
-        "1.6 % more, trees 0.5 to 1.9 % less",
+        "of height between cells that count as of the same: crowns rise by two to three from cell to cell",
+        "computed of three simulated towns (seeds 5, 7, 11): with 2.5 crowns off by more than 1 m are 0.8 to "
+        "1.1 % more",
     ),
-] = 2.5
-_LIKE_SUPPORT: Annotated[
+] = 5.0
+_SUPPORT: Annotated[
     float,
     Because(
         "share",
-        "of the cells around that are sure and of the same height, from which on two frames suffice: with "
-        "less, cells that match by chance stand as masts along the border of what was matched; with more, "
-        "crowns there are given up",
-        "computed of the same towns: of roofs 0.9, 1.4 and 2.6 % are off by more than 1 m; 1.7, 2.0 and 4.2 "
-        "% where half of all cells around had to be sure, of whatever height, and the cell itself; 99 % of "
-        "open ground is off by 0.8, 1.3 and 2.5 m, with 0.25 by 0.9, 1.6 and 3.6",
+        "of the cells around that are sure and of the same height, below which a cell is held: water and "
+        "blank roofs, where some match by chance, and ground that a house hides, which mostly comes out "
+        "higher than the house; with more, crowns are given up",
+        "computed: two simulated lakes reach 0.05, of whatever height; of the same towns 99 % of open ground "
+        "are off by 0.4, 0.9 and 1.0 m, by 0.8, 1.3 and 2.6 where cells counted of whatever height",
     ),
-] = 0.3
+] = 0.1
+_SUPPORT_OF_TWO: Annotated[
+    float,
+    Because(
+        "share",
+        "of the same where two frames alone see a cell: with less, cells that match by chance stand as "
+        "masts along the border of what was matched; with more, crowns there are given up",
+        "computed of the same towns: edges off by more than 1 m 22, 24 and 25 %, trees 28, 17 and 24 %; with "
+        "0.3 edges 0.5 to 0.7 % more, with 0.4 trees 0.2 to 0.7 % more",
+    ),
+] = 0.35
+_SURE_ABOUT_TWO: Annotated[
+    float,
+    Because(
+        "share",
+        "of the cells of the wider window that are sure, of whatever height, below which what two frames see "
+        "is held: islands in woods that wind moves and on water; a corner of a roof has a quarter",
+        CHOSEN,
+    ),
+] = 0.25
 _LEAST_ALIKE: Annotated[
     float,
     Because(
@@ -182,17 +189,17 @@ def fused(found: Heights, cells: Cells, base: GroundSurface, reach_m: tuple[floa
     """
     east, north = cells.axes_m()
     base_m = base.up_at(east, north[:, None]).astype(np.float32)
-    window = (_AROUND_CELLS, _AROUND_CELLS)
-    sure = (found.alike >= SURE).astype(np.float32)
-    support = cv2.blur(sure, window, borderType=cv2.BORDER_CONSTANT)
+    shared = _sure_and_like(found, cells.cell_m)
     witnessed = found.seeing >= _WITNESSES
     distinct = witnessed & (found.distinct >= _DISTINCT_BITS)
-    by_two = ~witnessed & (found.alike >= _LEAST_ALIKE) & _supported_by_two(found, cells.cell_m, witnessed)
-    supported = by_two | (witnessed & (support >= _SUPPORT))
+    sure = (found.alike >= SURE).astype(np.float32)
+    crowd = cv2.blur(sure, (_AROUND_CELLS, _AROUND_CELLS), borderType=cv2.BORDER_CONSTANT) >= _SURE_ABOUT_TWO
+    by_two = ~witnessed & (shared >= _SUPPORT_OF_TWO) & (found.alike >= _LEAST_ALIKE) & crowd
+    supported = by_two | (witnessed & (shared >= _SUPPORT))
     kept = (supported | distinct) & (found.alike > UNSEEN)
     views = np.where(kept, np.maximum(found.views, np.uint8(_LEAST_VIEWS) * (distinct | by_two)), np.uint8(0))
     over_m = _even(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
-    sd_m = np.where(kept, _sd_m(found, cells.cell_m, window), np.float32(np.nan))
+    sd_m = np.where(kept, _sd_m(found, cells.cell_m), np.float32(np.nan))
     inner = slice(RIM_CELLS, -RIM_CELLS), slice(RIM_CELLS, -RIM_CELLS)
     over_m, sd_m, views = (np.ascontiguousarray(a[inner]) for a in (over_m * kept, sd_m, views))
     ends_m = np.array(reach_m) + np.array([1.0, -1.0]) * _END_CELLS * cells.cell_m
@@ -202,28 +209,25 @@ def fused(found: Heights, cells: Cells, base: GroundSurface, reach_m: tuple[floa
     return Part(over_m, sd_m, views, Counted(*(int(cells.sum()) for cells in of)))
 
 
-def _supported_by_two(found: Heights, cell_m: float, witnessed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where enough of the cells around are sure, and of the same height."""
-    if witnessed.all():
-        return np.zeros_like(witnessed)
+def _sure_and_like(found: Heights, cell_m: float) -> Floats32:
+    """The share of the cells around that are sure, and of the same height."""
     reach = _LIKE_AROUND_CELLS // 2
     rows, cols = found.up_m.shape
-    sure = np.pad(
-        np.where(found.alike >= SURE, found.up_m, np.float32(np.inf)), reach, constant_values=np.inf
-    )
+    sure = np.where(found.alike >= SURE, found.up_m, np.float32(np.inf))
+    sure = np.pad(sure, reach, constant_values=np.float32(np.inf))
     count = np.zeros((rows, cols), dtype=np.uint8)
     for down in range(2 * reach + 1):
         for right in range(2 * reach + 1):
-            apart = np.abs(sure[down : down + rows, right : right + cols] - found.up_m)
-            count += apart < _LIKE_CELLS * cell_m
-    return np.asarray(count >= _LIKE_SUPPORT * _LIKE_AROUND_CELLS**2)
+            apart = sure[down : down + rows, right : right + cols] - found.up_m
+            count += np.abs(apart, out=apart) < np.float32(_LIKE_CELLS * cell_m)
+    return np.asarray(count / np.float32(_LIKE_AROUND_CELLS**2), dtype=np.float32)
 
 
-def _sd_m(found: Heights, cell_m: float, window: tuple[int, int]) -> Floats32:
+def _sd_m(found: Heights, cell_m: float) -> Floats32:
     """Of matched heights: by how alike frames are, by the lean of the surface, by steps nearby."""
     own = cell_m * np.interp(found.alike, _ALIKE, _SD_CELLS)
     lean = np.hypot(*np.gradient(found.up_m))
-    element = np.ones(window, dtype=np.uint8)
+    element = np.ones((_AROUND_CELLS, _AROUND_CELLS), dtype=np.uint8)
     apart = cv2.dilate(found.up_m, element) - cv2.erode(found.up_m, element)
     step = np.where(apart > _AROUND_CELLS * cell_m / 4.0, apart, np.float32(0.0))
     wrong = np.sqrt(np.interp(found.alike, _ALIKE, _WRONG)) * step

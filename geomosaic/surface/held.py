@@ -29,6 +29,15 @@ _ENCLOSED: Annotated[
     int,
     Because("directions", "that have a known cell, from which on what they have is taken over", CHOSEN),
 ] = 6
+_SHARE_AROUND: Annotated[
+    float,
+    Because(
+        "share",
+        "of the cells around that are known, from which on they have a lower side: fewer, as on water and in "
+        "woods, are partly chance, of which the lowest are wrong",
+        CHOSEN,
+    ),
+] = 0.25
 _EVENED_CELLS: Annotated[
     int,
     Because(
@@ -44,8 +53,8 @@ RIM_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
 
 def lower_side(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
     """Of cells (rows, cols) the second lowest of the nearest known values in eight directions, evened out:
-    the lowest alone may be a wrong one. Which cells known ones enclose; others may lie at the rim of what was
-    matched, where one house would be carried on."""
+    the lowest alone may be a wrong one; infinite where few are known. Which cells known ones enclose; others
+    may lie at the rim of what was matched, where one house would be carried on."""
     lowest, second = (np.full(values.shape, np.inf, dtype=np.float32) for _ in range(2))
     count = np.zeros(values.shape, dtype=np.uint8)
     for quarters in range(4 * known.any()):
@@ -58,7 +67,10 @@ def lower_side(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
             count += near < np.inf
     far = np.float32(np.finfo(np.float32).max)
     evened = np.asarray(cv2.medianBlur(np.minimum(second, far), _EVENED_CELLS), dtype=np.float32)
-    return evened, (count >= _ENCLOSED) & (evened < far)
+    window = (_REACH_CELLS + 1, _REACH_CELLS + 1)
+    share = cv2.blur(known.astype(np.float32), window, borderType=cv2.BORDER_CONSTANT)
+    there = (evened < far) & (share >= _SHARE_AROUND)
+    return np.where(there, evened, np.float32(np.inf)), there & (count >= _ENCLOSED)
 
 
 def _nearest(values: Floats32, known: Bools) -> Floats32:
