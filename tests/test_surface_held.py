@@ -132,19 +132,6 @@ def test_what_few_cells_are_known_of_has_no_lower_side() -> None:
     assert np.abs(filled(over_m, ~known)[~known]).mean() < 3.0
 
 
-def test_what_a_house_hides_is_held_though_three_frames_seem_to_see_it() -> None:
-    """By its heights, some above the roof's, three frames saw it: sure cells of the roof were enough."""
-    up_m = house()
-    hidden = np.zeros(up_m.shape, dtype=bool)
-    hidden[15:, 30:36] = True
-    up_m[hidden] = ROOF_M + 4.0
-    found = kept(np.where(hidden, np.float32(0.3), np.float32(0.9)), up_m, frames=3)
-    inner = np.zeros_like(hidden)
-    inner[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS] = True
-    assert not found[hidden & inner].any()
-    assert found[~hidden & inner].all()
-
-
 def test_crowns_that_few_cells_are_sure_of_are_kept() -> None:
     up_m = np.abs(np.arange(80) - 40.0)[None] * np.full((60, 1), -0.6) + 9.0
     alike = np.full(up_m.shape, 0.2, dtype=np.float32)
