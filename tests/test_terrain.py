@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -156,3 +158,18 @@ def test_what_was_known_before_counts_by_its_deviation_and_the_distance():
     assert beside < 0.5 and far > 4.8
     assert 0.1 < model.sd_m[50, 160 + 12] < model.sd_m[50, 160 + 200] < 1.01
     assert not model.seen[:, 160:].any()
+
+
+def test_arrays_go_once_they_are_of_no_more_use():
+    """Bytes a cell at most, beside the surface: 34, and 51 where what judged the cells lives until the end."""
+    up_m = np.zeros((SIDE, SIDE), dtype=np.float32)
+    up_m[200:240, 200:240] = 6.0
+    surface = surface_of(up_m)
+    terrain_model(surface)
+    tracemalloc.start()
+    try:
+        terrain_model(surface)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 42 * up_m.size
