@@ -259,6 +259,31 @@ def test_a_lent_function_is_what_was_lent_or_nothing(tmp_path: Path) -> None:
         lent(1.0)
 
 
+def lying(_: float, ground: np.ndarray, slope: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
+    return ground.flags.owndata or ground.flags.writeable, ground, slope
+
+
+def test_lent_arrays_stay_in_the_file(tmp_path: Path) -> None:
+    """So that the workers of a machine share them; in every order and of every size that arrays have."""
+    random = np.random.default_rng(2)
+    ground, slope = random.normal(size=(301, 77)).T, random.integers(0, 9, (5, 3), dtype=np.uint8)
+    lent = Lent.of(functools.partial(lying, ground=ground, slope=slope[::2]), tmp_path / "lent")
+    own, *arrays = lent(1.0)
+    assert not own
+    for found, given in zip(arrays, (ground, slope[::2]), strict=True):
+        assert np.array_equal(found, given)
+        assert found.dtype == given.dtype
+        assert found.ctypes.data % found.itemsize == 0
+
+
+@pytest.mark.parametrize("left", [0, 7, 1000])
+def test_a_lent_function_that_is_cut_off_is_refused(tmp_path: Path, left: int) -> None:
+    lent = Lent.of(functools.partial(weighed, ground=np.zeros(100_000)), tmp_path / "lent")
+    (tmp_path / "lent").write_bytes((tmp_path / "lent").read_bytes()[:left])
+    with pytest.raises(FileError, match="isn't what the run wrote"):
+        lent(1.0)
+
+
 def recalled(kept: Kept[np.ndarray]) -> int:
     return len(kept.recall())
 

@@ -141,10 +141,10 @@ def _remove_temporary(path: Path) -> None:
     remove(path)
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """A small file in one piece."""
-    with writing(path) as temporary:
-        temporary.write_bytes(data)
+def write_bytes(path: Path, *pieces: bytes | memoryview) -> None:
+    """A file as a whole: pieces, one after the other."""
+    with writing(path) as temporary, temporary.open("wb") as file:
+        file.writelines(pieces)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -6,17 +6,19 @@ reads it there, and keeps what it needed lately.
 
 from __future__ import annotations
 
+import mmap
 import os
 import pickle
 import secrets
 import socket
+import struct
 import threading
 import typing
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Final, Generic, TypeVar
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import FileError
@@ -53,6 +55,9 @@ _LENT_BYTES: Annotated[
         CHOSEN,
     ),
 ] = 100_000
+_LENGTH: Final = struct.Struct("<Q")
+_ALIGNED_BYTES: Final = 64
+"""From where to where arrays begin: any number's size goes into it."""
 
 
 class _Memory:
@@ -185,7 +190,7 @@ class Lent(Generic[Item, Result]):
     """A function with large arguments, written once for all workers.
 
     Pickled, so that its numbers keep their types; it is taken only if its bytes have the mark that came
-    with the task.
+    with the task. Its arrays stay in the file, so that the workers of a machine share them.
     """
 
     path: Path
@@ -194,21 +199,33 @@ class Lent(Generic[Item, Result]):
     @classmethod
     def of(cls, function: Callable[[Item], Result], path: Path) -> Callable[[Item], Result]:
         """The function as it goes to the workers: itself, or what lies at `path` where it is large."""
-        data = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL)
-        if len(data) <= _LENT_BYTES:
+        arrays: list[pickle.PickleBuffer] = []
+        told = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
+        parts = [memoryview(told), *(a.raw() for a in arrays)]
+        if sum(len(part) for part in parts) <= _LENT_BYTES:
             return function
-        files.write_bytes(path, data)
-        return cls(path, fingerprint_of_bytes(data))
+        pieces: list[bytes | memoryview] = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(p)) for p in parts)]
+        for part in parts:
+            pieces.extend((bytes(-sum(map(len, pieces)) % _ALIGNED_BYTES), part))
+        files.write_bytes(path, *pieces)
+        return cls(path, fingerprint_of_bytes(*pieces))
 
     def __call__(self, item: Item) -> Result:
         function: Callable[[Item], Result] = _memory.get(self.mark, self._read)
         return function(item)
 
     def _read(self) -> tuple[Any, int]:
-        data = _read(self.path, lambda file: file.read())
+        data = _read(self.path, _mapped)
         if fingerprint_of_bytes(data) != self.mark:
             raise FileError("isn't what the run wrote", file=self.path, mend="run again")
-        return pickle.loads(data), len(data)  # noqa: S301  written by this run, as its mark says
+        (count,) = _LENGTH.unpack_from(data)
+        ends, at = [], (1 + count) * _LENGTH.size
+        for (length,) in _LENGTH.iter_unpack(data[_LENGTH.size : at]):
+            at += -at % _ALIGNED_BYTES
+            ends.append((at, at + length))
+            at += length
+        told, *arrays = (data[first:last] for first, last in ends)
+        return pickle.loads(told, buffers=arrays), len(told)  # noqa: S301  written by this run, as its mark says
 
 
 @dataclass(frozen=True)
@@ -241,6 +258,11 @@ class Leaving(Generic[Item]):
             files.remove(path)
             raise
         return path
+
+
+def _mapped(file: typing.BinaryIO) -> memoryview:
+    size = os.fstat(file.fileno()).st_size
+    return memoryview(mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) if size else b"")
 
 
 def _read(path: Path, read: Callable[[typing.BinaryIO], Result]) -> Result:
