@@ -35,7 +35,7 @@ class SurfaceDense(Stage):
     id = "surface.dense"
     display_name = "Match the surface"
     group = "Surface"
-    version = 14
+    version = 15
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}

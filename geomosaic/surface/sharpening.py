@@ -42,18 +42,18 @@ _STEP_CELLS: Annotated[
     float,
     Because(
         "cells",
-        "between the lowest and the highest around, from which on heights leap",
-        "computed of the same towns: with 2.5 no class is better by more than 0.3 %, and slopes of real land "
-        "take time",
+        "between the lowest and the highest around, from which on heights leap: less is slopes and noise",
+        "computed of four simulated towns: with 4, crowns off by more than 1 m are 1.5 % more in one of them, "
+        "and beside trees 90 to 97 % lie within a deviation, not 97 to 99",
     ),
-] = 4.0
+] = 2.5
 _MOVES_CELLS: Annotated[
     tuple[tuple[float, ...], ...],
     Because(
         "cells",
         "of height that are offered in each round of moving up or down, its own first: with more, time grows",
-        "computed of four more: crowns off by more than 1 m are 0.6 to 1.8 % more with one round "
-        "by two cells, and as many with a round by three instead",
+        "computed of four more: crowns off by more than 1 m are 0.6 to 1.8 % more with one round by two "
+        "cells, and as many with a round by three instead",
     ),
 ] = ((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0))
 _WINDOW: Annotated[
