@@ -43,8 +43,8 @@ _STEP_CELLS: Annotated[
     Because(
         "cells",
         "between the lowest and the highest around, from which on heights leap: less is slopes and noise",
-        "computed of four simulated towns: with 4, crowns off by more than 1 m are 1.5 % more in one of them, "
-        "and beside trees 90 to 97 % lie within a deviation, not 97 to 99",
+        "computed of four simulated towns: with 4, crowns off by more than 1 m are 1.5 % more in one of "
+        "them, and beside trees 90 to 97 % lie within a deviation, not 97 to 99",
     ),
 ] = 2.5
 _MOVES_CELLS: Annotated[
