@@ -100,10 +100,9 @@ def sharpened(
     squares = Squares(verticals, pictures, blocks, _RIM_CELLS)
     if not len(squares):
         return height_m
+    land_m = np.where(sure, height_m, np.minimum(lowest, height_m)).astype(np.float32)
+    hidden_m = hidden_from(verticals, blocks, land_m, cell_m)
     for k, moves in enumerate(((), *_MOVES_CELLS)):
-        if k < 2:  # later rounds move what stands by less than hides anything else
-            land_m = np.where(sure, height_m, np.minimum(lowest, height_m)).astype(np.float32)
-            hidden_m = hidden_from(verticals, blocks, land_m, cell_m)
         moved = height_m.copy()
         if k == 0:
             offers = np.stack([height_m, lowest, highest])
