@@ -17,6 +17,7 @@ from pyproj import CRS, Transformer
 from stac_schema import check_schema
 
 from geomosaic.cli.mosaic import STAGES, recipe_of
+from geomosaic.doors.raster import READ_CACHE_BYTES
 from geomosaic.errors import InputError
 from geomosaic.export.stac import coverage_of_mosaic, stac_item
 from geomosaic.export.surface import SurfaceOnMap
@@ -363,3 +364,23 @@ def test_memory_goes_by_the_block(scene):
     )
     with rasterio.open(scene["file"]) as mosaic:
         assert next(on_map.blocks(mosaic)).valid.shape == (64, 64)
+
+
+def test_gdal_keeps_few_blocks_while_rasters_are_written(scene, tmp_path, monkeypatch):
+    """By itself each of both GDALs keeps a twentieth of the machine's memory."""
+    seen, blocks = [], SurfaceOnMap.blocks
+
+    def watched(on_map, mosaic):
+        for block in blocks(on_map, mosaic):
+            seen.append((gdal.GetCacheMax(), rasterio.env.get_gdal_config("GDAL_CACHEMAX")))
+            yield block
+
+    monkeypatch.setattr(SurfaceOnMap, "blocks", watched)
+    before = gdal.GetCacheMax()
+    gdal.SetCacheMax(4 * READ_CACHE_BYTES)
+    try:
+        export(scene, tmp_path / "work")
+        assert gdal.GetCacheMax() == 4 * READ_CACHE_BYTES
+    finally:
+        gdal.SetCacheMax(before)
+    assert set(seen) == {(READ_CACHE_BYTES, READ_CACHE_BYTES)}

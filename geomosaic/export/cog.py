@@ -38,7 +38,7 @@ _MOST_BLOCKS = 256
 
 
 @contextmanager
-def _block_cache(most_bytes: int) -> Iterator[None]:
+def block_cache(most_bytes: int) -> Iterator[None]:
     """GDAL's cache of blocks held to a size; by itself it grows to a twentieth of the memory."""
     before = gdal.GetCacheMax()
     gdal.SetCacheMax(min(most_bytes, before))
@@ -69,7 +69,7 @@ def write_cog(
     `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
-    with callback.reraise(), gdal_failures(out), _block_cache(_CACHE_BYTES):
+    with callback.reraise(), gdal_failures(out), block_cache(_CACHE_BYTES):
         source = open_with_osgeo(raster, OWN)
         if (compression, overviews) == (COMPRESSION, OVERVIEWS_MADE) and _is_composed(source):
             del source

@@ -8,8 +8,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
-from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.export.cog import write_cog
+from rasterio import Env
+
+from geomosaic.doors.raster import OWN, READ_CACHE_BYTES, open_raster
+from geomosaic.export.cog import block_cache, write_cog
 from geomosaic.export.project_layers import CONTOURS
 from geomosaic.export.project_rasters import HILLSHADE
 from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writing_rasters
@@ -17,6 +19,7 @@ from geomosaic.export.surface_cloud import writing_cloud
 from geomosaic.export.surface_drawn import write_contours, write_hillshade
 from geomosaic.export.surface_heights import ELLIPSOIDAL, height_system, vertical_of, write_sidecar
 from geomosaic.mosaic.model import Mosaic
+from geomosaic.pipeline.freed import give_back
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.terrain import TerrainModel
@@ -71,6 +74,8 @@ class ExportSurface(Stage):
         with TemporaryDirectory(dir=context.work_folder) as scratch:
             plain = {name: Path(scratch) / file for name, file in FILES.items()}
             with ExitStack() as stack:
+                stack.enter_context(block_cache(READ_CACHE_BYTES))
+                stack.enter_context(Env(GDAL_CACHEMAX=READ_CACHE_BYTES))
                 mosaic = stack.enter_context(open_raster(context.path_of(inputs["mosaic_file"]), OWN))
                 writers = [stack.enter_context(writing_rasters(plain, grid, heights))]
                 if params.point_cloud:
@@ -87,6 +92,7 @@ class ExportSurface(Stage):
                 with context.writing(CONTOURS) as out:
                     write_contours(plain["terrain"], out, params.contours_m)
             for path in plain.values():
+                give_back()
                 with context.writing(path.name) as out:
                     write_cog(path, out, threads=params.threads)
         for file in SIDECARS:
