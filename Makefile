@@ -46,8 +46,8 @@ bench-paper: setup ## the paper's comparison of adjustment methods (about 10 min
 bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
 	$(PY) tools/bench_composition.py --out out/bench-composition
 
-bench-surface: setup ## the dense surface of three simulated towns against their truth, and of real flights (half an hour on two idle cores, reckoned from small towns)
-	$(PY) tools/bench_surface.py --roofs --rival --scale --out out/bench-surface
+bench-surface: setup ## the dense surface of three simulated towns against their truth, and of real flights (40 minutes on two idle cores, reckoned from its parts)
+	$(PY) tools/bench_surface.py --roofs --rival --scale --large --out out/bench-surface
 
 bench-accuracy: bench-monte-carlo bench-bundle ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
