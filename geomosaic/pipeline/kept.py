@@ -195,6 +195,7 @@ class Lent(Generic[Item, Result]):
 
     path: Path
     mark: str
+    head_bytes: int
 
     @classmethod
     def of(cls, function: Callable[[Item], Result], path: Path) -> Callable[[Item], Result]:
@@ -205,10 +206,12 @@ class Lent(Generic[Item, Result]):
         if sum(len(part) for part in parts) <= _LENT_BYTES:
             return function
         pieces: list[bytes | memoryview] = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(p)) for p in parts)]
+        ends = []
         for part in parts:
             pieces.extend((bytes(-sum(map(len, pieces)) % _ALIGNED_BYTES), part))
+            ends.append(sum(map(len, pieces)))
         files.write_bytes(path, *pieces)
-        return cls(path, fingerprint_of_bytes(*pieces))
+        return cls(path, fingerprint_of_bytes(*pieces), ends[0])
 
     def __call__(self, item: Item) -> Result:
         function: Callable[[Item], Result] = _memory.get(self.mark, self._read)
@@ -216,15 +219,18 @@ class Lent(Generic[Item, Result]):
 
     def _read(self) -> tuple[Any, int]:
         data = _read(self.path, _mapped)
-        if fingerprint_of_bytes(data) != self.mark:
+        head = bytes(
+            data[: self.head_bytes]
+        )  # what is unpickled is what was checked, whoever writes meanwhile
+        if fingerprint_of_bytes(head, data[self.head_bytes :]) != self.mark:
             raise FileError("isn't what the run wrote", file=self.path, mend="run again")
-        (count,) = _LENGTH.unpack_from(data)
+        (count,) = _LENGTH.unpack_from(head)
         ends, at = [], (1 + count) * _LENGTH.size
-        for (length,) in _LENGTH.iter_unpack(data[_LENGTH.size : at]):
+        for (length,) in _LENGTH.iter_unpack(head[_LENGTH.size : at]):
             at += -at % _ALIGNED_BYTES
             ends.append((at, at + length))
             at += length
-        told, *arrays = (data[first:last] for first, last in ends)
+        told, arrays = head[ends[0][0] :], [data[first:last] for first, last in ends[1:]]
         return pickle.loads(told, buffers=arrays), len(told)  # noqa: S301  written by this run, as its mark says
 
 

@@ -47,7 +47,7 @@ _EVENED_CELLS: Annotated[
         CHOSEN,
     ),
 ] = 5
-RIM_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
+AROUND_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
 """About some cells, from where their heights come."""
 
 

@@ -13,8 +13,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.fused import RIM_CELLS, Part
-from geomosaic.surface.held import RIM_CELLS as RIM
-from geomosaic.surface.held import lower_side
+from geomosaic.surface.held import AROUND_CELLS, lower_side
 from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.tile import Heights, unseen
 
@@ -94,8 +93,11 @@ def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]
 
 def _lowered(over_m: Floats32, sd_m: Floats32, tile: Tile) -> None:
     """Puts a tile's held cells on the lower side of what lies around."""
-    first = max(tile.row - RIM, 0), max(tile.col - RIM, 0)
-    wide = slice(first[0], tile.row + tile.rows + RIM), slice(first[1], tile.col + tile.cols + RIM)
+    first = max(tile.row - AROUND_CELLS, 0), max(tile.col - AROUND_CELLS, 0)
+    wide = (
+        slice(first[0], tile.row + tile.rows + AROUND_CELLS),
+        slice(first[1], tile.col + tile.cols + AROUND_CELLS),
+    )
     own = Tile(tile.row - first[0], tile.col - first[1], tile.rows, tile.cols).at
     known = np.isfinite(sd_m[wide])
     if not known[own].all():

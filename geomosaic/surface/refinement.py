@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.squares import Squares
+from geomosaic.surface.squares import Squares, by_first
 from geomosaic.surface.verticals import Verticals
 from geomosaic.surface.visibility import Asked
 
@@ -142,28 +142,16 @@ def _mean_of(correlations: Floats32, which: NDArray[np.bool_]) -> Floats32:
 def _correlations(squares: Squares, height_m: Floats32, hidden_below_m: Mapping[int, Floats32]) -> Floats32:
     """At heights (n, heights, rows, cols) of each frame with the first one that sees a point, (frames, n,
     heights, rows, cols); -inf where one of both doesn't see it, and for the first one itself."""
-    shown = squares.shown(height_m, hidden_below_m)
-    (first, sees), others = shown[0], shown[1:]
-    of_first = None
-    if sees is not None:
-        first, of_first, lacking = first.copy(), np.zeros(first.shape, dtype=np.uint8), ~sees
-        for k, (grey, sees) in enumerate(others, 1):
-            own = lacking if sees is None else lacking & sees
-            np.copyto(first, grey, where=own)
-            of_first[own] = k
-            lacking = lacking & ~own
-        others = shown
+    first, others = by_first(squares.shown(height_m, hidden_below_m))
     picture = first.astype(np.float32)
     mean, spread = _mean_and_spread(picture)
     found = []
-    for k, (grey, sees) in enumerate(others):
+    for grey, sees in others:
         own_picture = grey.astype(np.float32)
         own_mean, own_spread = _mean_and_spread(own_picture)
         alike = (_mean(picture * own_picture) - mean * own_mean) / np.sqrt(spread * own_spread)
         if sees is not None:
             alike[~sees] = -np.inf
-        if of_first is not None:
-            alike[of_first == k] = -np.inf
         found.append(alike)
     return np.stack(found)
 

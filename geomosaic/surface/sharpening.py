@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.surface.squares import Mask, Squares, dense
+from geomosaic.surface.squares import Mask, Shown, Squares, by_first, dense
 from geomosaic.surface.verticals import Verticals
 from geomosaic.surface.visibility import Asked, hidden_from
 
@@ -134,18 +134,13 @@ def _differing(
     return np.asarray(found, dtype=np.float32).reshape(offered_m.shape)
 
 
-def _two_most_alike(shown: Sequence[tuple[Bytes, Mask | None]]) -> Bytes:
+def _two_most_alike(shown: Sequence[Shown]) -> Bytes:
     """The sum of the two least differences with the first frame that sees a place."""
-    (first, sees), *others = shown
-    if sees is not None:
-        first, lacking = first.copy(), ~sees
-        for k, (grey, sees) in enumerate(others):
-            own = lacking if sees is None else lacking & sees
-            np.copyto(first, grey, where=own)
-            others[k] = grey, ~own if sees is None else sees & ~own
-            lacking = lacking & ~own
+    first, others = by_first(shown)
     least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
     for grey, sees in others:
+        if sees is not None and not sees.any():
+            continue
         apart = cv2.absdiff(_flat(first), _flat(_as_bright(grey, first, sees)))
         apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW)).reshape(first.shape)
         if sees is not None:

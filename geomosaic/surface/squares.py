@@ -17,6 +17,7 @@ from geomosaic.surface.visibility import Asked
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Shown = tuple[Bytes, Mask | None]
 _AT_ONCE: Annotated[
     int,
     Because(
@@ -99,9 +100,7 @@ class Squares:
                     found[rank, :, :, k] = self._verticals.terms(frame)[..., *at]
         return found
 
-    def shown(
-        self, height_m: Floats32, hidden_below_m: Mapping[int, Floats32], by: int = 1
-    ) -> list[tuple[Bytes, Mask | None]]:
+    def shown(self, height_m: Floats32, hidden_below_m: Mapping[int, Floats32], by: int = 1) -> list[Shown]:
         """What each asked frame shows at heights over the base (n, heights, rows, cols), by times as dense
         each way as the cells: grey levels, and where it sees the point; None where it sees all of them.
 
@@ -142,6 +141,22 @@ class Squares:
         if by > 1:
             low = low.repeat(by, axis=1).repeat(by, axis=2)
         return np.asarray(height_m[of] >= low[:, None])
+
+
+def by_first(shown: Sequence[Shown]) -> tuple[Bytes, list[Shown]]:
+    """What the first frame that sees a place shows there; and what each shows, and where it sees a place and
+    is not the first itself. One that is the first everywhere is left out."""
+    (first, sees), *others = shown
+    if sees is None:
+        return first, others
+    first, lacking = first.copy(), ~sees
+    found: list[Shown] = [(first, np.zeros_like(sees))]
+    for grey, sees in others:
+        own = lacking if sees is None else lacking & sees
+        np.copyto(first, grey, where=own)
+        found.append((grey, ~own if sees is None else sees & ~own))
+        lacking = lacking & ~own
+    return first, found
 
 
 def dense(values: NDArray[Any], by: int, interpolation: int) -> NDArray[Any]:
