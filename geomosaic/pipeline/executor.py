@@ -35,7 +35,8 @@ from geomosaic.pipeline.freed import give_back
 ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """How many threads numpy and scipy start, read when they are first imported."""
 
-_THREAD_LIMITS = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM")
+_WORKERS_ENVIRONMENT = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM", "PYTHONSAFEPATH")
+"""What is 1 for processes that are started: threads, and that no module is taken from the current folder."""
 
 _REST_S: Annotated[
     float,
@@ -166,8 +167,9 @@ def prepare_workers(modules: Iterable[str]) -> None:
     this one goes on, and they have it from there, in the same memory. Later calls do nothing."""
     if _FORKS:
         multiprocessing.get_context("forkserver").set_forkserver_preload([_FIRST, *modules])
-        resource_tracker.ensure_running()  # its start lets interrupts through again
-        with _without_interrupts(), _one_thread_each():
+        with _safe_and_single():
+            resource_tracker.ensure_running()  # its start lets interrupts through again
+        with _without_interrupts(), _safe_and_single():
             forkserver.ensure_running()
 
 
@@ -201,10 +203,11 @@ class _Processes(SpawnContext):
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """A process started in here has one thread, whatever it imports before its first task."""
-    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+def _safe_and_single() -> Iterator[None]:
+    """A process started in here has one thread, whatever it imports before its first task, and imports
+    nothing from the current folder, where strangers' files may lie."""
+    before = {name: os.environ.get(name) for name in _WORKERS_ENVIRONMENT}
+    os.environ.update(dict.fromkeys(_WORKERS_ENVIRONMENT, "1"))
     try:
         yield
     finally:
@@ -310,9 +313,10 @@ class Workers:
     def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         """A future of what `result` understands."""
         if self._pool is None and self._dask is None and self.workers > 1:
-            resource_tracker.ensure_running()  # its start lets interrupts through again
+            with self._submitting, _safe_and_single():
+                resource_tracker.ensure_running()  # its start lets interrupts through again
         try:
-            with self._submitting, _without_interrupts(), _one_thread_each():
+            with self._submitting, _without_interrupts(), _safe_and_single():
                 return self._executor().submit(_guarded, __version__, function, item)
         except BrokenProcessPool as error:
             raise _died() from error
