@@ -303,6 +303,7 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
     assert (one.lon_deg, one.lat_deg) == pytest.approx((9.1238617, 48.7654321), abs=1e-9)
     assert one.images == (("DJI_0001.JPG", 60.5, 40.25), ("DJI_0002.JPG", 20.5, 41.0))
     assert (two.images, one.sd_horizontal_m, one.sd_vertical_m) == ((), 0.03, 0.05)
+    assert one.sd_assumed and two.sd_assumed
     assert [w.code for w in warnings] == ["height-datum-assumed", "control-image-missing"]
     table = tmp_path / "points.csv"
     table.write_text(
@@ -311,6 +312,7 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
     )
     points, warnings = read_control(table, frames)
     assert [(p.name, p.check, p.sd_vertical_m) for p in points] == [("P1", True, 0.01), ("P2", False, 0.05)]
+    assert [p.sd_assumed for p in points] == [False, True]
     assert warnings == []
     for text, message in (
         ("point,lat,lon\nP1,48,9\n", "line 2: point 'P1' has no height"),

@@ -132,12 +132,10 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
     warnings += [_unsteady(path, merged)] if any(any(spread) for _, spread in merged.values()) else []
     seen, strangers = _measurements(table, names, frames)
+    stated = [table.numbers("sd_horizontal"), table.numbers("sd_vertical")]
     sd = [
         np.where(values > 0.0, values, usual)
-        for values, usual in (
-            (table.numbers("sd_horizontal"), CONTROL.sd_horizontal_m),
-            (table.numbers("sd_vertical"), CONTROL.sd_vertical_m),
-        )
+        for values, usual in zip(stated, (CONTROL.sd_horizontal_m, CONTROL.sd_vertical_m), strict=True)
     ]
     kinds = table.texts("kind")
     points = tuple(
@@ -153,6 +151,7 @@ def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ..
             check=_is_check(kinds[of[name][0]], name, table.lines[of[name][0]], path),
             images=tuple(seen.get(name, ())),
             plan_only=plan_only,
+            sd_assumed=not any(values[of[name][0]] > 0.0 for values in stated),
         )
         for name, (place, spread) in merged.items()
     )

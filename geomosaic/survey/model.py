@@ -112,7 +112,7 @@ class ElevationModel:
 @dataclass(frozen=True)
 class ControlPoint:
     """A point known on the ground. `check` points are never used in a solve. plan_only: its height is not
-    known, and 0 stands for it."""
+    known, and 0 stands for it. sd_assumed: nothing states how precise it is, its deviations are defaults."""
 
     name: str
     lon_deg: float
@@ -124,6 +124,7 @@ class ControlPoint:
     images: tuple[tuple[str, float, float], ...]
     """(frame name, col_px, row_px) of each image it was measured in."""
     plan_only: bool = False
+    sd_assumed: bool = False
 
 
 @dataclass(frozen=True)
