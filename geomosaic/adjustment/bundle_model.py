@@ -19,6 +19,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import pseudo_inverse
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -224,7 +225,7 @@ def _turn_and_scale(away: Floats, move: Floats) -> tuple[Floats, float]:
     weight = 1.0 / np.maximum(square + np.median(square), 1e-300)
     weighted = away * weight[:, None]
     inertia = float(weight @ square) * np.eye(3) - weighted.T @ away
-    turn = np.linalg.pinv(inertia, hermitian=True) @ np.cross(weighted, move).sum(axis=0)
+    turn = pseudo_inverse(inertia, symmetric=True) @ np.cross(weighted, move).sum(axis=0)
     return turn, float((weighted * move).sum()) / max(float(weight @ square), 1e-300)
 
 

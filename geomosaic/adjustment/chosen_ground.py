@@ -12,6 +12,7 @@ from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.estimation.linear import least_squares
 from geomosaic.placement.reach import heights_above_ground_m
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
@@ -200,4 +201,4 @@ def _bend(points: Floats, relief: Floats) -> Floats:
     extent_m = max(float(np.ptp(points[:, :2], axis=0).max()), 1.0)
     e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / extent_m).T
     terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
-    return np.asarray(terms @ np.linalg.lstsq(terms, relief, rcond=None)[0])
+    return np.asarray(terms @ least_squares(terms, relief))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_model import GROUPS, Factors, Priors
 from geomosaic.adjustment.variance import PRIOR_FACTORS, limits_while_read
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
 _TIMES: Annotated[
@@ -41,7 +42,7 @@ def ahead(before: Factors, after: Factors, followed: Floats, priors: Priors) -> 
     change = _logs(after) - _logs(before)
     if not change.any():
         return after, 0.0
-    whole = np.linalg.lstsq(np.eye(len(change)) - followed, change, rcond=None)[0]
+    whole = least_squares(np.eye(len(change)) - followed, change)
     times = np.divide(whole, change, out=np.ones_like(change), where=change != 0.0)
     logs = _logs(before) + change * np.clip(times, *_TIMES)
     groups = {

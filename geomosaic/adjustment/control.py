@@ -16,6 +16,8 @@ from geomosaic.adjustment.tracks import Tracks
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import inverse, is_parallel, solve
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import ControlPoint, Survey, Warn
@@ -201,11 +203,14 @@ def _place(
         )
         if not np.isfinite(image).all():
             return None
-        inverse = np.linalg.inv(np.einsum("kai,kaj->ij", by_point, by_point) + level)
-        lever = inverse @ np.swapaxes(by_point, 1, 2)
+        try:
+            cofactors = inverse(np.einsum("kai,kaj->ij", by_point, by_point) + level)
+        except NotSolvableError:
+            return None
+        lever = cofactors @ np.swapaxes(by_point, 1, 2)
         if not single:
             at_m = at_m + np.einsum("kia,ka->i", lever, image_px - image)
-    return at_m, MEASURED_SD_PX**2 * inverse, -lever @ by_pose, -lever @ by_interior
+    return at_m, MEASURED_SD_PX**2 * cofactors, -lever @ by_pose, -lever @ by_interior
 
 
 def _nearest_to_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints, image_px: Floats) -> Floats:
@@ -217,6 +222,6 @@ def _nearest_to_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints, im
         across = np.eye(3) - np.outer(ray, ray)
         normal += across
         side += across @ poses[i].centre_at(cameras[i], px)
-    if np.linalg.cond(normal) > 1e12:
+    if is_parallel(normal, 1e12):
         return np.full(3, np.nan)
-    return np.asarray(np.linalg.solve(normal, side))
+    return solve(normal, side)

@@ -8,12 +8,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import cholesky
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -149,12 +149,10 @@ class Dissected:
             self._below.append(below)
 
     def _cholesky(self, matrix: Floats, front: _Front) -> Floats:
-        factor, broken = dpotrf(matrix, lower=1, clean=1)
-        good = np.diag(factor) > 0.0
-        if broken or not good.all():
-            first = broken - 1 if broken else int(good.argmin())
-            raise NotSolvableError(_UNDETERMINED, frames=(int(front.own[first // self._block]),))
-        return np.asarray(factor)
+        factor, broken_at = cholesky(matrix)
+        if broken_at >= 0:
+            raise NotSolvableError(_UNDETERMINED, frames=(int(front.own[broken_at // self._block]),))
+        return factor
 
     def _unknowns(self, frames: Ints) -> Ints:
         out: Ints = self._block * frames[:, None] + np.arange(self._block)

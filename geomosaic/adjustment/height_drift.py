@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import inverse, least_squares, orthonormal
 from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Warn
 
@@ -137,7 +138,7 @@ def _most_explaining(off_m: Floats, beside: tuple[int, ...]) -> int:
     the course behind it.
     """
     n = len(off_m)
-    q = np.linalg.qr(_shapes(beside, n).T)[0]
+    q = orthonormal(_shapes(beside, n).T)
     behind = np.arange(1, n - 2)  # two frames at least on either side
 
     def common(course: Floats) -> Floats:
@@ -155,7 +156,7 @@ def _most_explaining(off_m: Floats, beside: tuple[int, ...]) -> int:
 
 def _fit(shapes: Floats, off_m: Floats) -> tuple[Floats, Floats]:
     """By least squares: how much of each shape (k, n) there is, and its deviation."""
-    found, *_ = np.linalg.lstsq(shapes.T, off_m, rcond=None)
+    found = least_squares(shapes.T, off_m)
     left = float(((off_m - found @ shapes) ** 2).sum())
-    cofactors = np.diag(np.linalg.inv(shapes @ shapes.T))
+    cofactors = np.diag(inverse(shapes @ shapes.T))
     return np.asarray(found), np.asarray(np.sqrt(cofactors * left / (len(off_m) - 1 - len(found))))

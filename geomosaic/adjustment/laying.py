@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.robust import lie_weight
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -153,7 +154,7 @@ def _improved(
         rows = np.concatenate([design * np.tile(root, 2)[:, None], held])
         sides = np.concatenate([fixes.at.real * root, fixes.at.imag * root, [1.0 / sd[0], -off * heard]])
         size = np.linalg.norm(rows, axis=0) + 1e-12
-        x = np.linalg.lstsq(rows / size, sides, rcond=1e-12)[0] / size
+        x = least_squares(rows / size, sides, rcond=1e-12) / size
         whole, shift = complex(x[0], x[1]), complex(x[2], x[3])
     standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
     scale, turn = np.log(abs(whole / given)) / sd[0], np.angle(whole / given) / sd[1]

@@ -7,10 +7,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
-from scipy.sparse.linalg import splu
 
 from geomosaic.adjustment.misalignment import OffsetNet
 from geomosaic.constants import Because
+from geomosaic.estimation.linear import SparseFactors
 
 Floats = NDArray[np.float64]
 _HUBER: Annotated[
@@ -51,7 +51,7 @@ def least_squares(
     moves = np.zeros((net.n, 2))
     for _ in range(rounds):
         normal = (design.T @ diags(weight) @ design + diags(1.0 / prior_sd_m**2)).tocsc()
-        solver = splu(normal)
+        solver = SparseFactors(normal)
         moves = solver.solve(np.asarray(design.T @ (weight[:, None] * observed)))
         miss = np.linalg.norm(design @ moves - observed, axis=1) / pair_sd_m
         weight = np.minimum(1.0, _HUBER / np.maximum(miss, 1e-9)) / pair_sd_m**2

@@ -17,6 +17,7 @@ from geomosaic.adjustment.dissected import Dissected
 from geomosaic.adjustment.levers import Levers
 from geomosaic.adjustment.sightings import Group, Sightings
 from geomosaic.constants import Because
+from geomosaic.estimation.linear import inverse_roots, solve_scaled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -180,7 +181,7 @@ class Reduced:
         mounting (q,)."""
         y = self._factors.solve(np.column_stack([self.border, self.pose_side]))
         corner = self.shared - self.border.T @ y[:, :-1]
-        shared = _spd_solve(corner, (self.shared_side - self.border.T @ y[:, -1])[:, None])[:, 0]
+        shared = solve_scaled(corner, (self.shared_side - self.border.T @ y[:, -1])[:, None])[:, 0]
         pose = y[:, -1] - y[:, :-1] @ shared
         n = self.normals
         dp = pose.reshape(len(n.pose), -1)
@@ -212,7 +213,7 @@ class Reduced:
 
     def shared_covariance(self) -> Floats:
         """The second part of `covariance` alone."""
-        return _spd_solve(self.shared - self.border.T @ self._by_border, np.eye(len(self.shared)))
+        return solve_scaled(self.shared - self.border.T @ self._by_border, np.eye(len(self.shared)))
 
     @cached_property
     def _by_border(self) -> Floats:
@@ -231,7 +232,7 @@ class Reduced:
         through_poses = self.border.T @ self._by_border
         corner = self.shared - through_poses
         meet = corner[np.ix_(free, held)]
-        through_shared = meet.T @ _spd_solve(corner[np.ix_(free, free)], meet)
+        through_shared = meet.T @ solve_scaled(corner[np.ix_(free, free)], meet)
         shared = self.shared.copy()
         own = through_poses[np.ix_(held, held)] + through_shared
         shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
@@ -255,7 +256,7 @@ class Reduced:
         y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
         rest = by_shared - y.T @ by_pose
         corner = self.shared - self.border.T @ y
-        return np.asarray(by_pose.T @ alone + rest.T @ np.linalg.solve(corner, rest))
+        return np.asarray(by_pose.T @ alone + rest.T @ solve_scaled(corner, rest))
 
 
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
@@ -270,7 +271,7 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     across, less_beside = np.zeros((len(s.left), d, d)), np.zeros((f, d, c * k + 2))
     less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
     for group in s.groups:
-        root = _inverse_root(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
+        root = inverse_roots(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
         points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
         beside = root @ _beside_points(n, group.points)
         flat = beside.reshape(3 * len(beside), -1)
@@ -297,21 +298,6 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         points_inverse=points_inverse,
         normals=n,
     )
-
-
-def _inverse_root(points: Floats) -> Floats:
-    """L^-1 of points' blocks L L', (p, 3, 3)."""
-    v = np.ascontiguousarray(np.moveaxis(points, 0, -1))
-    out = np.zeros_like(v)
-    a = 1.0 / np.sqrt(v[0, 0])
-    p, q = v[1, 0] * a, v[2, 0] * a
-    b = 1.0 / np.sqrt(v[1, 1] - p * p)
-    r = (v[2, 1] - p * q) * b
-    c = 1.0 / np.sqrt(v[2, 2] - q * q - r * r)
-    out[0, 0], out[1, 1], out[2, 2] = a, b, c
-    out[1, 0], out[2, 1] = -p * a * b, -r * b * c
-    out[2, 0] = (p * r * b - q) * a * c
-    return np.ascontiguousarray(np.moveaxis(out, -1, 0))
 
 
 def _beside_points(n: Normals, points: slice) -> Floats:
@@ -356,9 +342,3 @@ def _damped(blocks: Floats, damping: float) -> Floats:
     i = np.arange(blocks.shape[-1])
     out[..., i, i] *= 1.0 + damping
     return out
-
-
-def _spd_solve(matrix: Floats, side: Floats) -> Floats:
-    """Scaled to a unit diagonal; side (s, r)."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))[:, None]
-    return np.asarray(scale * np.linalg.solve(matrix * scale * scale.T, scale * side))

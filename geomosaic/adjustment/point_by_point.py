@@ -23,6 +23,7 @@ from geomosaic.adjustment.robust import INFORMATION, cauchy_cost, student_bend, 
 from geomosaic.adjustment.terrain import terrain_rows
 from geomosaic.adjustment.tracks import Tracks, part_of
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import eigen_each
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -96,7 +97,7 @@ def settled_points(
     here, share = state.points[which], np.ones(len(which))
     cost, side, bend = own.at(here)
     for _ in range(_ROUNDS):
-        of, axes = np.linalg.eigh(bend)
+        of, axes = eigen_each(bend)
         of = np.abs(of)
         of = np.maximum(of, _LEAST_BEND * of.max(axis=1, keepdims=True))
         along = np.einsum("pji,pj->pi", axes, side)
@@ -141,8 +142,8 @@ class _Own:
         seen = observed(self._tracks, self._camera_of, self._priors, replace(self._state, points=points))
         image, _, _, by_point = project_by_levers(*seen)
         residual = self._tracks.image_px.T - image
-        length = np.hypot(*residual)
-        before = np.isfinite(length)
+        before = np.isfinite(residual).all(axis=0)
+        length = np.where(before, np.hypot(*residual), 0.0)
         standard = np.where(before, length / (self._sd_px * np.sqrt(self._shown)), BEHIND)
         weight = np.where(self._says, student_weight(standard) / self._sd_px**2 / INFORMATION, 0.0)
         residual, by_point = (np.where(before, a, 0.0) for a in (residual, by_point))

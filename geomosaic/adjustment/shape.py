@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.bundle_model import Bundle
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import orthonormal
 
 Floats = NDArray[np.float64]
 _POINTS: Annotated[
@@ -72,7 +73,7 @@ def shape_sd_m(bundle: Bundle, ties: int) -> float:
     similar = np.zeros((2 * len(chosen), 4))
     similar[0::2] = np.column_stack([np.ones(len(chosen)), np.zeros(len(chosen)), east, -north])
     similar[1::2] = np.column_stack([np.zeros(len(chosen)), np.ones(len(chosen)), north, east])
-    basis, _ = np.linalg.qr(similar)
+    basis = orthonormal(similar)
     left = float(np.trace(covariance) - np.trace(basis.T @ covariance @ basis))
     return float(np.sqrt(max(left, 0.0) / len(chosen)))
 

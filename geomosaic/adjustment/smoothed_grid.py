@@ -8,9 +8,9 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -78,9 +78,8 @@ class SmoothedGrid:
         met, of_points = self._products
         for below, of_pairs in of_points.items():
             band[below] += np.bincount(met[below], (weight * of_pairs).ravel(), n)
-        side = np.bincount(self._node.ravel(), (self._share * (weight * up)).ravel(), n)
-        factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-        return np.asarray(cho_solve_banded((factor, True), side, overwrite_b=True, check_finite=False))
+        side = np.bincount(self._node.ravel(), (self._share * (weight * up)).ravel(), n).astype(np.float64)
+        return solve_band(cholesky_of_band(band, lower=True, overwrite=True), side, lower=True)
 
     def at_points(self, nodes: Floats) -> Floats:
         """Heights at the points, (p,)."""

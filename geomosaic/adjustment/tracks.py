@@ -14,6 +14,7 @@ from geomosaic.adjustment.sightings import Sightings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import join
 
@@ -127,4 +128,4 @@ def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], nea
         across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
         normal[seen] += across
         side[seen] += (across @ poses[i].centre_at(cameras[i], image_px)[:, :, None])[:, :, 0]
-    return np.asarray(np.linalg.solve(normal, side[:, :, None])[:, :, 0])
+    return solve_each(normal, side[:, :, None])[:, :, 0]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.smoothed_grid import SmoothedGrid
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
@@ -98,7 +99,7 @@ def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floa
 
     def by(weight: Floats) -> Floats:
         weighed = design * weight
-        return np.asarray(np.linalg.pinv(weighed @ design.T, hermitian=True) @ (weighed @ up))
+        return np.asarray(pseudo_inverse(weighed @ design.T, symmetric=True) @ (weighed @ up))
 
     found, above = by(np.ones(len(up))), np.zeros(len(up), dtype=bool)
     for k in range(30):

@@ -11,6 +11,7 @@ from geomosaic.adjustment.bundle_equations import pose_sd, present_miss
 from geomosaic.adjustment.bundle_model import GROUPS, Factors, Priors, State
 from geomosaic.adjustment.robust import lie_weight
 from geomosaic.constants import MEDIAN_LENGTH, Because
+from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -84,7 +85,7 @@ def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
         )
         rows = (design * weight[:, :, None]).reshape(2 * k, 4)
         scale = np.linalg.norm(rows, axis=0) + 1e-12
-        solved = np.linalg.lstsq(rows / scale, (miss_m * weight).ravel(), rcond=1e-10)[0] / scale
+        solved = least_squares(rows / scale, (miss_m * weight).ravel(), rcond=1e-10) / scale
         found = design @ solved
     return np.asarray(found)
 
@@ -103,7 +104,7 @@ def _common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) ->
         weight = np.sqrt(lie_weight(length / max(float(np.median(length)) / MEDIAN_ONE, 1e-9))) / sd_m
         rows = design * weight[:, None]
         scale = np.linalg.norm(rows, axis=0) + 1e-12
-        plane = np.linalg.lstsq(rows / scale, miss_m * weight, rcond=1e-3)[0] / scale
+        plane = least_squares(rows / scale, miss_m * weight, rcond=1e-3) / scale
         found = design @ plane
     squares = [float((((miss_m - its) * weight) ** 2).sum()) for its in (level, found)]
     evidence = 0.5 * len(at_m) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) - np.log(len(at_m))

@@ -31,6 +31,8 @@ from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px, observed_of, own_miss, parts_of
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import inverse
 from geomosaic.placement.prior import position_assumed
 
 Floats = NDArray[np.float64]
@@ -343,7 +345,8 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
     Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
     is not what it seems: beyond _INFORMATIVE a frame, more of them show nothing new. A number counts as
     determined if with image errors _ERRORS_ALIKE times as large its deviation would still be below
-    _DETERMINED of what it was before images and POS spoke.
+    _DETERMINED of what it was before images and POS spoke. All of them count as not determined where their
+    covariance is singular.
     """
     sd = np.concatenate([priors.interior_sd.ravel(), priors.mounting.sd])
     many = max(1.0, float(np.sqrt(len(tracks.frame) / (_INFORMATIVE * len(priors.poses)))))
@@ -353,10 +356,13 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
     shared = np.delete(shared, priors.interior_sd.size, axis=1)
     free = np.flatnonzero(sd[: len(shared)] > 0.0)
     covariance = shared[np.ix_(free, free)] / np.outer(sd[free], sd[free])
-    shown = np.linalg.inv(covariance) - np.eye(len(free))
+    try:
+        shown = inverse(covariance) - np.eye(len(free))
+    except NotSolvableError:
+        return sd > 0.0
     out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
     while left.size:
-        share = np.sqrt(np.diag(np.linalg.inv(shown[np.ix_(left, left)] + np.eye(left.size))))
+        share = np.sqrt(np.diag(inverse(shown[np.ix_(left, left)] + np.eye(left.size))))
         worst = int(share.argmax())
         if share[worst] < _DETERMINED:
             break

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, solve_triangular
-from scipy.linalg.lapack import dpbtrf
+from scipy.linalg import solve_triangular
 
 from geomosaic.ccd.model import Floats
-from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 
 class Banded:
@@ -31,14 +30,11 @@ class Banded:
             columns[:, along, d] = diagonal[:, along + d, along]
         for distance, band in enumerate(beside, 1):
             columns[: n - distance, :, self._size * distance] = band
-        factor, broken = dpbtrf(columns.reshape(n * self._size, -1).T, lower=1, overwrite_ab=1)
-        if broken:
-            raise NotSolvableError("what is known of the strips does not determine their curves")
-        self._factor = factor
+        self._factor = cholesky_of_band(columns.reshape(n * self._size, -1).T, lower=True, overwrite=True)
 
     def solve(self, side: Floats) -> Floats:
         """Solutions (n b, r) for right sides (n b, r)."""
-        return np.asarray(cho_solve_banded((self._factor, True), side, check_finite=False))
+        return solve_band(self._factor, side, lower=True)
 
     def inverse_blocks(self) -> Floats:
         """The inverse's diagonal blocks (n, b, b), by the recursion of Takahashi et al. (1973)."""

@@ -19,6 +19,7 @@ from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import solve_each
 
 _STEP: Annotated[
     float,
@@ -214,7 +215,7 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     right = np.moveaxis(sums[:2, 2], 0, 2)
     enough = facts >= 0.5 * facts.max(initial=1.0)
     ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12)
-    shift = np.linalg.solve(normal + ridge[..., None, None] * np.eye(2) + 1e-9 * np.eye(2), right[..., None])[
+    shift = solve_each(normal + ridge[..., None, None] * np.eye(2) + 1e-9 * np.eye(2), right[..., None])[
         ..., 0
     ]
     shift = np.clip(shift, -1.0, 1.0)
@@ -239,7 +240,7 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     known = np.trace(total, axis1=1, axis2=2) > 0.0
     mean = np.zeros((knots, 2))
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
-    mean[known] = np.linalg.solve(safe, pull[known][..., None])[..., 0]
+    mean[known] = solve_each(safe, pull[known][..., None])[..., 0]
     centre = at.reshape(2, knots, lines).mean(axis=2).T
     return Cells(scale * (centre + mean), total / scale**2, _definite(close) / scale**2, good)
 

@@ -19,6 +19,7 @@ from geomosaic.ccd.banded import Banded
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import inverse, solve
 
 _OWN_PX: Annotated[
     float,
@@ -219,7 +220,7 @@ def smooth_with_shift(
     moved = offset_px - level_px[:, None]
     solved = factor.solve(np.concatenate([right.reshape(-1, 1), columns], axis=1))
     least = 1e-9 * np.eye(2)
-    covariance = np.linalg.inv(mine.sum(axis=(0, 1)) - columns.T @ solved[:, 1:] + least)
+    covariance = inverse(mine.sum(axis=(0, 1)) - columns.T @ solved[:, 1:] + least)
     shift = covariance @ (np.einsum("knij,knj->i", mine, moved) - columns.T @ solved[:, 0])
     return _curves(solved[:, 0] - solved[:, 1:] @ shift, level_px, None), shift, covariance
 
@@ -307,7 +308,7 @@ def _fitted(
     if len(y) < 15 * order:
         return None
     normal = a.T @ a + len(y) * 0.1 * least_px**2 * np.eye(order)
-    weights = _stable(np.asarray(np.linalg.solve(normal, a.T @ y)))
+    weights = _stable(np.asarray(solve(normal, a.T @ y)))
     return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 

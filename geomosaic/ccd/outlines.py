@@ -15,6 +15,7 @@ from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.scene_rpc import SceneRpc
 from geomosaic.ccd.virtual_layout import ideal_camera
 from geomosaic.constants import Because
+from geomosaic.estimation.linear import solve_each
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strips import StripGeometry
 
@@ -113,7 +114,7 @@ def lonlat_by_rpc(rpc: Rpc, image: Floats) -> Floats:
     for _ in range(_RPC_ROUNDS):
         here = rpc.image_from_ground(at)
         by = [(rpc.image_from_ground(at + _STEP_DEG * unit) - here) / _STEP_DEG for unit in np.eye(3)[:2]]
-        at[:, :2] += np.linalg.solve(np.stack(by, axis=-1), (image - here)[..., None])[..., 0]
+        at[:, :2] += solve_each(np.stack(by, axis=-1), (image - here)[..., None])[..., 0]
     return at[:, :2]
 
 

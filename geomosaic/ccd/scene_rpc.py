@@ -16,6 +16,7 @@ from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.virtual_layout import ideal_camera
 from geomosaic.constants import Because
 from geomosaic.errors import InputError
+from geomosaic.estimation.linear import least_squares
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strips import StripGeometry
@@ -137,7 +138,7 @@ def _cubic(at: Floats, value: Floats) -> Callable[[Floats], Floats]:
         x, y = ((places - middle) / half).T
         return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
 
-    found = np.linalg.lstsq(terms(at), value, rcond=None)[0]
+    found = least_squares(terms(at), value)
     return lambda places: np.asarray(terms(places) @ found)
 
 

@@ -15,6 +15,7 @@ from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
+from geomosaic.estimation.linear import least_squares
 from geomosaic.survey.strips import StripGeometry
 
 _COMPUTED: Final = (
@@ -107,9 +108,7 @@ def ideal_camera(geometry: StripGeometry, model: Pushbroom) -> Pushbroom:
     g, last = geometry, max(geometry.lines)
     lines = np.linspace(0.0, last, _FIT_POINTS)
     share = lines / last - 0.5
-    level, slope = np.linalg.lstsq(
-        np.stack([np.ones_like(share), share], axis=1), model.attitude_rad(lines), rcond=None
-    )[0]
+    level, slope = least_squares(np.stack([np.ones_like(share), share], axis=1), model.attitude_rad(lines))
     spare = g.row_separation_lines + _SPARE_LINES
     at = np.linspace(-spare, last + spare, 4)
     attitude = level + (at / last - 0.5)[:, None] * slope
@@ -133,7 +132,7 @@ def _even_looks(g: StripGeometry, model: Pushbroom, line: float) -> tuple[Floats
         rows.append(np.full(2, 1.0 if ccd.row == 1 else -1.0))
     col = np.concatenate(places)
     design = np.stack([np.ones_like(col), col, np.concatenate(rows)], axis=1)
-    (forward, right) = np.linalg.lstsq(design, np.concatenate(looks), rcond=None)[0].T
+    (forward, right) = least_squares(design, np.concatenate(looks)).T
     return np.array([[forward[0], forward[1], 0.0]]), np.array([[right[0], right[1], 0.0]])
 
 

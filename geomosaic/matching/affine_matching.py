@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import inverse_each
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -212,7 +213,7 @@ def _derivatives(windows: Floats32) -> tuple[Floats32, Floats32, Floats32]:
     normal = (weighted @ out.transpose(0, 2, 1)).astype(np.float64)
     held = np.array([0.0, 0.0, *[(_NOISE / (_STRETCH_SD * _HALF_PX)) ** 2] * 4, 0.0]) + 1e-6
     normal[:, range(7), range(7)] += held
-    return out, weighted, np.linalg.inv(normal).astype(np.float32)
+    return out, weighted, inverse_each(normal).astype(np.float32)
 
 
 def _smooth(image: Bytes) -> Floats32:

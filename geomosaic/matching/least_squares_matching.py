@@ -13,6 +13,7 @@ from scipy.fft import rfft2
 from scipy.ndimage import spline_filter
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import eigen_each, pseudo_inverse
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -167,7 +168,7 @@ def _refine_some(
     design[:, 2] -= mean[:, None]
     weighted = design * weight[:, None]
     normal = np.einsum("nik,njk->nij", weighted, design, optimize=True).astype(np.float64)
-    inverse = np.linalg.pinv(normal, hermitian=True)
+    inverse = pseudo_inverse(normal, symmetric=True)
     shift = shifts.astype(np.float64)
     converged = np.zeros(len(corners), dtype=bool)
     active = enough & (normal[:, 2, 2] > 1e-3 * np.maximum(count, 1.0))
@@ -211,7 +212,7 @@ def _judged(
     middle = np.einsum("nirc,njrc,nrc->nij", spectrum, spectrum.conj(), power, optimize=True).real
     middle /= (patch_px**2 * (count - 4.0))[:, None, None]
     covariance = inverse[:, :2, :2] @ middle @ inverse[:, :2, :2]
-    worst = np.linalg.eigvalsh(covariance)[:, 1]
+    worst = eigen_each(covariance)[0][:, 1]
     sd = np.sqrt(np.maximum(worst, 0.0)) / np.maximum(np.abs(answer[:, 2]), 1e-6)
     about = warped - ((warped * weight).sum(axis=1) / count)[:, None]
     spread = np.sqrt(

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
-from scipy.sparse.linalg import spsolve
 
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.estimation.linear import SparseFactors
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -180,4 +180,4 @@ def _least_squares(n: int, joints: Joints, off: Floats, weight: Floats) -> Float
          (np.concatenate([rows, rows]), np.concatenate([joints.right, joints.left]))), shape=(len(off), n)
     ).tocsc()  # fmt: skip
     normal = difference.T @ diags(weight) @ difference + diags(np.full(n, _WEAK * float(weight.max())))
-    return np.asarray(spsolve(normal.tocsc(), difference.T @ (weight * off)))
+    return SparseFactors(normal).solve(difference.T @ (weight * off))

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 Floats = NDArray[np.float64]
 _STIFFNESS: Annotated[
@@ -51,14 +51,15 @@ class _Course:
     def likelihood(self, stiffness: float) -> tuple[float, float]:
         """What minus twice the logarithm of the restricted likelihood is made of: the sum of squares in units
         of the curve's variance, and the logarithm of the determinant, times the axes."""
-        factor = cholesky_banded(self.curved + stiffness * self.noisy)
-        squares = float((self.bends * cho_solve_banded((factor, False), self.bends)).sum())
+        factor = cholesky_of_band(self.curved + stiffness * self.noisy, lower=False)
+        squares = float((self.bends * solve_band(factor, self.bends, lower=False)).sum())
         return squares, 2.0 * float(np.log(factor[2]).sum()) * self.values.shape[1]
 
     def slopes(self, stiffness: float) -> Floats:
         """(n, a) at the times, by section 2.4.1."""
         h = np.diff(self.times)[:, None]
-        bent = np.pad(solveh_banded(self.curved + stiffness * self.noisy, self.bends), ((1, 1), (0, 0)))
+        factor = cholesky_of_band(self.curved + stiffness * self.noisy, lower=False)
+        bent = np.pad(solve_band(factor, self.bends, lower=False), ((1, 1), (0, 0)))
         fitted = self.values - stiffness * np.diff(np.diff(bent, axis=0) / h, axis=0, prepend=0.0, append=0.0)
         rise = np.diff(fitted, axis=0) / h
         first = rise - h / 6.0 * (2.0 * bent[:-1] + bent[1:])

@@ -18,6 +18,7 @@ from geomosaic.camera.exterior import MOST_ROUNDS, Pose, row_moved_px
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface
@@ -289,7 +290,7 @@ def _nodes() -> tuple[Floats, Floats, Floats]:
     """u and v of the nodes where pyproj is asked, and the polynomial's terms (6, nodes) of values there."""
     u, v = np.meshgrid(np.linspace(-1.0, 1.0, _NODES), np.linspace(-1.0, 1.0, _NODES))
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
-    return u, v, np.linalg.pinv(terms.reshape(-1, 6))
+    return u, v, pseudo_inverse(terms.reshape(-1, 6))
 
 
 def _surface(c: Floats, u: Floats, v: Floats, dtype: type[Any] = np.float64) -> NDArray[Any]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import inverse
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 
@@ -106,7 +107,7 @@ class Verticals:
             points = ground[lacking] + np.array([0.0, 0.0, 1.0]) * heights[:, None, None]
             seen = frame.pose.image_from_ground(frame.camera, points)
             bent = heights / (1.0 - heights / float(self._away_m))
-            found[:, lacking] = np.tensordot(np.linalg.inv(np.vander(bent, 3, increasing=True)), seen, axes=1)
+            found[:, lacking] = np.tensordot(inverse(np.vander(bent, 3, increasing=True)), seen, axes=1)
         return _gone_on(found)
 
     def terms(self, frame: int) -> Floats32:

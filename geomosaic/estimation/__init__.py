@@ -1,0 +1,1 @@
+"""Mathematics that every room shares: linear systems, without photogrammetry."""

@@ -1,0 +1,191 @@
+"""Linear systems: every inverse, factorisation and eigen-decomposition of the geometry.
+
+Each function checks that its matrix is finite and well enough conditioned for double precision. One system
+that fails raises `NotSolvableError`; of many small systems (`*_each`) those that fail become NaN, so that the
+caller leaves them out and goes on with the others. No exception of a linear algebra library gets out.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dpotrf
+from scipy.sparse import spmatrix
+from scipy.sparse.linalg import splu
+
+from geomosaic.errors import NotSolvableError
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+_PRECISION: Final = float(np.finfo(np.float64).eps)
+_SINGULAR: Final = "a system of equations is singular"
+_NOT_FINITE: Final = "a system of equations holds values that are not finite"
+
+
+def solve(matrix: Floats, side: Floats) -> Floats:
+    """Solution (n, r) or (n,) of one system (n, n).
+
+    Raises: `NotSolvableError` where it is not finite, or singular to double precision (the reciprocal
+    condition number in the 1-norm is below 2.2e-16; LAPACK's dgecon).
+    """
+    _check_finite(matrix, side)
+    if not len(matrix):
+        return side.copy()
+    factors, pivots, broken = dgetrf(matrix)
+    if broken or dgecon(factors, np.abs(matrix).sum(axis=0).max())[0] < _PRECISION:
+        raise NotSolvableError(_SINGULAR)
+    return np.asarray(dgetrs(factors, pivots, side)[0]).reshape(side.shape)
+
+
+def inverse(matrix: Floats) -> Floats:
+    """Inverse of one matrix (n, n). Raises: as `solve`."""
+    return solve(matrix, np.eye(len(matrix)))
+
+
+def solve_scaled(matrix: Floats, side: Floats) -> Floats:
+    """Solution (n, r) of a symmetric system whose unknowns differ in unit: scaled to a unit diagonal first.
+
+    Raises: as `solve`.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))[:, None]
+    return np.asarray(scale * solve(matrix * scale * scale.T, scale * side))
+
+
+def solve_each(matrices: Floats, sides: Floats) -> Floats:
+    """Solutions (..., n, r) of many small systems (..., n, n); NaN for the singular and those not finite."""
+    good: Bools = np.asarray(np.isfinite(matrices).all(axis=(-2, -1)) & np.isfinite(sides).all(axis=(-2, -1)))
+    out = np.full(np.broadcast_shapes(matrices.shape[:-2], sides.shape[:-2]) + sides.shape[-2:], np.nan)
+    try:
+        out[good] = np.linalg.solve(matrices[good], sides[good])
+    except np.linalg.LinAlgError:
+        good &= _regular(matrices, good)
+        out[good] = np.linalg.solve(matrices[good], sides[good])
+    return out
+
+
+def inverse_each(matrices: Floats) -> Floats:
+    """Inverses (..., n, n) of many small matrices; NaN for those that are not finite or singular."""
+    return solve_each(matrices, np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape))
+
+
+def _regular(matrices: Floats, finite: Bools) -> Bools:
+    """Which of many matrices (...) are finite and not singular to double precision."""
+    out = finite.copy()
+    out[finite] = np.linalg.cond(matrices[finite]) < 1.0 / _PRECISION
+    return out
+
+
+def eigen_each(matrices: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (..., n), rising, and eigenvectors (..., n, n) in columns, of many symmetric matrices;
+    NaN for those that are not finite."""
+    good = np.isfinite(matrices).all(axis=(-2, -1))
+    values = np.full(matrices.shape[:-1], np.nan)
+    vectors = np.full(matrices.shape, np.nan)
+    values[good], vectors[good] = np.linalg.eigh(matrices[good])
+    return values, vectors
+
+
+def least_squares(design: Floats, observed: Floats, rcond: float | None = None) -> Floats:
+    """Least-squares solution of the smallest norm, (n,) or (n, r), for a design (m, n) of any rank.
+
+    Args: rcond: singular values below this share of the largest count as zero.
+    Raises: `NotSolvableError` where a value is not finite.
+    """
+    _check_finite(design, observed)
+    return np.asarray(np.linalg.lstsq(design, observed, rcond=rcond)[0])
+
+
+def pseudo_inverse(matrix: Floats, *, symmetric: bool = False) -> Floats:
+    """Moore and Penrose's inverse (..., n, m) of matrices (..., m, n) of any rank; NaN where not finite."""
+    good = np.isfinite(matrix).all(axis=(-2, -1))
+    out = np.full((*matrix.shape[:-2], matrix.shape[-1], matrix.shape[-2]), np.nan)
+    out[good] = np.linalg.pinv(matrix[good], hermitian=symmetric)
+    return out
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """An orthonormal basis (m, n) of the columns (m, n), n <= m. Raises: as `least_squares`."""
+    _check_finite(columns)
+    return np.asarray(np.linalg.qr(columns)[0])
+
+
+def is_parallel(normal: Floats, most: float) -> bool:
+    """Whether a normal matrix (n, n) is not finite, or has a condition number above `most`."""
+    return not np.isfinite(normal).all() or float(np.linalg.cond(normal)) > most
+
+
+def cholesky(matrix: Floats) -> tuple[Floats, int]:
+    """Lower Cholesky factor of one symmetric matrix (n, n), and the number of the unknown at which it shows
+    that the matrix is not finite or not positive definite to double precision: -1 where it is."""
+    factor, broken = dpotrf(matrix, lower=1, clean=1)
+    pivots = np.diag(factor)
+    good = np.isfinite(pivots) & (pivots**2 > _PRECISION * np.diag(matrix))
+    return np.asarray(factor), broken - 1 if broken else -1 if good.all() else int(good.argmin())
+
+
+def inverse_roots(blocks: Floats) -> Floats:
+    """L^-1 (p, 3, 3) of symmetric positive definite blocks L L' (p, 3, 3).
+
+    Zero for a block that is not positive definite or not finite: its unknowns take no part.
+    """
+    v = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))
+    out = np.zeros_like(v)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        a = 1.0 / np.sqrt(v[0, 0])
+        p, q = v[1, 0] * a, v[2, 0] * a
+        b = 1.0 / np.sqrt(v[1, 1] - p * p)
+        r = (v[2, 1] - p * q) * b
+        c = 1.0 / np.sqrt(v[2, 2] - q * q - r * r)
+        out[0, 0], out[1, 1], out[2, 2] = a, b, c
+        out[1, 0], out[2, 1] = -p * a * b, -r * b * c
+        out[2, 0] = (p * r * b - q) * a * c
+    out[..., ~np.isfinite(out).all(axis=(0, 1))] = 0.0
+    return np.ascontiguousarray(np.moveaxis(out, -1, 0))
+
+
+def cholesky_of_band(band: Floats, *, lower: bool, overwrite: bool = False) -> Floats:
+    """Cholesky factor of a banded symmetric matrix, in LAPACK's band storage (reach + 1, n).
+
+    Raises: `NotSolvableError` where it is not finite or not positive definite.
+    """
+    _check_finite(band)
+    try:
+        factor = cholesky_banded(band, overwrite_ab=overwrite, lower=lower, check_finite=False)
+    except np.linalg.LinAlgError:
+        raise NotSolvableError(_SINGULAR) from None
+    return np.asarray(factor)
+
+
+def solve_band(factor: Floats, side: Floats, *, lower: bool) -> Floats:
+    """Solution (n, ...) by a factor of `cholesky_of_band`."""
+    return np.asarray(cho_solve_banded((factor, lower), side, check_finite=False))
+
+
+class SparseFactors:
+    """LU factors of one sparse matrix (n, n).
+
+    Raises: `NotSolvableError` where it is not finite or exactly singular.
+    """
+
+    def __init__(self, matrix: spmatrix) -> None:
+        columns = matrix.tocsc()
+        _check_finite(columns.data)
+        try:
+            self._factors = splu(columns)
+        except RuntimeError:  # SuperLU's word for a singular factor
+            raise NotSolvableError(_SINGULAR) from None
+
+    def solve(self, side: Floats) -> Floats:
+        """Solution (n,) or (n, r). Raises: `NotSolvableError` where it is not finite."""
+        found = np.asarray(self._factors.solve(side))
+        _check_finite(found)
+        return found
+
+
+def _check_finite(*arrays: Floats) -> None:
+    for array in arrays:
+        if not np.isfinite(array).all():
+            raise NotSolvableError(_NOT_FINITE)
