@@ -9,6 +9,7 @@ DATA ?= ../shared
 SEED ?= 1
 CASES ?= 10000
 TRIALS ?= 200
+DRAWS ?= 10000
 SEEDS ?= 100
 
 help: ## list the targets
@@ -95,6 +96,9 @@ check-qgis: setup ## open layers.gpkg and project.qgz in a real QGIS and draw it
 fuzz: setup ## 10,000 spoiled files of every kind through the commands (about 2 hours); CASES=n SEED=n
 	$(PY) tools/fuzz.py --cases $(CASES) --seed $(SEED) --out out/fuzz
 
+trial-degenerate: setup ## 10,000 degenerate blocks: each has to end finite, without an exception (about 40 minutes); DRAWS=n SEED=n
+	$(PY) tools/trial_degenerate.py --draws $(DRAWS) --seed $(SEED) --workers $(WORKERS) --out out/trial-degenerate
+
 chaos: setup ## 200 runs killed, stopped, starved and their inputs changed (about 40 minutes); TRIALS=n SEED=n
 	$(PY) tools/chaos.py --trials $(TRIALS) --seed $(SEED) --out out/chaos
 
@@ -108,4 +112,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis fuzz chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis fuzz trial-degenerate chaos docs format clean

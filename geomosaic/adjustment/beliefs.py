@@ -27,7 +27,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
-from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.placement.reach import flying_heights_m
 
 Floats = NDArray[np.float64]
 
@@ -158,7 +158,7 @@ def priors_of(
     deviation: next to nothing beside its ties, but it holds a block that nothing else holds.
     """
     assumed = position_assumed(block.poses)
-    begun_sd_m = _BEGUN_SD_SHARE * heights_above_ground_m(block.poses, block.ground)
+    begun_sd_m = _BEGUN_SD_SHARE * flying_heights_m(block.poses, block.ground)
     sd_m = np.where(assumed[:, None], begun_sd_m[:, None], block.poses.positions_sd_m)
     return Priors(
         poses=replace(block.poses, positions_sd_m=sd_m),

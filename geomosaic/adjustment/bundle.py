@@ -14,10 +14,13 @@ from geomosaic.adjustment.bundle_equations import (
     has_say,
     image_sd_px,
     lengths_px,
+    longest_side_px,
     normals_of,
+    pose_sd,
     seen_px,
     share_shown,
     shared_miss,
+    shared_sd,
     strayed_principal_points,
     trust_of,
 )
@@ -35,7 +38,7 @@ from geomosaic.adjustment.clearance import clearances_m
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.adjustment.normal import reduce_normals
+from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.robust import student_weight
 from geomosaic.adjustment.swing import with_drift, with_swing
 from geomosaic.adjustment.tracks import Tracks
@@ -225,11 +228,11 @@ def _components(priors: Priors) -> int:
 def _first_factors(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Factors:
     """Image coordinates count by their present median miss, all else as stated."""
     length = lengths_px(tracks, camera_of, priors, state)
-    control = priors.control[tracks.point]
+    control, most_px = priors.control[tracks.point], longest_side_px(priors)
     return Factors(
         while_read=(1.0,) * _components(priors),
-        image_px=max(Factors.image_px, median_px(length[~control])),
-        control_px=max(Factors.control_px, median_px(length[control])),
+        image_px=float(np.clip(median_px(length[~control]), Factors.image_px, most_px)),
+        control_px=float(np.clip(median_px(length[control]), Factors.control_px, most_px)),
     )
 
 
@@ -240,6 +243,16 @@ def _held_variance(priors: Priors, held: Bools, unknowns: int) -> Floats:
     return np.insert(np.where(held, sd, 0.0) ** 2, priors.interior_sd.size, 0.0)[:unknowns]
 
 
+def _points_sd_m(reduced: Reduced, priors: Priors) -> Floats:
+    """Deviations (p, 3) for poses and cameras without error; those before of points that took no part."""
+    return _deviations(np.diagonal(reduced.points_inverse, axis1=1, axis2=2), priors.points_sd_m)
+
+
+def _deviations(variance: Floats, before: Floats) -> Floats:
+    """Their roots; the deviations before the solve where rounding left none above zero."""
+    return np.asarray(np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), before))
+
+
 def _finish(
     tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, iterations: int
 ) -> Bundle:
@@ -248,7 +261,8 @@ def _finish(
         reduced = reduced.considering(_held_variance(priors, priors.held, len(reduced.shared)))
     covariance, shared = reduced.covariance()
     covariance = covariance[:, :6, :6]
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    sd = _deviations(variance, pose_sd(priors, factors))
     residual = tracks.image_px - seen_px(tracks, camera_of, priors, state)
     standardised = np.linalg.norm(residual, axis=1) / image_sd_px(tracks, priors, factors)
     standardised /= np.sqrt(share_shown(tracks, priors))
@@ -256,7 +270,7 @@ def _finish(
     solved = np.r_[0:cameras, cameras + 1 : len(shared)]
     full = np.eye(cameras + mounting) * KNOWN**2
     full[: len(solved), : len(solved)] = shared[np.ix_(solved, solved)]
-    spread = np.sqrt(np.diag(full))
+    spread = _deviations(np.diag(full), shared_sd(priors))
     poses = replace(
         priors.poses,
         positions_m=state.positions,
@@ -271,7 +285,7 @@ def _finish(
         poses=poses,
         cameras=tuple(with_interior(c, row) for c, row in zip(priors.cameras, state.interior, strict=True)),
         points_m=state.points,
-        points_sd_m=np.sqrt(np.diagonal(reduced.points_inverse, axis1=1, axis2=2)),
+        points_sd_m=_points_sd_m(reduced, priors),
         pose_covariance=covariance,
         interior_sd=spread[:cameras].reshape(state.interior.shape),
         mounting=state.mounting,

@@ -238,6 +238,11 @@ def _rolls(priors: Priors) -> bool:
     return bool(priors.interior_sd[:, READOUT].any()) or any(c.readout_s for c in priors.cameras)
 
 
+def longest_side_px(priors: Priors) -> float:
+    """Of all cameras' images: no image deviation is larger."""
+    return float(max(max(c.width_px, c.height_px) for c in priors.cameras))
+
+
 def lengths_px(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> Floats:
     """Lengths of the image residuals, (m,); NaN behind the camera."""
     away = tracks.image_px - seen_px(tracks, camera_of, priors, state)

@@ -191,10 +191,14 @@ def stepped(state: State, share: float, *step: Any) -> State:
     Steps were cut to a tenth and less, thirty in a row, by that.
     """
     pose, interior, point, level, mounting = (share * part for part in step)
-    frames, middle, shift = len(state.positions), state.points.mean(axis=0), point.mean(axis=0)
+    frames = len(state.positions)
+    if not len(point):
+        middle, shift = state.positions.mean(axis=0), pose[:, :3].mean(axis=0)
+    else:
+        middle, shift = state.points.mean(axis=0), point.mean(axis=0)
     away = np.concatenate([state.positions, state.points]) - middle
     move = np.concatenate([pose[:, :3], point]) - shift
-    turn, scale = _turn_and_scale(away[frames:], move[frames:])
+    turn, scale = _turn_and_scale(away[frames:], move[frames:]) if len(point) else (np.zeros(3), 0.0)
     turned = exp_turn(turn[None])[0]
     away += move - np.cross(turn, away) - scale * away
     places = (1.0 + scale) * away @ turned.T + middle + shift

@@ -13,7 +13,7 @@ from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.surface import level_m, tie_surface
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.estimation.linear import least_squares
-from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import Spread
@@ -79,7 +79,7 @@ _LEVEL: Annotated[
 
 
 def flying_height_m(block: Block) -> float:
-    return float(np.median(heights_above_ground_m(block.poses, block.ground)))
+    return float(np.median(flying_heights_m(block.poses, block.ground)))
 
 
 def _view(block: Block) -> float:

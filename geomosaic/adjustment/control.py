@@ -118,8 +118,11 @@ def control_residuals(
         if found is None:
             continue
         at_m, own, by_pose, by_interior = found
-        moved = (spread or _of_poses(poses))(frames, by_pose, by_interior)
-        sd = np.sqrt(np.diag(own + moved) + c.sd_m**2)
+        try:
+            moved = (spread or _of_poses(poses))(frames, by_pose, by_interior)
+        except NotSolvableError:
+            moved = _of_poses(poses)(frames, by_pose, by_interior)
+        sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2)
         out.append(ControlResidual(c.name, c.check or spread is None, len(frames), c.enu_m - at_m, sd))
     return tuple(out)
 

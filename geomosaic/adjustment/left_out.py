@@ -201,7 +201,7 @@ def _judged(tracks: Tracks, judges: Tracks, place: Ints, model: Model) -> Judged
     try:
         solved = solve_bundle(
             *(tracks, block.lens_of, priors, before.poses),
-            again=begun, same_model=model.same,
+            again=begun, same_model=model.same, lens_held=not model.settings.self_calibration,
         )  # fmt: skip
     except NotSolvableError:
         return Judged(None, np.full(judges.points, np.inf), place)

@@ -89,7 +89,8 @@ class Settings:
     boresight, lever_arm, gps_lag, rolling_shutter, turning: whether a bundle solves for them, see `Mounting`,
     `Camera` and `Priors`; rate_sd_rad_per_s: of what turning solves for, if that is known. free_lens: a
     maker's lens counts for nothing but where to begin. model: `auto` adds to all that what the evidence
-    speaks for, see `chosen_model`; `given` doesn't.
+    speaks for, see `chosen_model`; `given` doesn't. self_calibration: whether a bundle solves for what frames
+    share (lens, shutter, mounting), or keeps it as given.
     """
 
     epsilon_px: float = 10.0
@@ -104,6 +105,7 @@ class Settings:
     rate_sd_rad_per_s: float | None = None
     free_lens: bool = False
     model: str = "auto"
+    self_calibration: bool = True
 
 
 @dataclass(frozen=True)

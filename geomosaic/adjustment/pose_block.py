@@ -31,6 +31,7 @@ from geomosaic.adjustment.doubts import (
     undetermined_wishes,
     unsolved_frames,
 )
+from geomosaic.adjustment.fallback import with_fallbacks
 from geomosaic.adjustment.flown import flown
 from geomosaic.adjustment.height_drift import height_drift
 from geomosaic.adjustment.misalignment import offset_net
@@ -51,6 +52,7 @@ from geomosaic.adjustment.solution import Solution, by_all_points, points_on_gro
 from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
+from geomosaic.adjustment.usable_input import usable
 from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, Because
@@ -106,25 +108,9 @@ def pose_block(block: Block, settings: Settings, spread: Spread | None = None) -
     POS enters as weighted observations, so that no frame is the base and nothing accumulates; its
     deviations are estimated again from the residuals. Frames without tie or control points keep their POS.
     """
-    taken = as_taken(block)
-    try:
-        return as_filed(_solved(taken, settings, spread or AtOnce()), block)
-    except NotSolvableError as error:
-        return as_filed(_start_alone(taken, str(error)), block)
-
-
-def _start_alone(block: Block, why: str) -> Adjusted:
-    """Where a bundle would have begun: better than no mosaic."""
-    net = offset_net(block)
-    poses = start_poses(block, net)
-    moves = (poses.positions_m - block.poses.positions_m)[:, :2]
-    text = f"{why}; frames are laid beside each other by similarities alone, without tilts or lens"
-    return settled(
-        block,
-        poses,
-        (Round(net.misalignments_m(np.zeros_like(moves)), moves),),
-        warnings=(Warn("bundle-failed", "", text),),
-    )
+    sound, warnings = usable(as_taken(block))
+    adjusted = with_fallbacks(sound, settings, lambda b, s: _solved(b, s, spread or AtOnce()))
+    return as_filed(replace(adjusted, warnings=(*warnings, *adjusted.warnings)), block)
 
 
 @dataclass(frozen=True)
@@ -176,10 +162,17 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
     work = _begun(block, settings, tracks, few, spread)
     taken = _named("few tie points" if work.rough else "tie points", work, ())
+    skipped: list[Warn] = []
     for name, step in _STEPS.items():
-        work = step(work)
+        try:
+            work = step(work)
+        except NotSolvableError as error:
+            text = f"the step '{name}' of the adjustment cannot be solved ({error}); it is left out"
+            skipped.append(Warn("adjustment-step-failed", "", text))
         taken = _named(name, work, taken)
-    return replace(_outcome(work), steps=tuple(step for _, step in taken))
+    outcome = _outcome(work)
+    steps = tuple(step for _, step in taken)
+    return replace(outcome, steps=steps, warnings=(*skipped, *outcome.warnings))
 
 
 def _named(
@@ -377,7 +370,10 @@ def _outcome(work: _Work) -> Adjusted:
 def _shape(block: Block, found: Solution) -> dict[str, float]:
     """How far the map's shape may be off, in pixels of the frames on the ground."""
     pixel_m = flying_height_m(block) / float(np.median([c.focal_length_px for c in block.cameras]))
-    sd_m = shape_sd_m(found.bundle, found.ties.points)
+    try:
+        sd_m = shape_sd_m(found.bundle, found.ties.points)
+    except NotSolvableError:
+        return {}
     return {"shape_sd_px": sd_m / pixel_m} if np.isfinite(sd_m) else {}
 
 
@@ -385,12 +381,18 @@ def _relief(found: Solution) -> dict[str, float]:
     return {"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {}
 
 
+def _mean(values: Floats) -> float:
+    """Of those that are known, NaN of none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
 def _figures(bundle: Bundle, tracks: Tracks) -> dict[str, float]:
     figures = {"sigma_px": bundle.factors.image_px, "iterations": float(bundle.iterations)}
     if tracks.points:
         length = np.linalg.norm(bundle.residual_px, axis=1)
         figures |= {
-            "reprojection_mean_px": float(np.nanmean(length[bundle.weight > 0.1])),
+            "reprojection_mean_px": _mean(length[bundle.weight > 0.1]),
             "tracks": float(tracks.points),
             "observations": float(len(tracks.frame)),
             "track_length_mean": float(tracks.lengths.mean()),

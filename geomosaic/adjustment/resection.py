@@ -123,16 +123,19 @@ def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, F
     seen = np.isfinite(ray).all(axis=1)
     if seen.sum() < _LEAST_POINTS:
         return None
-    done, turn, shift, agree = cv2.solvePnPRansac(
-        ground_m[seen] - middle,
-        ray[seen, :2],
-        np.eye(3),
-        None,
-        iterationsCount=_TRIALS,
-        reprojectionError=_WITHIN_PX / camera.focal_length_px,
-        confidence=_SURE,
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
+    try:
+        done, turn, shift, agree = cv2.solvePnPRansac(
+            ground_m[seen] - middle,
+            ray[seen, :2],
+            np.eye(3),
+            None,
+            iterationsCount=_TRIALS,
+            reprojectionError=_WITHIN_PX / camera.focal_length_px,
+            confidence=_SURE,
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+    except cv2.error:  # ground points at one place
+        return None
     if not done or agree is None or len(agree) < _LEAST_POINTS:
         return None
     from_ground = np.array(cv2.Rodrigues(turn)[0], dtype=np.float64)

@@ -87,12 +87,17 @@ def solution(
         points, kept = before.priors.points_m[: before.ties.points], before.ties
         again = before.of_ties
     ties, priors = len(points), priors_of(block, settings, block.lenses, points)
-    free = solve_bundle(kept, block.lens_of, priors, start, again=again, rough=rough) if ties else None
+    held = not settings.self_calibration
+    free = (
+        solve_bundle(kept, block.lens_of, priors, start, again=again, rough=rough, lens_held=held)
+        if ties
+        else None
+    )
     seen, priors = with_control(kept, priors, block.control)
     if free is not None and seen is kept:
         solved = free
     else:
-        priors, solved = _held_by_control(block, seen, priors, start, free, rough)
+        priors, solved = _held_by_control(block, seen, priors, start, free, rough=rough, lens_held=held)
     if not ties:
         return Solution(kept, seen, priors, solved, block.ground, float("nan"))
     part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
@@ -102,7 +107,9 @@ def solution(
     off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
     near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
     bound_priors = replace(priors, terrain=near)
-    bound = solve_bundle(seen, block.lens_of, bound_priors, solved.poses, again=solved, rough=rough)
+    bound = solve_bundle(
+        *(seen, block.lens_of, bound_priors, solved.poses), again=solved, rough=rough, lens_held=held
+    )
     ground = levelled(ground, _of_ties(bound, kept))
     tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
     if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
@@ -125,7 +132,9 @@ def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: Solutio
     seen, priors = with_control(kept, priors, block.control)
     control_m = few.bundle.points_m[few.ties.points :]
     again = replace(few.bundle, points_m=np.concatenate([points, control_m]), unrest=None)
-    solved = solve_bundle(seen, block.lens_of, priors, poses, again=again)
+    solved = solve_bundle(
+        *(seen, block.lens_of, priors, poses), again=again, lens_held=not settings.self_calibration
+    )
     ground = few.ground if surface else levelled(few.ground, _of_ties(solved, kept))
     return Solution(kept, seen, priors, solved, ground, few.relief_px)
 
@@ -152,7 +161,14 @@ def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -
 
 
 def _held_by_control(
-    block: Block, seen: Tracks, priors: Priors, start: Poses, free: Bundle | None, rough: bool
+    block: Block,
+    seen: Tracks,
+    priors: Priors,
+    start: Poses,
+    free: Bundle | None,
+    *,
+    rough: bool,
+    lens_held: bool,
 ) -> tuple[Priors, Bundle]:
     """The solution with control points, begun from the free one shifted onto them.
 
@@ -167,7 +183,9 @@ def _held_by_control(
     if free is not None:
         points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
         free = replace(free, points_m=points, unrest=None, level_m=free.level_m + float(shift[2]))
-    return priors, solve_bundle(seen, block.lens_of, priors, start, again=free, rough=rough)
+    return priors, solve_bundle(
+        *(seen, block.lens_of, priors, start), again=free, rough=rough, lens_held=lens_held
+    )
 
 
 def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:

@@ -19,7 +19,7 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, position_assumed
-from geomosaic.placement.reach import heights_above_ground_m
+from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_images
 
 Floats = NDArray[np.float64]
@@ -112,7 +112,7 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     headings and heights as far as their deviations go; ties that shrink have no way of pleasing themselves.
     """
     poses = block.poses
-    height = heights_above_ground_m(poses, block.ground)
+    height = flying_heights_m(poses, block.ground)
     nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
     turn, place = np.ones(len(nadir), np.complex128), nadir.copy()
     edges = net.edges
@@ -165,7 +165,9 @@ def placed_by_images(block: Block, start: Poses) -> Block:
     if not assumed.all():
         return moved
     before, now = (heights_above_ground_m(b.poses, b.ground) for b in (block, moved))
-    return replace(moved, ground_pixel_m=block.ground_pixel_m * float(np.median(now / before)))
+    above = (before > 0.0) & (now > 0.0)
+    times = float(np.median(now[above] / before[above])) if above.any() else 1.0
+    return replace(moved, ground_pixel_m=block.ground_pixel_m * times)
 
 
 def _control_fixes(block: Block, off_m: Floats) -> Fixes:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.bundle_equations import (
     has_say,
     lengths_px,
+    longest_side_px,
     normals_of,
     pose_sd,
     present_miss,
@@ -182,7 +183,7 @@ def variance_components(
     sd, weight = pose_sd(priors, factors), trust_of(priors)
     variances = np.diagonal(covariance, axis1=1, axis2=2)
     share = variances[:, :6] * weight / sd**2
-    control = priors.control[tracks.point]
+    control, most_px = priors.control[tracks.point], longest_side_px(priors)
     length_px = lengths_px(tracks, camera_of, priors, state)
     of_reading = while_read_sd(priors, factors)
     tied = ~control & has_say(tracks, priors)
@@ -196,8 +197,9 @@ def variance_components(
         redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
         error_px = length_px[tied] / np.sqrt(shown) / unrest_of(tracks, priors)[tied]
         image_px = _scale_px(error_px, shown, redundancy, factors.image_px)
-        factors = replace(factors, image_px=max(image_px, _LEAST_SIGMA_PX))
-    factors = replace(factors, control_px=max(MEASURED_SD_PX, median_px(length_px[control]) / MEDIAN_LENGTH))
+        factors = replace(factors, image_px=float(np.clip(image_px, _LEAST_SIGMA_PX, most_px)))
+    control_px = median_px(length_px[control]) / MEDIAN_LENGTH
+    factors = replace(factors, control_px=float(np.clip(control_px, MEASURED_SD_PX, most_px)))
     if image_only:
         return factors, np.zeros((len(GROUPS) + len(factors.while_read),) * 2)
     found = [

@@ -7,7 +7,7 @@ caller leaves them out and goes on with the others. No exception of a linear alg
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from geomosaic.errors import NotSolvableError
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Values = TypeVar("Values", NDArray[np.float64], NDArray[np.complex128])
 _PRECISION: Final = float(np.finfo(np.float64).eps)
 _SINGULAR: Final = "a system of equations is singular"
 _NOT_FINITE: Final = "a system of equations holds values that are not finite"
@@ -48,9 +49,12 @@ def inverse(matrix: Floats) -> Floats:
 def solve_scaled(matrix: Floats, side: Floats) -> Floats:
     """Solution (n, r) of a symmetric system whose unknowns differ in unit: scaled to a unit diagonal first.
 
-    Raises: as `solve`.
+    Raises: as `solve`, and where a number of the diagonal is not above zero.
     """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))[:, None]
+    _check_finite(matrix, side)
+    if not (np.diag(matrix) > 0.0).all():
+        raise NotSolvableError(_SINGULAR)
+    scale = 1.0 / np.sqrt(np.diag(matrix))[:, None]
     return np.asarray(scale * solve(matrix * scale * scale.T, scale * side))
 
 
@@ -88,14 +92,15 @@ def eigen_each(matrices: Floats) -> tuple[Floats, Floats]:
     return values, vectors
 
 
-def least_squares(design: Floats, observed: Floats, rcond: float | None = None) -> Floats:
+def least_squares(design: Values, observed: Values, rcond: float | None = None) -> Values:
     """Least-squares solution of the smallest norm, (n,) or (n, r), for a design (m, n) of any rank.
 
     Args: rcond: singular values below this share of the largest count as zero.
     Raises: `NotSolvableError` where a value is not finite.
     """
     _check_finite(design, observed)
-    return np.asarray(np.linalg.lstsq(design, observed, rcond=rcond)[0])
+    found: Any = np.linalg.lstsq(design, observed, rcond=rcond)[0]
+    return np.asarray(found, design.dtype)
 
 
 def pseudo_inverse(matrix: Floats, *, symmetric: bool = False) -> Floats:
@@ -185,7 +190,7 @@ class SparseFactors:
         return found
 
 
-def _check_finite(*arrays: Floats) -> None:
+def _check_finite(*arrays: NDArray[Any]) -> None:
     for array in arrays:
         if not np.isfinite(array).all():
             raise NotSolvableError(_NOT_FINITE)

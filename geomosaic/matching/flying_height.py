@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import least_squares
 from geomosaic.matching.features import Features
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
@@ -47,5 +48,5 @@ def flying_height_m(
         return float("nan")
     z = left_camera.ray_from_image(left.image_px[i[good]])[:, :2] @ [1, 1j]
     w = right_camera.ray_from_image(right.image_px[j[good]])[:, :2] @ [1, 1j]
-    turn, shift = np.linalg.lstsq(np.column_stack([z, np.ones_like(z)]), w, rcond=None)[0]
+    turn, shift = least_squares(np.column_stack([z, np.ones_like(z)]), w)
     return base_m / abs(shift) if 0.5 < abs(turn) < 2.0 and abs(shift) > 0.01 else float("nan")

@@ -13,6 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import inverse_each
 
 Floats = NDArray[np.float64]
 Size = tuple[int, int]
@@ -109,8 +110,9 @@ class SeenPlanes:
     def add(self, a: int, b: int, left_px: Floats, right_px: Floats) -> None:
         """A tied pair's frames and its tie points (k, 2) in the left and the right image."""
         plane = plane_through(left_px, right_px)
-        if plane is not None and abs(np.linalg.det(plane)) > 0.0:
-            self._planes[a, b], self._planes[b, a] = plane, np.asarray(np.linalg.inv(plane), np.float64)
+        back = None if plane is None else inverse_each(plane)
+        if plane is not None and back is not None and np.isfinite(back).all():
+            self._planes[a, b], self._planes[b, a] = plane, back
             self._ties[a][b] = self._ties[b][a] = len(left_px)
 
     def between(self, a: int, b: int) -> Floats | None:

@@ -35,6 +35,10 @@ _MOST_YAW_RAD: Annotated[
     ),
 ] = 1.0
 
+LEAST_HEIGHT_M: Annotated[
+    float, Because("m", "of a frame above the ground, where it is said to stand on it or below it", CHOSEN)
+] = 1.0
+
 
 def half_extent_m(camera: Camera, height_m: float) -> float:
     """Distance on flat ground from the nadir point to the corner of a level frame."""
@@ -51,6 +55,11 @@ def ground_pixel_m(cameras: Sequence[Camera], height_m: Floats) -> float:
 def heights_above_ground_m(poses: Poses, ground: GroundSurface) -> Floats:
     """Each projection centre above the surface below it, (n,)."""
     return np.asarray(poses.positions_m[:, 2] - ground.up_at(*poses.positions_m[:, :2].T))
+
+
+def flying_heights_m(poses: Poses, ground: GroundSurface) -> Floats:
+    """As `heights_above_ground_m`, but no frame lower than LEAST_HEIGHT_M: a length to scale by."""
+    return np.maximum(heights_above_ground_m(poses, ground), LEAST_HEIGHT_M)
 
 
 def misplacement_m(

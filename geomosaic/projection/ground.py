@@ -184,7 +184,7 @@ class GroundSurface:
             f_bottom = np.where(above, f_bottom / 2.0, f)
             f_top = np.where(above, f, f_top / 2.0)
             top, bottom = np.where(above, drop, top), np.where(above, bottom, drop)
-            if np.nanmax(np.abs(f), initial=0.0) < 1e-6:
+            if not (np.abs(f) >= 1e-6).any():
                 break
         hit = np.asarray(origin + per_drop * drop[..., None])
         hit[np.abs(f) > 1e-2] = np.nan

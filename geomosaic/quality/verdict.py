@@ -145,6 +145,11 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
         "the adjustment failed; frames are only laid beside each other",
         "more overlap, or positions of more frames",
     ),
+    "self-calibration-failed": (
+        "doubtful",
+        "lens and shutter could not be solved for and are as given",
+        "give a calibrated lens (--camera), or more overlap",
+    ),
     "scale-doubtful": (
         "doubtful",
         "the block's scale disagrees with the positions",

@@ -1,0 +1,106 @@
+"""A block with what no equation can take removed by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Block, GroundControl
+from geomosaic.camera.exterior import Poses
+from geomosaic.matching.model import TiePairs, TiePoints
+from geomosaic.survey.accuracy import POSITION
+from geomosaic.survey.model import Warn
+from geomosaic.survey.names import some
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+_LEAST_SD_M: Final = 1e-4
+"""A tenth of a millimetre: no survey is better, and a deviation of zero has an infinite weight."""
+_LEAST_SD_RAD: Final = 1e-6
+_ORTHONORMAL: Final = 1e-6
+
+
+def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:
+    """The block with finite poses, deviations, tie points and control points, and what was removed.
+
+    A position or attitude that is not finite counts as unknown; so does a deviation that is not a number.
+    Deviations of zero or less become the least that a survey can have. Tie points and control points that
+    are not finite are left out.
+    """
+    poses, warnings = _usable_poses(block)
+    ties, lost = _usable_ties(block.ties)
+    if lost:
+        warnings.append(Warn("tie-points-not-finite", "", f"{lost} tie points are no numbers; left out"))
+    control = tuple(_with_sound_deviations(c) for c in block.control if _finite(c))
+    gone = [c.name for c in block.control if not _finite(c)]
+    if gone:
+        text = f"control or check points whose coordinates are no numbers are left out ({some(gone)})"
+        warnings.append(Warn("control-not-finite", "", text))
+    return replace(block, poses=poses, ties=ties, control=control), tuple(warnings)
+
+
+def _usable_poses(block: Block) -> tuple[Poses, list[Warn]]:
+    poses = block.poses
+    placed, looking = _finite_rows(poses.positions_m), _are_rotations(poses.rotations)
+    warnings: list[Warn] = []
+    for what, good in (("position", placed), ("attitude", looking)):
+        bad = [block.names[i] for i in np.flatnonzero(~good)]
+        if bad:
+            text = f"the {what} of {len(bad)} frames is no number and counts as unknown ({some(bad)})"
+            warnings.append(Warn("pose-not-finite", "", text))
+    middle = np.median(poses.positions_m[placed], axis=0) if placed.any() else np.array([0.0, 0.0, 100.0])
+    unknown = POSITION["none"]
+    farthest = np.array([unknown.sd_horizontal_m, unknown.sd_horizontal_m, unknown.sd_vertical_m])
+    sd_m = _sound(poses.positions_sd_m, _LEAST_SD_M, farthest)
+    sd_rad = _sound(poses.rotations_sd_rad, _LEAST_SD_RAD, np.pi)
+    velocities = poses.velocities_m_per_s
+    whole = replace(
+        poses,
+        positions_m=np.where(placed[:, None], poses.positions_m, middle),
+        rotations=np.where(looking[:, None, None], poses.rotations, np.eye(3)),
+        positions_sd_m=np.where(placed[:, None], sd_m, farthest),
+        rotations_sd_rad=np.where(looking[:, None], sd_rad, np.pi),
+        velocities_m_per_s=None if velocities is None else np.nan_to_num(velocities, posinf=0.0, neginf=0.0),
+    )
+    return whole, warnings
+
+
+def _sound(sd: Floats, least: float, most: Floats | float) -> Floats:
+    """Deviations between the least and the most; NaN counts as the most."""
+    return np.asarray(np.clip(np.where(np.isnan(sd), most, sd), least, most))
+
+
+def _usable_ties(ties: TiePoints) -> tuple[TiePoints, int]:
+    """Tie points that are finite in both frames, and how many are not."""
+    pairs = TiePairs.of(ties.pairs)
+    good = _finite_rows(pairs.image_px)
+    kept: Bools = good[pairs.keypoints[0]] & good[pairs.keypoints[1]]
+    if kept.all():
+        return ties, 0
+    sound = pairs.part(kept, np.where(good[:, None], pairs.image_px, 0.0))
+    return TiePoints(sound, ties.untied), int((~kept).sum())
+
+
+def _finite_rows(values: Floats) -> Bools:
+    """Which rows (n,) of (n, k) are finite."""
+    return np.asarray(np.isfinite(values).all(axis=1))
+
+
+def _are_rotations(matrices: Floats) -> Bools:
+    """Which of (n, 3, 3) are right-handed and orthonormal."""
+    finite = np.nan_to_num(matrices, nan=0.0, posinf=0.0, neginf=0.0)
+    off = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    volume = np.einsum("ni,ni->n", np.cross(finite[:, 0], finite[:, 1]), finite[:, 2])
+    return np.asarray((off < _ORTHONORMAL) & (volume > 0.0))
+
+
+def _finite(control: GroundControl) -> bool:
+    at = np.array([[col, row] for _, col, row in control.observations])
+    return bool(np.isfinite(control.enu_m).all() and np.isfinite(at).all())
+
+
+def _with_sound_deviations(control: GroundControl) -> GroundControl:
+    return replace(control, sd_m=_sound(control.sd_m, _LEAST_SD_M, POSITION["none"].sd_vertical_m))
