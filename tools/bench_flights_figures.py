@@ -102,6 +102,8 @@ def _errors_at(run: Path, summary: dict[str, Any], path: Path) -> dict[str, Any]
         return {"n": 0, "failed": "no check point lies in a tied frame"}
     if not is_local(summary["mosaic"]["crs"]):
         return asdict(control_figures(np.stack([r.residual_m for r in found.values()])))
+    if len(found) < 3:
+        return {"n": len(found), "failed": "a similarity wants 3 check points in tied frames"}
     surveyed = [p for p in points if p.name in found]
     places = np.array([[p.lon_deg, p.lat_deg, p.height_ellipsoidal_m] for p in surveyed])
     true_m = LocalFrame(*places.mean(axis=0)).enu_from_geodetic(*places.T)[:, :2]
