@@ -11,6 +11,7 @@ CASES ?= 10000
 TRIALS ?= 200
 DRAWS ?= 10000
 SEEDS ?= 100
+ONLY ?=
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -90,6 +91,10 @@ bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object spa
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
 	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
 
+bench-flights: DATA = ../flights
+bench-flights: setup ## every flight of a folder, a sheet NAME.yaml each (CONTRIBUTING.md); DATA=../flights, skips without it; ONLY="names"
+	$(PY) tools/bench_flights.py "$(DATA)" $(if $(ONLY),--only $(ONLY)) --out out/bench-flights
+
 check-qgis: setup ## open layers.gpkg and project.qgz in a real QGIS and draw its window (about 2 minutes); QGIS=options
 	$(PY) tools/check_qgis.py $(QGIS)
 
@@ -112,4 +117,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

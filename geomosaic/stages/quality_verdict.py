@@ -30,7 +30,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 13
+    version = 14
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -96,7 +96,9 @@ class QualityVerdict(Stage):
         if verdict.grade != "good":
             context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.mend}")
         known = seams.length_px[np.isfinite(seams.length_px)]
-        context.metric("seams.median_px", float(np.median(known)) if known.size else None)
+        median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
+        context.metric("seams.median_px", median_px)
+        context.metric("seams.percentile_95_px", most_px)
         context.metric("seams.measured", int(known.size))
         context.metric("seams.asked", len(seams.left))
         return {"verdict": verdict}
