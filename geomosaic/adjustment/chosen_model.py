@@ -185,11 +185,12 @@ def chosen_model(
 
 
 def contradicts(its: Begun | None, now: Begun | None) -> bool:
-    """Whether a model's solution can't be, as far as positions and sensors go, beside the one so far."""
+    """Whether a model's solution can't be, as far as positions and sensors go, beside the one so far: positions
+    that fit worse, or rows that are read slower than any sensor reads them, or before the shutter opens."""
     if its is None or now is None:
         return False
     scattered = its.factors.horizontal > _CONTRADICTS * max(now.factors.horizontal, _LEAST_SCATTER)
-    return scattered or any(abs(c.readout_s) > _SLOWEST_READOUT_S for c in its.cameras)
+    return scattered or any(not 0.0 <= c.readout_s <= _SLOWEST_READOUT_S for c in its.cameras)
 
 
 def _in_vain(block: Block, its: Judged) -> bool:

@@ -308,7 +308,7 @@ def _readout_shown(work: _Work) -> _Work:
     if work.settings.model != "auto" or not readout_shown(before):
         return work
     read = work.again(*with_readout(work.block, work.settings))
-    if contradicts(read.found.bundle, before) or any(c.readout_s < 0.0 for c in read.found.bundle.cameras):
+    if contradicts(read.found.bundle, before):
         return work
     tried = work.choice or ModelChoice((), (), ())
     choice = replace(tried, taken=(*tried.taken, "readout"), shown=True)
