@@ -185,8 +185,8 @@ def chosen_model(
 
 
 def contradicts(its: Begun | None, now: Begun | None) -> bool:
-    """Whether a model's solution can't be, as far as positions and sensors go, beside the one so far: positions
-    that fit worse, or rows that are read slower than any sensor reads them, or before the shutter opens."""
+    """Whether a model's solution can't be beside the one so far: positions fit worse by it, or rows are read
+    slower than any sensor reads them, or in negative time."""
     if its is None or now is None:
         return False
     scattered = its.factors.horizontal > _CONTRADICTS * max(now.factors.horizontal, _LEAST_SCATTER)

@@ -189,7 +189,7 @@ def _place(
     if single:
         at_m = ground_from_image(poses[frames[0]], cameras[frames[0]], ground, image_px.mean(axis=0))
     else:
-        at_m = _nearest_to_rays(poses, cameras, frames, image_px)
+        at_m = intersection_of_rays(poses, cameras, frames, image_px)
     interior = np.stack([interior_of(cameras[i]) for i in frames])
     heights = np.array([cameras[i].height_px for i in frames])
     read = readout_of(poses, poses.rotations, None, None, frames, image_px[:, 1], heights, interior[:, -1])
@@ -216,7 +216,7 @@ def _place(
     return at_m, MEASURED_SD_PX**2 * cofactors, -lever @ by_pose, -lever @ by_interior
 
 
-def _nearest_to_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints, image_px: Floats) -> Floats:
+def intersection_of_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints, image_px: Floats) -> Floats:
     """The point with the least squared distances to the rays; NaN for parallel rays."""
     normal, side = np.zeros((3, 3)), np.zeros(3)
     for i, px in zip(frames, image_px, strict=True):

@@ -23,6 +23,7 @@ from geomosaic.adjustment.chosen_model import (
 )
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import spread_of
+from geomosaic.adjustment.control_marks import with_marks_of_whole_images
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
     lying_tags,
@@ -55,6 +56,7 @@ from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.adjustment.usable_input import usable
 from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.spread import AtOnce, Spread
@@ -160,6 +162,9 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
+    block, notes = with_marks_of_whole_images(
+        block, lambda its: _free(_begun(its, replace(settings, model="given"), few, few, spread))
+    )
     work = _begun(block, settings, tracks, few, spread)
     taken = _named("few tie points" if work.rough else "tie points", work, ())
     skipped: list[Warn] = []
@@ -172,7 +177,13 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         taken = _named(name, work, taken)
     outcome = _outcome(work)
     steps = tuple(step for _, step in taken)
-    return replace(outcome, steps=steps, warnings=(*skipped, *outcome.warnings))
+    return replace(outcome, steps=steps, warnings=(*notes, *skipped, *outcome.warnings))
+
+
+def _free(work: _Work) -> tuple[Poses, tuple[Camera, ...]]:
+    """Poses, and the camera of each frame."""
+    bundle = work.found.bundle
+    return bundle.poses, tuple(bundle.cameras[k] for k in work.block.lens_of)
 
 
 def _named(
