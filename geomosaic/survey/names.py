@@ -29,6 +29,7 @@ class FrameNames:
         for name in self._names:
             self._by_name.setdefault(name.casefold(), []).append(name)
             self._by_stem.setdefault(_IMAGE.sub("", name).casefold(), []).append(name)
+        self._most_words = max((len(n.split()) for n in self._names), default=0)
 
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
@@ -44,6 +45,18 @@ class FrameNames:
                 f"'{text}' may be any of {', '.join(found)}", mend="write its extension and capitals"
             )
         return found[0] if found else None
+
+    def quoted(self, text: str) -> str:
+        """A line separated by blanks, with the longest frame name that holds some in quotes."""
+        if self._most_words < 2 or '"' in text:
+            return text
+        words = [(m.start(), m.end()) for m in re.finditer(r"\S+", text)]
+        for count in range(min(self._most_words, len(words)), 1, -1):
+            for (start, _), (_, end) in zip(words, words[count - 1 :], strict=False):
+                name = text[start:end].casefold()
+                if name in self._by_name or _IMAGE.sub("", name) in self._by_stem:
+                    return f'{text[:start]}"{text[start:end]}"{text[end:]}'
+        return text
 
     def near(self, text: str) -> str:
         """A hint at the most similar name, or at the folder's first one."""
