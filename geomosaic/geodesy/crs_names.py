@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import sqlite3
 import unicodedata
@@ -67,7 +68,8 @@ class StatedCrs:
         if self.vertical is None:
             return [crs_of(code) for code in group]
         heights = crs_of(self.vertical)
-        return [CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights]) for crs in map(crs_of, group)]
+        names = ((crs, f"{crs.name} + {heights.name}") for crs in map(crs_of, group))
+        return [CRS(CompoundCRS(name=name, components=[crs, heights]).to_wkt()) for crs, name in names]
 
     def is_name_of(self, crs: CRS) -> bool:
         """Whether it says no less than the system itself: its code, definition or own name."""
@@ -108,11 +110,16 @@ def stated_crs(text: str) -> StatedCrs | None:
     return None
 
 
+def is_wkt(text: str) -> bool:
+    """Whether a text begins as the WKT of a geographic, projected, compound or bound CRS does."""
+    return _WKT.match(text.strip()) is not None
+
+
 def coded_crs(text: str) -> StatedCrs | None:
     """`stated_crs` of a code, PROJ string or WKT; None for what is none of them by its form."""
     text = text.strip()
     code = text
-    if not _WKT.match(text):
+    if not is_wkt(text):
         if epsg := _EPSG.search(text):
             code = f"EPSG:{epsg[1]}+{epsg[2]}" if epsg[2] else f"EPSG:{epsg[1]}"
         elif re.fullmatch(r"\d{4,6}", text):
@@ -236,7 +243,7 @@ def _aliases() -> Mapping[str, list[str]]:
         "SELECT auth_name || ':' || code, alt_name FROM alias_name "
         "WHERE table_name IN ('projected_crs', 'geodetic_crs')"
     )
-    for folder in datadir.get_data_dir().split(":"):
+    for folder in datadir.get_data_dir().split(os.pathsep):
         file = Path(folder) / "proj.db"
         if not file.is_file():
             continue

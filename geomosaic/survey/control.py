@@ -172,10 +172,9 @@ def _strangers(path: Path, table: Table, strangers: Sequence[str]) -> Warn | Non
     """One line for all measurements in images that aren't here."""
     if not strangers:
         return None
-    images = [*dict.fromkeys(strangers)]
     text = (
-        f"{path.name}: {len(strangers)} of {len(table.lines)} measurements are in {len(images)} images that "
-        f"aren't here ({some(images)})"
+        f"{path.name}: {len(strangers)} of {len(table.lines)} measurements are in images that aren't here "
+        f"({some(dict.fromkeys(strangers))})"
     )
     return Warn("control-image-missing", "", text)
 

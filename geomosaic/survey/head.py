@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
-from geomosaic.geodesy.crs_names import StatedCrs, coded_crs, nearest_names, stated_crs
+from geomosaic.geodesy.crs_names import StatedCrs, coded_crs, is_wkt, nearest_names, stated_crs
 from geomosaic.survey.table import Aliases, Line, column_of, is_number, split
 
 
@@ -23,20 +24,22 @@ def read_head(
     """
     names: Line | None = None
     for i, line in enumerate(lines):
-        try:
-            crs = None if has_numbers(line) else coded_crs(line.text) if line.comment else _crs(line, aliases)
-        except InputError as error:
-            raise InputError(f"line {line.number}: {error.problem}", file=path, mend=mend) from error
+        if is_wkt(line.text):
+            text, i = _whole_wkt(lines, i)
+            line = replace(line, text=text)
+            columns, crs = False, _crs(path, line, mend)
+        else:
+            columns = _names_columns(line, aliases, path)
+            crs = None if columns or has_numbers(line) else _crs(path, line, mend)
         if crs is not None:
             after = lines[i + 1 :]
-            if names is None and after and _names_columns(after[0], aliases, path):
-                return crs, after
-            return crs, after if names is None else [names, *after]
+            named = bool(after) and _names_columns(after[0], aliases, path)
+            return crs, after if names is None or named else [names, *after]
         if not line.comment:
-            if names is None and not _names_columns(line, aliases, path) and not has_numbers(line):
+            if names is None and not columns and not has_numbers(line):
                 raise _unknown(path, line, mend)
-            return None, lines[i:] if names is None else [names, *lines[i:]]
-        if names is None and _names_columns(line, aliases, path):
+            return None, lines[i:] if names is None or columns else [names, *lines[i:]]
+        if columns:
             names = line
     return None, [] if names is None else [names]
 
@@ -56,11 +59,21 @@ def _names_columns(line: Line, aliases: Aliases, path: Path) -> bool:
     return len({column for column in names_known(line, aliases, path) if column}) > 1
 
 
-def _crs(line: Line, aliases: Aliases) -> StatedCrs | None:
-    by_code = coded_crs(line.text)
-    if by_code is not None or _names_columns(line, aliases, Path()):
-        return by_code
-    return stated_crs(line.text)
+def _crs(path: Path, line: Line, mend: str) -> StatedCrs | None:
+    """What a line says of a CRS; of a comment only a code, PROJ string or WKT counts."""
+    try:
+        return coded_crs(line.text) if line.comment else stated_crs(line.text)
+    except InputError as error:
+        raise InputError(f"line {line.number}: {error.problem}", file=path, mend=mend) from error
+
+
+def _whole_wkt(lines: list[Line], first: int) -> tuple[str, int]:
+    """A WKT that begins in a line, and the line it ends in."""
+    text, last = lines[first].text, first
+    while text.count("[") > text.count("]") and last + 1 < len(lines):
+        last += 1
+        text += lines[last].text
+    return text, last
 
 
 def _unknown(path: Path, line: Line, mend: str) -> InputError:
