@@ -13,6 +13,7 @@ from pyproj import CRS, Transformer
 from survey_files import exif_block, gps, image, write_jpeg
 
 from geomosaic.errors import InputError
+from geomosaic.export.references import write_odm_control
 from geomosaic.geodesy.crs_names import AmbiguousCrsError, stated_crs
 from geomosaic.geodesy.mapcrs import map_crs
 from geomosaic.survey.control import read_control
@@ -265,6 +266,14 @@ def test_layouts(read: Read, layout: str) -> None:
     assert [p.name for p in plain] == ["P1", "P2"] and plain[0].images == (("a.jpg", 12.5, 20.25),)
 
 
+def test_points_without_a_height_are_written_without(read: Read, tmp_path: Path) -> None:
+    points = read("EPSG:2180\n340607.768 548220.879 NaN 1 2 a.jpg A\n340644.8 548180.8 71.5 1 2 a.jpg B\n")[0]
+    write_odm_control(tmp_path / "out.txt", points, "EPSG:2180")
+    written = (tmp_path / "out.txt").read_text()
+    assert [line.split()[2] for line in written.splitlines()[1:]] == ["NaN", "71.5000"]
+    assert [p.plan_only for p in read(written)[0]] == [True, False]
+
+
 def test_lists_without_images(read: Read) -> None:
     points, _ = read("EPSG:4326\ngcp01\t-119.879992097\t34.4082988202\t7.5\ngcp02\t-119.87995\t34.40834\t8\n")
     assert [(p.name, p.lon_deg, p.lat_deg, p.height_ellipsoidal_m, p.images) for p in points] == [
@@ -302,6 +311,8 @@ def test_pos_files_name_their_system_too(tmp_path: Path) -> None:
     file = read_pos(path)
     assert (file.rows[0].lon_deg, file.rows[0].lat_deg) == pytest.approx(BORUSZYN, abs=1e-8)
     assert "geo.txt: 'PUWG1992' is taken as EPSG:2180" in file.warnings[0].text
+    path.write_text(f"PUWG1992\nDSC 0001.JPG {x:.4f} {y:.4f} 120\n")
+    assert read_pos(path, frames=FrameNames(FRAMES)).rows[0].name == "DSC 0001.JPG"
     path.write_text(f"frame,x,y,z\na.jpg,{x:.4f},{y:.4f},120\n")
     row = read_pos(path, crs="ETRS89 / Poland CS92").rows[0]
     assert (row.lon_deg, row.lat_deg) == pytest.approx(BORUSZYN, abs=1e-8)

@@ -33,7 +33,7 @@ _UTM: Final = re.compile(
     r"(.*?)[\s/,_-]*UTM[\s_-]*(?:zone)?[\s_-]*(\d{1,2})[\s_-]*([A-Z]|north|south)?", re.IGNORECASE
 )
 _BANDS: Final = "CDEFGHJKLMNPQRSTUVWX"
-_AUTHORITIES: Final = {"EPSG": 0, "ESRI": 1, "IGNF": 2}
+_AUTHORITIES: Final = ("EPSG", "ESRI", "IGNF")
 _KNOWN_AS: Final[Mapping[str, tuple[str, ...]]] = {
     "puwg1992": ("EPSG:2180",),
     "puwg92": ("EPSG:2180",),
@@ -207,7 +207,7 @@ def _plain(text: str) -> str:
 
 def _order(code: str, ranks: Mapping[str, int]) -> tuple[int, int, int, str]:
     authority, _, number = code.partition(":")
-    return ranks.get(code, 0), _AUTHORITIES[authority], int(number) if number.isdigit() else 0, number
+    return ranks.get(code, 0), _AUTHORITIES.index(authority), int(number) if number.isdigit() else 0, number
 
 
 @lru_cache(maxsize=1)

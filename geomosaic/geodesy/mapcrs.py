@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Geod, Proj, Transformer
 from pyproj.exceptions import ProjError
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import required_crs
 
@@ -20,6 +22,10 @@ LOCAL_CRS = (
 )
 """Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
 _GIVE_CODE = "give an EPSG code such as EPSG:32632"
+_SAME_M: Annotated[
+    float,
+    Because("m", "by which versions of one system may differ; more would take a datum for another", CHOSEN),
+] = 0.01
 _LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
 """Geometry goes on as if the local frame lay at longitude and latitude 0."""
 
@@ -81,7 +87,7 @@ def _alike(group: list[CRS], lonlat: tuple[float, float] | None) -> bool:
     if len(group) == 1 or lonlat is None:
         return len(group) == 1
     at = np.array([MapProjection(crs.to_2d().to_wkt()).map_from_geodetic(*lonlat) for crs in group])
-    return bool((np.ptp(at, axis=0) < 0.01).all())
+    return bool((np.ptp(at, axis=0) < _SAME_M).all())
 
 
 def outside_area_m(crs: CRS, lon_deg: float, lat_deg: float) -> float:

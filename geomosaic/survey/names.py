@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
+from typing import Final
 
 from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
@@ -62,6 +63,9 @@ class FrameNames:
         """A hint at the most similar name, or at the folder's first one."""
         near = difflib.get_close_matches(text, self._names, n=1, cutoff=0.6)
         return f"did you mean {near[0]}?" if near else f"the frames are named like {self._names[0]}"
+
+
+NO_NAMES: Final = FrameNames(())
 
 
 def some(names: Iterable[str], most: int = 3) -> str:

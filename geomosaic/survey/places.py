@@ -56,7 +56,7 @@ _ENOUGH: Annotated[
         CHOSEN,
     ),
 ] = 100
-NOWHERE = np.empty((0, 2))
+NOWHERE: Floats = np.column_stack([[], []])
 """Longitudes and latitudes of no frames: none has a position, or they aren't known yet."""
 
 

@@ -15,7 +15,7 @@ from geomosaic.geodesy.crs_names import StatedCrs, crs_of
 from geomosaic.survey.attitude import read_angles
 from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.model import Warn
-from geomosaic.survey.names import some
+from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
 from geomosaic.survey.table import Aliases, Table, read_lines, read_table, split
 
@@ -117,15 +117,22 @@ class PosFile:
     warnings: tuple[Warn, ...]
 
 
-def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "auto") -> PosFile:
+def read_pos(
+    path: Path,
+    *,
+    crs: str | None = None,
+    attitude_convention: str = "auto",
+    frames: FrameNames = NO_NAMES,
+) -> PosFile:
     """Read a POS file: a table with named columns, ODM's geo.txt, or Pix4D's table without a header.
 
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
-    .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`.
+    .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
+    whose names those with blanks are found.
     Raises: `InputError` naming the file, the line and the mend.
     """
     notes: list[Warn] = []
-    table, stated = _table(path, crs, notes)
+    table, stated = _table(path, crs, frames, notes)
     if table.unknown_columns:
         unused = some(table.unknown_columns, 20)
         notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
@@ -167,11 +174,14 @@ def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "
     return PosFile(path, tuple(rows), (*notes, *places.notes, *doubts, *assumed))
 
 
-def _table(path: Path, given: str | None, notes: list[Warn]) -> tuple[Table, StatedCrs | None]:
+def _table(
+    path: Path, given: str | None, frames: FrameNames, notes: list[Warn]
+) -> tuple[Table, StatedCrs | None]:
     lines = read_lines(path, _MOST_LINES, "lines of frames")
     if not lines:
         raise InputError("the POS file is empty", file=path, mend="give a header line and a line per frame")
     odm, lines = read_head(path, lines, ALIASES, _GIVE_CRS)
+    lines = [replace(line, text=frames.quoted(line.text)) for line in lines]
     file_crs = odm or given_crs(path, given, _GIVE_CRS)
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)

@@ -71,7 +71,8 @@ def check_survey_files(
             map_crs(crs)
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
     if pos is not None:
-        read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
+        names = FrameNames(files.values())
+        read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention, frames=names)
     if camera is not None:
         read_cameras(camera)
     if dem is not None:
@@ -115,7 +116,10 @@ def read_survey(
     Raises: `InputError` and `FileError`, one line that names the file and the mend.
     """
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
-    table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
+    table = None
+    if pos is not None:
+        of = FrameNames(files.values())
+        table = read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention, frames=of)
     cameras = None if camera is None else read_cameras(camera)
     inner = unused_folders(folder)
     found = usable(files, inspect, mask_damaged=damaged == "mask", strict=strict, progress=progress)
