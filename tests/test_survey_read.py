@@ -315,7 +315,6 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
     assert [p.sd_assumed for p in points] == [False, True]
     assert warnings == []
     for text, message in (
-        ("point,lat,lon\nP1,48,9\n", "line 2: point 'P1' has no height"),
         ("point,lat,lon,h\nP1,48,9,1\nP1,48,9,2\n", "line 3: point 'P1' has moved"),
         ("point,lat,lon,h,type\nP1,48,9,1,maybe\n", "kind 'maybe' is unknown"),
         ("lat,lon,h\n48,9,1\n", "no column for the point's name"),

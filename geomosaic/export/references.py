@@ -51,7 +51,8 @@ def write_odm_control(path: Path, points: Iterable[ControlPoint], crs: str) -> N
     rows = []
     for point in points:
         x, y = projection.map_from_geodetic(point.lon_deg, point.lat_deg)
-        place = [f"{float(x):.4f}", f"{float(y):.4f}", f"{point.height_ellipsoidal_m:.4f}"]
+        height = "NaN" if point.plan_only else f"{point.height_ellipsoidal_m:.4f}"
+        place = [f"{float(x):.4f}", f"{float(y):.4f}", height]
         rows += [
             [*place, f"{col:.3f}", f"{row:.3f}", image, "_".join(point.name.split())]
             for image, col, row in point.images

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Geod, Proj, Transformer
-from pyproj.exceptions import CRSError, ProjError
+from pyproj.exceptions import ProjError
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
+from geomosaic.geodesy.crs_names import required_crs
 
 Floats = NDArray[np.float64]
 LOCAL_CRS = (
@@ -18,6 +21,11 @@ LOCAL_CRS = (
     'AXIS["(E)",east,ORDER[1]],AXIS["(N)",north,ORDER[2]],LENGTHUNIT["unit of its own",1]]'
 )
 """Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
+_GIVE_CODE = "give an EPSG code such as EPSG:32632"
+_SAME_M: Annotated[
+    float,
+    Because("m", "by which versions of one system may differ; more would take a datum for another", CHOSEN),
+] = 0.01
 _LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
 """Geometry goes on as if the local frame lay at longitude and latitude 0."""
 
@@ -46,19 +54,40 @@ def check_on_earth(crs: str, what: str) -> None:
         )
 
 
-def map_crs(text: str) -> CRS:
-    """A projected CRS in metres from an EPSG code, WKT or PROJ string; `InputError` otherwise."""
-    try:
-        crs = CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"'{text}' is no coordinate reference system", mend="give an EPSG code such as EPSG:32632"
-        ) from error
-    if not crs.is_projected or any(a.unit_conversion_factor != 1.0 for a in crs.axis_info[:2]):
-        raise InputError(
-            f"'{text}' is no map projection in metres", mend="give a projected CRS such as EPSG:32632"
-        )
-    return crs
+def map_crs(text: str, lonlat: tuple[float, float] | None = None) -> CRS:
+    """A projected CRS in metres from an EPSG code, WKT, PROJ string or name.
+
+    Of several systems of one name those count in whose area of use lonlat lies, the survey's middle.
+
+    Raises: `InputError` for what is none; `AmbiguousCrsError` where several are left that differ.
+    """
+    stated = required_crs(text, _GIVE_CODE)
+    for group in stated.groups:
+        fitting = [crs for crs in stated.meant(group) if _is_metric(crs)]
+        if lonlat is not None and len(fitting) > 1:
+            fitting = [crs for crs in fitting if outside_area_m(crs, *lonlat) == 0.0] or fitting
+        if fitting:
+            if not _alike(fitting, lonlat):
+                raise stated.ambiguous(fitting, _GIVE_CODE)
+            return fitting[0]
+    raise InputError(
+        f"'{text}' is no map projection in metres", mend="give a projected CRS such as EPSG:32632"
+    )
+
+
+def _is_metric(crs: CRS) -> bool:
+    return crs.is_projected and all(a.unit_conversion_factor == 1.0 for a in crs.axis_info[:2])
+
+
+def _alike(group: list[CRS], lonlat: tuple[float, float] | None) -> bool:
+    """Whether systems put one place at the same coordinates, to the centimetre."""
+    area = group[0].area_of_use
+    if lonlat is None and area is not None:
+        lonlat = (area.west + area.east) / 2.0, (area.south + area.north) / 2.0
+    if len(group) == 1 or lonlat is None:
+        return len(group) == 1
+    at = np.array([MapProjection(crs.to_2d().to_wkt()).map_from_geodetic(*lonlat) for crs in group])
+    return bool((np.ptp(at, axis=0) < _SAME_M).all())
 
 
 def outside_area_m(crs: CRS, lon_deg: float, lat_deg: float) -> float:

@@ -25,7 +25,7 @@ class ExportOdm(Stage):
     id = "export.odm"
     display_name = "Write positions for OpenDroneMap"
     group = "Export"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "placement": Placement,

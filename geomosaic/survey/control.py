@@ -15,47 +15,15 @@ from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import CONTROL, POSITION
+from geomosaic.survey.control_table import GIVE_CRS, control_table
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
-from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
+from geomosaic.survey.places import NOWHERE, away_from, heights_of, places_of
 from geomosaic.survey.plausible import RESURVEYED
-from geomosaic.survey.pos import ALIASES as POS_ALIASES
-from geomosaic.survey.table import Aliases, Table, crs_of_line, read_lines, read_table
-
-ALIASES: Final[Aliases] = {
-    "name": ("name", "point", "point_name", "gcp", "gcp_name", "label", "id"),
-    **{
-        c: POS_ALIASES[c]
-        for c in ("lon", "lat", "x", "y", "height_ellipsoidal", "height_orthometric", "height")
-    },
-    "sd_horizontal": POS_ALIASES["sd_horizontal"],
-    "sd_vertical": POS_ALIASES["sd_vertical"],
-    "kind": ("kind", "type", "role"),
-    "image": ("image", "frame", "image_name", "file", "filename", "photo"),
-    "col": ("col", "column", "im_x", "pixel_x", "image_x"),
-    "row": ("row", "line", "im_y", "pixel_y", "image_y"),
-}
-"""Columns of a table of control points; a point has one line per image it was measured in, or one."""
+from geomosaic.survey.pos import deviation
+from geomosaic.survey.table import Table
 
 Floats = NDArray[np.float64]
-_FAR_M: Annotated[
-    float,
-    Because(
-        "m",
-        "from the farthest frame's reach to the nearest point: beyond, the CRS is another or columns are "
-        "swapped; with less, points beside frames with bad positions would be refused",
-        CHOSEN,
-    ),
-] = 5000.0
-_MOST_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "of a file of control: the most points in ten images each; without a limit a file of another "
-        "kind would take memory and time",
-        CHOSEN,
-    ),
-] = 200_000
 _MOST_POINTS: Annotated[
     int,
     Because(
@@ -80,85 +48,71 @@ LEAST_POINTS: Annotated[
     ),
 ] = 2
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
-_GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 
 
-def read_control(path: Path, frames: FrameNames) -> tuple[tuple[ControlPoint, ...], list[Warn]]:
+def read_control(
+    path: Path, frames: FrameNames, near: Floats = NOWHERE
+) -> tuple[tuple[ControlPoint, ...], list[Warn]]:
     """Control points with where they were measured in images, and what was assumed.
 
     A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
     lines of the same coordinates are one point. A point whose lines differ a little lies in their mean, with
     half their spread added to its deviation. Pixels are counted from the corner of the first pixel.
 
-    Where all heights are 0 they are those of a list without heights: the points determine the plan alone.
+    A point without a height determines the plan alone; where all heights are 0 none has one.
 
+    Args: near: longitudes and latitudes (k, 2) of the frames, where these have positions.
     Raises: `InputError` naming the file, the line and the mend.
     """
-    lines = read_lines(path, _MOST_LINES, "measurements")
-    if not lines:
-        raise InputError("the file of control points is empty", file=path, mend="give a line per measurement")
-    crs = crs_of_line(lines[0].text)
-    if crs is not None:
-        table = read_table(path, lines[1:], ALIASES, _GCP_LIST)
-    else:
-        crs = given_crs(path, None)
-        table = read_table(path, lines, ALIASES)
-        check_columns(table, ALIASES, "name", "point's name")
-    lonlat, _, warnings = lonlat_of(table, crs)
-    heights, doubts = heights_of(table, crs, lonlat)
-    plan_only = len(heights) > 1 and all(
-        not np.nan_to_num(table.numbers(c), nan=1.0).any() for c in _HEIGHTS if c in table.factors
-    )
-    if plan_only:
-        text = (
-            f"{path.name}: all heights are 0, taken as not given: the points determine the plan, not heights"
-        )
-        heights, doubts = np.zeros(len(heights)), [Warn("control-plan-only", "", text)]
-    warnings += doubts
-    places = np.column_stack([lonlat, heights])
-    named = table.texts("name")
-    names = [
-        name or f"{lon:.8f} {lat:.8f}" for name, (lon, lat, _) in zip(named, places.tolist(), strict=True)
-    ]
+    table, stated = control_table(path, frames)
+    found = places_of(table, stated, near, GIVE_CRS)
+    heights, doubts = heights_of(table, found.crs, found.lonlat)
+    given = np.concatenate([table.numbers(c) for c in _HEIGHTS if c in table.factors] or [heights])
+    if len(heights) > 1 and np.isfinite(given).any() and not np.nan_to_num(given).any():
+        heights, doubts = np.full(len(heights), np.nan), []
+    places = np.column_stack([found.lonlat, heights])
     of: dict[str, list[int]] = {}
-    for i, name in enumerate(names):
-        if math.isnan(heights[i]):
-            mend = "give a column height_ellipsoidal_m"
-            raise InputError(f"line {table.lines[i]}: point '{name}' has no height", file=path, mend=mend)
-        of.setdefault(name, []).append(i)
+    for i, (name, (lon, lat, _)) in enumerate(zip(table.texts("name"), places.tolist(), strict=True)):
+        of.setdefault(name or f"{lon:.8f} {lat:.8f}", []).append(i)
     if len(of) > _MOST_POINTS:
         problem = f"has {len(of):,} points, more than {_MOST_POINTS:,}"
         raise InputError(problem, file=path, mend="take the best of them")
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
-    warnings += [_unsteady(path, merged)] if any(any(spread) for _, spread in merged.values()) else []
-    seen, strangers = _measurements(table, names, frames)
-    stated = [table.numbers("sd_horizontal"), table.numbers("sd_vertical")]
-    sd = [
-        np.where(values > 0.0, values, usual)
-        for values, usual in zip(stated, (CONTROL.sd_horizontal_m, CONTROL.sd_vertical_m), strict=True)
-    ]
+    seen, strangers = _measurements(table, of, frames)
+    stated_m = _stated_deviations_m(table)
     kinds = table.texts("kind")
-    points = tuple(
-        ControlPoint(
+    known_m = [place[2] for place, _ in merged.values() if not math.isnan(place[2])]
+    stand_in_m = float(np.median(known_m)) if known_m else 0.0
+    points = []
+    for name, (place, spread) in merged.items():
+        rows = of[name]
+        plan_only = math.isnan(place[2])
+        sd_m = np.fmax.reduce(stated_m[rows], axis=0)
+        usual_m = np.where(np.isnan(sd_m), [CONTROL.sd_horizontal_m, CONTROL.sd_vertical_m], sd_m)
+        point = ControlPoint(
             name=name,
             lon_deg=place[0],
             lat_deg=place[1],
-            height_ellipsoidal_m=place[2],
-            sd_horizontal_m=math.hypot(sd[0][of[name][0]], spread[0] / 2.0),
+            height_ellipsoidal_m=stand_in_m if plan_only else place[2],
+            sd_horizontal_m=math.hypot(usual_m[0], spread[0] / 2.0),
             sd_vertical_m=POSITION["none"].sd_vertical_m
             if plan_only
-            else math.hypot(sd[1][of[name][0]], spread[1] / 2.0),
-            check=_is_check(kinds[of[name][0]], name, table.lines[of[name][0]], path),
+            else math.hypot(usual_m[1], spread[1] / 2.0),
+            check=_is_check(kinds[rows[0]], name, table.lines[rows[0]], path),
             images=tuple(seen.get(name, ())),
             plan_only=plan_only,
-            sd_assumed=not any(values[of[name][0]] > 0.0 for values in stated),
+            sd_assumed=bool(np.isnan(sd_m).all()),
         )
-        for name, (place, spread) in merged.items()
-    )
-    if strangers:
-        text = f"{path.name}: {len(strangers)} measurements in images that aren't here ({some(strangers)})"
-        warnings.append(Warn("control-image-missing", "", text))
-    return points, warnings
+        points.append(point)
+    notes = [_plan_only(path, points), _unsteady(path, merged), _strangers(path, table, strangers)]
+    return tuple(points), [*found.notes, *doubts, *(note for note in notes if note is not None)]
+
+
+def _stated_deviations_m(table: Table) -> Floats:
+    """Deviations (n, 2) in plan and in height that a table states, NaN where it doesn't."""
+    both = deviation(table, "sd")
+    stated = (deviation(table, "sd_horizontal", "sd_e", "sd_n"), deviation(table, "sd_vertical"))
+    return np.column_stack([np.where(np.isnan(sd), both, sd) for sd in stated])
 
 
 def _one_place(
@@ -166,24 +120,46 @@ def _one_place(
 ) -> tuple[tuple[float, float, float], tuple[float, float]]:
     """Mean longitude, latitude and height of a point's lines (n, 3), and their spread in plan and height (m).
 
+    The height is NaN where no line has one.
+
     Raises: `InputError` naming the line that lies too far from the point's first.
     """
     plan_m = mid_latitude_offset_m(*places[0, :2], *places[:, :2].T)
-    away_m = np.maximum(np.linalg.norm(plan_m, axis=1), np.abs(places[:, 2] - places[0, 2]))
+    heights_m = places[np.isfinite(places[:, 2]), 2]
+    off_m = np.abs(places[:, 2] - heights_m[0]) if heights_m.size else np.zeros(len(places))
+    away_m = np.fmax(np.linalg.norm(plan_m, axis=1), off_m)
     worst = int(np.argmax(away_m))
     if away_m[worst] >= RESURVEYED.value - _ROUNDED_M:
         problem = f"line {table.lines[rows[worst]]}: point '{name}' has moved by {away_m[worst]:.3g} m"
         raise InputError(problem, file=table.path, mend="give each point one position")
-    from_first = places - places[0]
+    from_first = places[:, :2] - places[0, :2]
     from_first[:, 0] = (from_first[:, 0] + 180.0) % 360.0 - 180.0 if worst else 0.0
-    lon, lat, height = (places[0] + from_first.mean(axis=0)).tolist()
-    spread_m = np.linalg.norm(np.ptp(plan_m, axis=0)), np.ptp(places[:, 2])
-    return (lon, lat, height), (float(spread_m[0]), float(spread_m[1]))
+    lon, lat = (places[0, :2] + from_first.mean(axis=0)).tolist()
+    if not heights_m.size:
+        return (lon, lat, math.nan), (float(np.linalg.norm(np.ptp(plan_m, axis=0))), 0.0)
+    height = float(heights_m[0] + (heights_m - heights_m[0]).mean())
+    return (lon, lat, height), (float(np.linalg.norm(np.ptp(plan_m, axis=0))), float(np.ptp(heights_m)))
 
 
-def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]]]) -> Warn:
+def _plan_only(path: Path, points: Sequence[ControlPoint]) -> Warn | None:
+    """One line for all points without a height."""
+    which = [p.name for p in points if p.plan_only]
+    if not which:
+        return None
+    what = (
+        "all heights are 0 or missing"
+        if len(which) == len(points)
+        else f"{len(which)} of {len(points)} points ({some(which)}) have no height"
+    )
+    text = f"{path.name}: {what}, taken as not given: the points determine the plan, not heights"
+    return Warn("control-plan-only", "", text)
+
+
+def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]]]) -> Warn | None:
     """One line for all points whose lines differ, with the largest spread."""
     which = [name for name, (_, spread) in merged.items() if any(spread)]
+    if not which:
+        return None
     plan_m, height_m = (max(merged[name][1][k] for name in which) for k in (0, 1))
     text = (
         f"{path.name}: {len(which)} of {len(merged)} points ({some(which)}) have lines that differ, by up to "
@@ -192,14 +168,26 @@ def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]
     return Warn("control-spread", "", text)
 
 
+def _strangers(path: Path, table: Table, strangers: Sequence[str]) -> Warn | None:
+    """One line for all measurements in images that aren't here."""
+    if not strangers:
+        return None
+    text = (
+        f"{path.name}: {len(strangers)} of {len(table.lines)} measurements are in images that aren't here "
+        f"({some(dict.fromkeys(strangers))})"
+    )
+    return Warn("control-image-missing", "", text)
+
+
 def _measurements(
-    table: Table, names: Sequence[str], frames: FrameNames
+    table: Table, of: Mapping[str, Sequence[int]], frames: FrameNames
 ) -> tuple[dict[str, list[tuple[str, float, float]]], list[str]]:
-    """Where each point was measured, and the images that aren't here."""
+    """Where each point was measured, by its name and lines, and the images that aren't here."""
+    names = {i: name for name, rows in of.items() for i in rows}
     cols, rows = table.numbers("col").tolist(), table.numbers("row").tolist()
     seen: dict[str, list[tuple[str, float, float]]] = {}
     strangers: list[str] = []
-    for i, (name, image) in enumerate(zip(names, table.texts("image"), strict=True)):
+    for i, image in enumerate(table.texts("image")):
         if image is None:
             continue
         frame = frames.find(image)
@@ -210,7 +198,7 @@ def _measurements(
             if math.isnan(value):
                 mend = "fill it in or remove the line"
                 raise InputError(f"line {table.lines[i]}: no {column}", file=table.path, mend=mend)
-        seen.setdefault(name, []).append((frame, cols[i], rows[i]))
+        seen.setdefault(names[i], []).append((frame, cols[i], rows[i]))
     return seen, strangers
 
 
@@ -235,17 +223,12 @@ def check_control(
                 )
     if not points or not len(lonlat):
         return
-    at = np.array([[p.lon_deg, p.lat_deg] for p in points])
-    middle = np.broadcast_to(np.median(lonlat, axis=0), at.shape)
-    extent = np.linalg.norm(
-        mid_latitude_offset_m(*lonlat.T, *np.broadcast_to(middle[0], lonlat.shape).T), axis=1
-    )
-    away = np.linalg.norm(mid_latitude_offset_m(*at.T, *middle.T), axis=1)
-    i = int(np.argmin(away))
-    if away[i] > extent.max() + _FAR_M:
+    away_m, reach_m = away_from(lonlat, np.array([[p.lon_deg, p.lat_deg] for p in points]))
+    i = int(np.argmin(away_m))
+    if away_m[i] > reach_m:
         raise InputError(
             f"all control points lie far from the frames, the nearest, '{points[i].name}', "
-            f"{away[i] / 1000.0:.1f} km from their middle",
+            f"{away_m[i] / 1000.0:.1f} km from their middle",
             file=path,
             mend="check the coordinate reference system and the order of the columns",
         )

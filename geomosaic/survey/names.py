@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
+from typing import Final
 
 from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
@@ -29,6 +30,7 @@ class FrameNames:
         for name in self._names:
             self._by_name.setdefault(name.casefold(), []).append(name)
             self._by_stem.setdefault(_IMAGE.sub("", name).casefold(), []).append(name)
+        self._most_words = max((len(n.split()) for n in self._names), default=0)
 
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
@@ -45,10 +47,25 @@ class FrameNames:
             )
         return found[0] if found else None
 
+    def quoted(self, text: str) -> str:
+        """A line separated by blanks, with the longest frame name that holds some in quotes."""
+        if self._most_words < 2 or '"' in text:
+            return text
+        words = [(m.start(), m.end()) for m in re.finditer(r"\S+", text)]
+        for count in range(min(self._most_words, len(words)), 1, -1):
+            for (start, _), (_, end) in zip(words, words[count - 1 :], strict=False):
+                name = text[start:end].casefold()
+                if name in self._by_name or _IMAGE.sub("", name) in self._by_stem:
+                    return f'{text[:start]}"{text[start:end]}"{text[end:]}'
+        return text
+
     def near(self, text: str) -> str:
         """A hint at the most similar name, or at the folder's first one."""
         near = difflib.get_close_matches(text, self._names, n=1, cutoff=0.6)
         return f"did you mean {near[0]}?" if near else f"the frames are named like {self._names[0]}"
+
+
+NO_NAMES: Final = FrameNames(())
 
 
 def some(names: Iterable[str], most: int = 3) -> str:

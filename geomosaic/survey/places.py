@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
+from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, label, required_crs
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
+from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, Table
 
@@ -35,26 +39,50 @@ _FAR_OUTSIDE_M: Annotated[
         CHOSEN,
     ),
 ] = 500_000.0
+_FAR_M: Annotated[
+    float,
+    Because(
+        "m",
+        "from the farthest frame's reach, or from a CRS's area of use: beyond, the CRS is another or columns "
+        "are swapped; with less, points beside frames with bad positions would be refused",
+        CHOSEN,
+    ),
+] = 5000.0
+_ENOUGH: Annotated[
+    int,
+    Because(
+        "points",
+        "of a table that are tried in each system a name may mean; all of a long one would take minutes",
+        CHOSEN,
+    ),
+] = 100
+NOWHERE: Floats = np.column_stack([[], []])
+"""Longitudes and latitudes of no frames: none has a position, or they aren't known yet."""
 
 
-def given_crs(path: Path, crs: str | None) -> CRS | None:
+@dataclass(frozen=True)
+class Places:
+    """Longitudes and latitudes (n, 2) of a table, the CRS they were given in (None where it has those), the
+    projection of x and y, and what was assumed."""
+
+    lonlat: Floats
+    crs: CRS | None
+    projection: MapProjection | None
+    notes: list[Warn]
+
+
+def given_crs(path: Path, crs: str | None, mend: str) -> StatedCrs | None:
     """The CRS given, else that of a .prj file of the same name beside the file, else None."""
     prj = path.with_suffix(".prj")
-    if crs is None and not prj.is_file():
+    if crs is not None:
+        return required_crs(crs, mend)
+    if not prj.is_file():
         return None
-    text = (
-        crs
-        if crs is not None
-        else read_text(prj, _PRJ_BYTES, "a .prj file", "give the CRS as WKT, or remove it").strip()
-    )
+    text = read_text(prj, _PRJ_BYTES, "a .prj file", "give the CRS as WKT, or remove it")
     try:
-        return CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"{shown(text)} is no coordinate reference system",
-            file=None if crs is not None else prj,
-            mend="give an EPSG code such as EPSG:32632",
-        ) from error
+        return required_crs(" ".join(text.split()), "give the CRS as WKT, or remove it")
+    except InputError as error:
+        raise InputError(error.problem, file=prj, mend=error.mend) from error
 
 
 def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path | None = None) -> list[Warn]:
@@ -96,32 +124,105 @@ def check_columns(table: Table, aliases: Aliases, item: str, what: str) -> None:
             )
 
 
-def lonlat_of(table: Table, crs: CRS | None) -> tuple[Floats, MapProjection | None, list[Warn]]:
-    """WGS 84 longitudes and latitudes (n, 2), the projection of x and y if the table has those, and doubts.
+def places_of(table: Table, stated: StatedCrs | None, near: Floats, mend: str) -> Places:
+    """Where the items of a table lie, by longitude and latitude, or by x and y in the CRS that is stated.
 
-    Raises: `InputError` naming the line of a value out of range, or columns that are swapped.
+    Of several systems that a name may mean, and of both orders of x and y, the first that puts the items
+    near the frames is taken; where these have no position, the first in whose area of use the items lie.
+
+    Args: near: longitudes and latitudes (k, 2) of the frames; mend: how a CRS is given, for errors.
+    Raises: `AmbiguousCrsError` where systems are left that put the items at different places; `InputError`
+    naming the line of a value out of range, or columns that are swapped.
     """
     if {"lon", "lat"} <= table.factors.keys():
         lonlat = np.column_stack([table.required("lon"), table.required("lat")])
-        projection = crs = None
-    else:
-        xy = np.column_stack([table.required("x"), table.required("y")])
-        if crs is None:
-            example = "EPSG:4326" if (np.abs(xy) <= [180.0, 90.0]).all() else "EPSG:32632"
-            raise InputError(
-                "x and y have no coordinate reference system",
-                file=table.path,
-                mend=f"give it (--pos-crs {example}) or put a .prj file beside it",
-            )
-        if crs.is_geographic:
-            _check_range(table, xy)
-        horizontal = MapProjection(crs.to_2d().to_wkt())
-        projection = None if crs.is_geographic else horizontal
-        lonlat = horizontal.geodetic_from_map(*xy.T)
+        _check_range(table, lonlat)
+        return Places(lonlat, None, None, [])
+    xy = np.column_stack([table.required("x"), table.required("y")])
+    if stated is None:
+        raise InputError("x and y have no coordinate reference system", file=table.path, mend=mend)
+    try:
+        crs, swapped = _chosen(stated, xy, near, mend)
+    except AmbiguousCrsError as error:
+        raise AmbiguousCrsError(error.problem, file=table.path, mend=mend) from error
+    notes = []
+    name = table.path.name
+    if not stated.is_name_of(crs):
+        text = f"{name}: {shown(stated.text)} is taken as {label(crs)}"
+        notes.append(Warn("crs-by-name", "", text))
+    if swapped:
+        where = f"far from the frames in {crs.name}" if len(near) else f"outside the area of {crs.name}"
+        text = f"{name}: x and y are exchanged: as they are written, the positions would lie {where}"
+        notes.append(Warn("xy-exchanged", "", text))
+        xy = xy[:, ::-1]
+    if crs.is_geographic:
+        _check_range(table, xy)
+    horizontal = MapProjection(crs.to_2d().to_wkt())
+    lonlat = horizontal.geodetic_from_map(*xy.T)
     _check_range(table, lonlat)
     lon, lat = np.median(lonlat, axis=0)
-    notes = [] if crs is None else check_area(crs, lon, lat, "the positions", table.path)
-    return lonlat, projection, notes
+    notes += check_area(crs, lon, lat, "the positions", table.path)
+    return Places(lonlat, crs, None if crs.is_geographic else horizontal, notes)
+
+
+def _chosen(stated: StatedCrs, xy: Floats, near: Floats, mend: str) -> tuple[CRS, bool]:
+    """The CRS that is meant, and whether x and y are exchanged."""
+    degrees = bool((np.abs(xy) <= 180.0).all())
+    every = [stated.meant(group) for group in stated.groups]
+    alike = [[crs for crs in group if crs.is_geographic == degrees] for group in every]
+    groups = [group for group in alike if group] or every
+    some = xy[:: len(xy) // _ENOUGH + 1]
+    for frames in (near, NOWHERE) if len(near) else (NOWHERE,):
+        for swapped in (False, True):
+            for group in groups:
+                fitting = _fitting(
+                    group, some[:, ::-1] if swapped else some, frames, 0.0 if swapped else _FAR_M
+                )
+                if fitting:
+                    _check_one_place(stated, fitting, mend)
+                    return next(iter(fitting)), swapped
+    return groups[0][0], False
+
+
+def _fitting(group: Sequence[CRS], xy: Floats, near: Floats, margin_m: float) -> dict[CRS, Floats]:
+    """The systems that put points near the frames, else in their area of use or so near to it, and where."""
+    if len(near) and len(group) > 1:
+        group = [crs for crs in group if outside_area_m(crs, *np.median(near, axis=0)) == 0.0]
+    found = {crs: lonlat for crs in group if (lonlat := _lonlat(crs, xy)) is not None}
+    if not len(near):
+        return {c: at for c, at in found.items() if outside_area_m(c, *np.median(at, axis=0)) <= margin_m}
+    reached = {}
+    for crs, lonlat in found.items():
+        away_m, reach_m = away_from(near, lonlat)
+        if away_m.min() <= reach_m:
+            reached[crs] = lonlat
+    return reached
+
+
+def _lonlat(crs: CRS, xy: Floats) -> Floats | None:
+    """Longitudes and latitudes (n, 2); None where the CRS has no such coordinates."""
+    try:
+        lonlat = MapProjection(crs.to_2d().to_wkt()).geodetic_from_map(*xy.T)
+    except InputError:
+        return None
+    degrees = xy if crs.is_geographic else lonlat
+    return lonlat if (np.abs(degrees) <= [180.0, 90.0]).all() and np.isfinite(lonlat).all() else None
+
+
+def _check_one_place(stated: StatedCrs, fitting: Mapping[CRS, Floats], mend: str) -> None:
+    """`AmbiguousCrsError` where systems put points farther apart than points are known."""
+    first, *others = fitting.values()
+    apart = [np.linalg.norm(mid_latitude_offset_m(*first.T, *other.T), axis=1).max() for other in others]
+    if max(apart, default=0.0) > CONTROL.sd_horizontal_m:
+        raise stated.ambiguous(fitting, mend)
+
+
+def away_from(near: Floats, lonlat: Floats) -> tuple[Floats, float]:
+    """Distances (n,) of points from the frames' middle in metres, and how far away a point may lie."""
+    middle = np.broadcast_to(np.median(near, axis=0), lonlat.shape)
+    away_m = np.linalg.norm(mid_latitude_offset_m(*lonlat.T, *middle.T), axis=1)
+    around = np.broadcast_to(middle[0], near.shape)
+    return away_m, float(np.linalg.norm(mid_latitude_offset_m(*near.T, *around.T), axis=1).max()) + _FAR_M
 
 
 def _check_range(table: Table, lonlat: Floats) -> None:
@@ -130,7 +231,7 @@ def _check_range(table: Table, lonlat: Floats) -> None:
         raise InputError(
             f"line {line}: the position lies outside the area of its coordinate system",
             file=table.path,
-            mend="check the columns and --pos-crs",
+            mend="check the columns and the coordinate reference system",
         )
     lat_bad, lon_bad = np.abs(lonlat[:, 1]) > 90.0, np.abs(lonlat[:, 0]) > 180.0
     if lat_bad.all() and (np.abs(lonlat[:, 0]) <= 90.0).all() and (np.abs(lonlat[:, 1]) <= 180.0).all():
@@ -153,7 +254,7 @@ def _check_range(table: Table, lonlat: Floats) -> None:
             raise InputError(
                 f"line {table.lines[i]}: {name} {lonlat[i, axis]:g} is outside -{limit} to {limit}",
                 file=table.path,
-                mend="correct it (decimal degrees), or name the columns x and y and give --pos-crs",
+                mend="correct it (decimal degrees), or name the columns x and y and give their CRS",
             )
 
 
@@ -166,6 +267,9 @@ def heights_of(table: Table, crs: CRS | None, lonlat: Floats) -> tuple[Floats, l
     column = next((c for c in ("height_ellipsoidal", "height_orthometric", "height") if c in has), None)
     if column is None:
         return np.full(len(table.lines), np.nan), []
+    values = table.numbers(column)
+    if np.isnan(values).all():
+        return values, []
     offset, notes = 0.0, []
     vertical = vertical_crs(crs) if crs is not None and "lon" not in has else None
     if column == "height_orthometric" and vertical is None:
@@ -184,4 +288,4 @@ def heights_of(table: Table, crs: CRS | None, lonlat: Floats) -> tuple[Floats, l
     elif column == "height":
         text = f"{name}: heights have no stated datum, taken as ellipsoidal"
         notes.append(Warn("height-datum-assumed", "", text))
-    return table.numbers(column) + offset, notes
+    return values + offset, notes

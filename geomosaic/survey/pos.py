@@ -8,15 +8,16 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
+from geomosaic.geodesy.crs_names import StatedCrs, crs_of
 from geomosaic.survey.attitude import read_angles
+from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.model import Warn
-from geomosaic.survey.names import some
-from geomosaic.survey.places import check_columns, given_crs, heights_of, lonlat_of
-from geomosaic.survey.table import Aliases, Table, column_of, crs_of_line, read_lines, read_table, split
+from geomosaic.survey.names import NO_NAMES, FrameNames, some
+from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
+from geomosaic.survey.table import Aliases, Table, read_lines, read_table, split
 
 ALIASES: Final[Aliases] = {
     "frame": (
@@ -51,14 +52,14 @@ ALIASES: Final[Aliases] = {
     "kappa": ("kappa",),
     "sd_horizontal": (
         "sd_horizontal", "accuracy_horizontal", "horizontal_accuracy", "horz_accuracy", "accuracy_horz",
-        "accuracy_xy", "sigma_xy", "sd_xy",
+        "accuracy_xy", "accuracy_x_y", "sigma_xy", "sd_xy", "lateral_rms", "hrms", "h_rms", "hacc", "h_acc",
     ),
     "sd_vertical": (
         "sd_vertical", "accuracy_vertical", "vertical_accuracy", "vert_accuracy", "accuracy_vert",
-        "accuracy_z", "sigma_z", "sd_z", "sd_u",
+        "accuracy_z", "sigma_z", "sd_z", "sd_u", "sdu", "elevation_rms", "vrms", "v_rms", "vacc", "v_acc",
     ),
-    "sd_e": ("sd_e", "sigma_x", "sd_x", "sd_easting"),
-    "sd_n": ("sd_n", "sigma_y", "sd_y", "sd_northing"),
+    "sd_e": ("sd_e", "sigma_x", "sd_x", "sd_easting", "sde", "easting_rms"),
+    "sd_n": ("sd_n", "sigma_y", "sd_y", "sd_northing", "sdn", "northing_rms"),
     "sd_yaw": ("sd_yaw", "sigma_yaw", "sd_kappa", "sigma_kappa"),
     "sd_tilt": ("sd_tilt", "sigma_tilt"),
     "sd_omega": ("sd_omega", "sigma_omega", "sd_roll", "sigma_roll"),
@@ -81,6 +82,7 @@ _MOST_LINES: Annotated[
     ),
 ] = 200_000
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
+_GIVE_CRS: Final = "give it as an EPSG code (--pos-crs EPSG:32632), or put a .prj file beside the POS file"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
 
 
@@ -115,21 +117,29 @@ class PosFile:
     warnings: tuple[Warn, ...]
 
 
-def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "auto") -> PosFile:
+def read_pos(
+    path: Path,
+    *,
+    crs: str | None = None,
+    attitude_convention: str = "auto",
+    frames: FrameNames = NO_NAMES,
+) -> PosFile:
     """Read a POS file: a table with named columns, ODM's geo.txt, or Pix4D's table without a header.
 
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
-    .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`.
+    .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
+    whose names those with blanks are found.
     Raises: `InputError` naming the file, the line and the mend.
     """
     notes: list[Warn] = []
-    table, file_crs = _table(path, crs, notes)
+    table, stated = _table(path, crs, frames, notes)
     if table.unknown_columns:
         unused = some(table.unknown_columns, 20)
         notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
-    lonlat, projection, outside = lonlat_of(table, file_crs)
-    heights, doubts = heights_of(table, file_crs, lonlat)
-    angles, source, assumed = read_angles(table, attitude_convention, projection, lonlat)
+    places = places_of(table, stated, NOWHERE, _GIVE_CRS)
+    lonlat = places.lonlat
+    heights, doubts = heights_of(table, places.crs, lonlat)
+    angles, source, assumed = read_angles(table, attitude_convention, places.projection, lonlat)
     names, lines = table.texts("frame"), table.lines
     if None in names:
         line = lines[names.index(None)]
@@ -140,11 +150,11 @@ def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "
         "yaw_deg": angles[:, 0],
         "pitch_deg": angles[:, 1],
         "roll_deg": angles[:, 2],
-        "sd_east_m": _sd(table, "sd_horizontal", "sd_e"),
-        "sd_north_m": _sd(table, "sd_horizontal", "sd_n"),
-        "sd_vertical_m": _sd(table, "sd_vertical"),
-        "sd_yaw_deg": _sd(table, "sd_yaw"),
-        "sd_tilt_deg": _sd(table, "sd_tilt", "sd_omega", "sd_phi"),
+        "sd_east_m": deviation(table, "sd_horizontal", "sd_e"),
+        "sd_north_m": deviation(table, "sd_horizontal", "sd_n"),
+        "sd_vertical_m": deviation(table, "sd_vertical"),
+        "sd_yaw_deg": deviation(table, "sd_yaw"),
+        "sd_tilt_deg": deviation(table, "sd_tilt", "sd_omega", "sd_phi"),
     }
     columns = [[None if v != v else v for v in values.tolist()] for values in known.values()]
     rows = [
@@ -161,23 +171,25 @@ def read_pos(path: Path, *, crs: str | None = None, attitude_convention: str = "
             names, lines, lonlat.tolist(), table.texts("camera"), zip(*columns, strict=True), strict=True
         )
     ]
-    return PosFile(path, tuple(rows), (*notes, *outside, *doubts, *assumed))
+    return PosFile(path, tuple(rows), (*notes, *places.notes, *doubts, *assumed))
 
 
-def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS | None]:
+def _table(
+    path: Path, given: str | None, frames: FrameNames, notes: list[Warn]
+) -> tuple[Table, StatedCrs | None]:
     lines = read_lines(path, _MOST_LINES, "lines of frames")
     if not lines:
         raise InputError("the POS file is empty", file=path, mend="give a header line and a line per frame")
-    first = lines[0]
-    if (odm := crs_of_line(first.text)) is not None:
-        table = read_table(path, lines[1:], ALIASES, _GEO_TXT)
-        return _without_empty_angles(table, notes), odm
-    file_crs = given_crs(path, crs)
-    names = [column_of(name, ALIASES, path)[0] for name in split(first.text, first.text)]
-    if "frame" in names or len({n for n in names if n}) > 1:
+    odm, lines = read_head(path, lines, ALIASES, _GIVE_CRS)
+    lines = [replace(line, text=frames.quoted(line.text)) for line in lines]
+    file_crs = odm or given_crs(path, given, _GIVE_CRS)
+    if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")
         return table.without("status", "left_out"), file_crs
+    if odm is not None:
+        table = read_table(path, lines, ALIASES, _GEO_TXT)
+        return _without_empty_angles(table, notes), odm
     data = [line for line in lines if not line.comment]
     count = len(split(data[0].text, data[0].text)) if data else 0
     if count not in (3, 4, 6):
@@ -186,7 +198,7 @@ def _table(path: Path, crs: str | None, notes: list[Warn]) -> tuple[Table, CRS |
             file=path,
             mend="put one first: frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg",
         )
-    projected = file_crs is not None and not file_crs.is_geographic
+    projected = file_crs is not None and not all(crs_of(c).is_geographic for c in file_crs.groups[0])
     columns = ("frame", "x", "y", *_PIX4D[3:]) if projected else _PIX4D
     text = f"{path.name} has no header: read as {', '.join(columns[:count])} (Pix4D's order)"
     notes.append(Warn("pos-header-assumed", "", text))
@@ -203,7 +215,7 @@ def _without_empty_angles(table: Table, notes: list[Warn]) -> Table:
     return replace(table, cells={c: cells for c, cells in table.cells.items() if c not in drop})
 
 
-def _sd(table: Table, whole: str, *parts: str) -> Floats:
+def deviation(table: Table, whole: str, *parts: str) -> Floats:
     """A standard deviation, or the root mean square of its parts; 0 stands for unknown."""
     columns = parts if parts and whole not in table.factors else (whole,)
     values = np.stack([table.numbers(c) for c in columns])

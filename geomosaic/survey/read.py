@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from geomosaic.errors import InputError
+from geomosaic.geodesy.crs_names import AmbiguousCrsError, label, required_crs
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS, map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
@@ -24,7 +27,7 @@ from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, 
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import check_extent, lonlat_of, observe
-from geomosaic.survey.places import check_area
+from geomosaic.survey.places import NOWHERE, check_area
 from geomosaic.survey.pos import PosFile, read_pos
 from geomosaic.survey.rig import Captures, captures, incomplete_words
 from geomosaic.survey.strays import (
@@ -64,16 +67,19 @@ def check_survey_files(
 ) -> None:
     """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
     if crs != "auto":
-        map_crs(crs)
+        with suppress(AmbiguousCrsError):  # frames' positions may tell which is meant
+            map_crs(crs)
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
     if pos is not None:
-        read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
+        names = FrameNames(files.values())
+        read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention, frames=names)
     if camera is not None:
         read_cameras(camera)
     if dem is not None:
         check_dem(dem)
     if gcp is not None:
-        read_control(gcp, FrameNames(files.values()))
+        with suppress(AmbiguousCrsError):
+            read_control(gcp, FrameNames(files.values()))
 
 
 def read_survey(
@@ -109,9 +115,11 @@ def read_survey(
     progress: called with frames done, frames in all, and what is being done.
     Raises: `InputError` and `FileError`, one line that names the file and the mend.
     """
-    wanted_crs = None if crs == "auto" else map_crs(crs)
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
-    table = None if pos is None else read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention)
+    table = None
+    if pos is not None:
+        of = FrameNames(files.values())
+        table = read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention, frames=of)
     cameras = None if camera is None else read_cameras(camera)
     inner = unused_folders(folder)
     found = usable(files, inspect, mask_damaged=damaged == "mask", strict=strict, progress=progress)
@@ -127,10 +135,11 @@ def read_survey(
     _check_alike(headers)
     left_out = (*found.left_out, *(out for _, out in strays))
     names = [h.name for h in headers]
-    control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names))
     observed = observe(headers, table, [out.name for out in left_out], strict=strict)
     check_extent(headers, observed.positions)
     located = [p for p in observed.positions if p.known]
+    near = lonlat_of(located) if located else NOWHERE
+    control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names), near)
     if not located and gcp is not None:
         used = lonlat_of_control(gcp, control)
         there = np.median(used, axis=0)
@@ -154,11 +163,11 @@ def read_survey(
         elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, under, lonlat)
     if gcp is not None:
         sizes = {h.name: (h.width_px, h.height_px) for h in headers}
-        check_control(gcp, control, lonlat if located else lonlat[:0], sizes)
+        check_control(gcp, control, near, sizes)
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
     work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, control, heights))
-    outside = [] if wanted_crs is None else check_area(wanted_crs, lon, work_frame.lat_deg, "the frames")
+    wanted_crs, crs_notes = _wanted_crs(crs, lon, work_frame.lat_deg)
     frames = tuple(
         Frame(
             name=h.name,
@@ -207,13 +216,26 @@ def read_survey(
             *found.warnings,
             *stray_warnings(strays),
             *order,
-            *outside,
+            *crs_notes,
             *observed.warnings,
             *choice.warnings,
             *dem_warnings,
             *control_warnings,
         ),
     )
+
+
+def _wanted_crs(text: str, lon_deg: float, lat_deg: float) -> tuple[CRS | None, list[Warn]]:
+    """The map's CRS where one is asked for, and what was assumed; its middle lies at lon_deg, lat_deg."""
+    if text == "auto":
+        return None, []
+    crs = map_crs(text, (lon_deg, lat_deg))
+    named = (
+        []
+        if required_crs(text, "").is_name_of(crs)
+        else [Warn("crs-by-name", "", f"--crs '{text}' is taken as {label(crs)}")]
+    )
+    return crs, [*named, *check_area(crs, lon_deg, lat_deg, "the frames")]
 
 
 def _inner_words(inner: Sequence[str]) -> str:

@@ -12,8 +12,6 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.doors.files import decoded, read_bytes
@@ -170,25 +168,11 @@ def _other_kind(start: bytes) -> str | None:
     return next(found, None)
 
 
-def crs_of_line(text: str) -> CRS | None:
-    """The CRS that OpenDroneMap's files have in their first line; None where the line is none.
-
-    `EPSG:32616`, a PROJ string, or `WGS84 UTM 16N`.
-    """
-    utm = re.fullmatch(r"WGS\s?84\s+UTM\s+(\d{1,2})\s*([NS])", text.strip(), re.IGNORECASE)
-    if utm and 1 <= int(utm[1]) <= 60:
-        return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + int(utm[1]))
-    if re.match(r"(epsg:\d+|\+proj=\w+)", text.strip(), re.IGNORECASE):
-        try:
-            return CRS.from_user_input(text.strip())
-        except CRSError:
-            return None
-    return None
-
-
 def split(text: str, like: str) -> list[str]:
     """Fields of a line, separated as the line `like` is: semicolon, tab, comma, or blanks."""
     separator = next((s for s in ";\t," if s in like), " ")
+    if separator == "," and _has_decimal_commas(like):
+        separator = " "
     quote = "'" if like.lstrip().startswith("'") else '"'
     if quote not in text:
         fields = text.split(separator)
@@ -198,6 +182,17 @@ def split(text: str, like: str) -> list[str]:
     except (csv.Error, StopIteration):
         return [text]
     return [field.strip().strip(quote) for field in fields]
+
+
+def _has_decimal_commas(text: str) -> bool:
+    """Whether the commas of a line are all decimal ones, its fields separated by blanks."""
+    with_comma = [field for field in text.split() if "," in field]
+    return len(with_comma) > 1 and all(re.fullmatch(r"[-+]?\d+,\d+", field, re.ASCII) for field in with_comma)
+
+
+def is_number(text: str) -> bool:
+    """Whether a field is a number, be it with a decimal comma."""
+    return _NUMBER.fullmatch(text.replace(",", ".", 1)) is not None
 
 
 def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[str | None, float]:

@@ -1,0 +1,84 @@
+"""The lines of a file of control points: OpenDroneMap's gcp_list.txt, or a table with named columns."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Final
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import InputError
+from geomosaic.geodesy.crs_names import StatedCrs
+from geomosaic.survey.head import has_numbers, names_known, read_head
+from geomosaic.survey.names import FrameNames
+from geomosaic.survey.places import check_columns, given_crs
+from geomosaic.survey.pos import ALIASES as POS_ALIASES
+from geomosaic.survey.table import Aliases, Line, Table, is_number, read_lines, read_table, split
+
+ALIASES: Final[Aliases] = {
+    "name": ("name", "point", "point_name", "gcp", "gcp_name", "label", "id"),
+    **{
+        c: POS_ALIASES[c]
+        for c in (
+            "lon", "lat", "x", "y", "height_ellipsoidal", "height_orthometric", "height", "sd_horizontal",
+            "sd_vertical", "sd_e", "sd_n",
+        )
+    },
+    "sd": ("sd", "sigma", "accuracy", "precision", "std", "stdev", "standard_deviation", "rms", "rmse"),
+    "kind": ("kind", "type", "role"),
+    "image": ("image", "frame", "image_name", "file", "filename", "photo"),
+    "col": ("col", "column", "im_x", "pixel_x", "image_x", "px"),
+    "row": ("row", "line", "im_y", "pixel_y", "image_y", "py"),
+}  # fmt: skip
+"""Columns of a table of control points; a point has one line per image it was measured in, or one."""
+
+GIVE_CRS: Final = "write its EPSG code in the first line of the --gcp file, such as EPSG:32632"
+_MOST_LINES: Annotated[
+    int,
+    Because(
+        "lines",
+        "of a file of control: the most points in ten images each; without a limit a file of another "
+        "kind would take memory and time",
+        CHOSEN,
+    ),
+] = 200_000
+_GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
+_MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(?=\s|$)", re.IGNORECASE)
+"""Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""
+
+
+def control_table(path: Path, frames: FrameNames) -> tuple[Table, StatedCrs | None]:
+    """A table with a line per measurement or point, and the CRS of x and y.
+
+    Raises: `InputError` naming the file, the line and the mend.
+    """
+    lines = read_lines(path, _MOST_LINES, "measurements")
+    if not lines:
+        raise InputError("the file of control points is empty", file=path, mend="give a line per measurement")
+    stated, lines = read_head(path, lines, ALIASES, GIVE_CRS)
+    stated = stated or given_crs(path, None, GIVE_CRS)
+    lines = [line if line.comment else replace(line, text=frames.quoted(line.text)) for line in lines]
+    if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
+        table = read_table(path, lines, ALIASES)
+        check_columns(table, ALIASES, "name", "point's name")
+        return table, stated
+    return _gcp_list(path, lines), stated
+
+
+def _gcp_list(path: Path, lines: list[Line]) -> Table:
+    """A table without names of columns: a measurement a line, or a point that is measured in no image."""
+    first = next((line.text for line in lines if not line.comment), "")
+    fields = split(first, first)
+    if fields and (not is_number(fields[0]) or len(fields) in (4, 5)):
+        return read_table(path, lines, ALIASES, ("name", "x", "y", "height"))
+    lines = [replace(line, text=_quoted_image(line.text)) for line in lines]
+    return read_table(path, lines, ALIASES, _GCP_LIST)
+
+
+def _quoted_image(text: str) -> str:
+    """A line separated by blanks with an image that isn't here in quotes where its name holds blanks."""
+    found = _MEASURED.match(text)
+    if found is None or '"' in text or len(found[2].split()) == 1:
+        return text
+    return f'{found[1]}"{found[2]}"{text[found.end() :]}'
