@@ -63,9 +63,9 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
     if best < 1.0 + _STEP or cost(1.0) - cost(best) < np.log(_SURELY):
         return block, ()
     text = (
-        f"all {marks} image marks of the control points lie in the first {100.0 * share:.0f} % of the width and "
-        f"height of their images, and their rays meet if the marks are enlarged by {best:.3f}: taken as "
-        "measured in images reduced by that; give marks of the full images to be sure"
+        f"all {marks} image marks of the control points lie in the first {100.0 * share:.0f} % of the "
+        f"width and height of their images, and their rays meet if the marks are enlarged by {best:.3f}: "
+        "taken as measured in images reduced by that; give marks of the full images to be sure"
     )
     enlarged = tuple(replace(c, observations=_enlarged(c, best)) for c in block.control)
     return replace(block, control=enlarged), (Warn("control-marks-enlarged", "", text),)

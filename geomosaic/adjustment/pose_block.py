@@ -24,6 +24,7 @@ from geomosaic.adjustment.chosen_model import (
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.control_marks import with_marks_of_whole_images
+from geomosaic.adjustment.control_reference import placed_by_control
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
     lying_tags,
@@ -162,10 +163,14 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         return settled(block, block.poses, (Round(np.zeros((0, 2)), still),))
     few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
-    block, notes = with_marks_of_whole_images(
-        block, lambda its: _free(_begun(its, replace(settings, model="given"), few, few, spread))
-    )
-    work = _begun(block, settings, tracks, few, spread)
+
+    def free(its: Block) -> tuple[Poses, tuple[Camera, ...]]:
+        work = _begun(its, replace(settings, model="given"), (few, few), spread)
+        bundle = work.found.bundle
+        return bundle.poses, tuple(bundle.cameras[k] for k in its.lens_of)
+
+    block, notes = with_marks_of_whole_images(block, free)
+    work = _begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
     taken = _named("few tie points" if work.rough else "tie points", work, ())
     skipped: list[Warn] = []
     for name, step in _STEPS.items():
@@ -180,12 +185,6 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     return replace(outcome, steps=steps, warnings=(*notes, *skipped, *outcome.warnings))
 
 
-def _free(work: _Work) -> tuple[Poses, tuple[Camera, ...]]:
-    """Poses, and the camera of each frame."""
-    bundle = work.found.bundle
-    return bundle.poses, tuple(bundle.cameras[k] for k in work.block.lens_of)
-
-
 def _named(
     name: str, work: _Work, before: tuple[tuple[SolveStep, SolveStep], ...]
 ) -> tuple[tuple[SolveStep, SolveStep], ...]:
@@ -195,10 +194,18 @@ def _named(
     return *before, *((step, replace(step, solve=name)) for step in more)
 
 
-def _begun(given: Block, settings: Settings, tracks: Tracks, few: Tracks, spread: Spread) -> _Work:
-    """Similarities, then a bundle; where rows are read one after the other, first as if they weren't."""
+def _begun(
+    given: Block,
+    settings: Settings,
+    all_and_few: tuple[Tracks, Tracks],
+    spread: Spread,
+    start: Poses | None = None,
+) -> _Work:
+    """Similarities, unless a start is known, then a bundle; where rows are read one after the other, first as
+    if they weren't."""
+    tracks, few = all_and_few
     net = offset_net(given)
-    start = start_poses(given, net)
+    start = start or start_poses(given, net)
     block = placed_by_images(given, start)
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:

@@ -117,6 +117,16 @@ def orthonormal(columns: Floats) -> Floats:
     return np.asarray(np.linalg.qr(columns)[0])
 
 
+def singular_values(matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Singular value decomposition U, s, V' of a matrix (m, n): (m, k), (k,) falling, (k, n), k = min(m, n).
+
+    Raises: as `least_squares`.
+    """
+    _check_finite(matrix)
+    u, sizes, vt = np.linalg.svd(matrix, full_matrices=False)
+    return np.asarray(u), np.asarray(sizes), np.asarray(vt)
+
+
 def is_parallel(normal: Floats, most: float) -> bool:
     """Whether a normal matrix (n, n) is not finite, or has a condition number above `most`."""
     return not np.isfinite(normal).all() or float(np.linalg.cond(normal)) > most
