@@ -33,7 +33,7 @@ _MISS_PX: Annotated[
 ] = 5.0
 _SURELY: Annotated[
     float,
-    Because("", "evidence ratio that counts as strong", "Kass and Raftery 1995, section 3.2"),
+    Because("times likelier", "evidence ratio that counts as strong", "Kass and Raftery 1995, section 3.2"),
 ] = 20.0
 
 

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.estimation.linear import singular_values
 
 Floats = NDArray[np.float64]
-_ROUNDS: Final = 20
-_COLLINEAR: Final = 0.05
-"""Share of the first singular value below which the second one means points on a line, free to turn about it."""
-_MOST_TRIPLES: Final = 500
+_ROUNDS: Annotated[int, Because("rounds", "of re-weighting; ten settle it", CHOSEN)] = 20
+_COLLINEAR: Annotated[
+    float,
+    Because(
+        "of the largest singular value",
+        "for the second one, below which points lie on a line and are free to turn about it",
+        CHOSEN,
+    ),
+] = 0.05
+_MOST_TRIPLES: Annotated[
+    int, Because("triples", "of points to begin from; one of four is good where a third are blunders", CHOSEN)
+] = 500
 
 
 @dataclass(frozen=True)
