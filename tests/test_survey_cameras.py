@@ -206,7 +206,7 @@ def test_focal_length_from_the_focal_plane_of_a_resized_image() -> None:
             height_px=3000,
             focal_length_mm=5.5,
             pixels_per_mm=250.0,
-            focal_length_35mm=29.0,
+            focal_length_35mm=12.0,
         )
     )
     assert (source, camera.focal_length_px) == ("focal-plane", 687.5)
@@ -242,11 +242,80 @@ def test_djis_own_calibration() -> None:
     assert (source, wrong.k1) == ("sensor-table", 0.0)
 
 
-def test_no_focal_length_says_how_to_give_it() -> None:
-    with pytest.raises(
-        InputError, match=r"/f/a\.jpg: the frame doesn't report its focal length; give .* --camera FILE"
-    ):
-        camera_from_header(header(make="X", model="Y", focal_length_mm=8.8))
+@pytest.mark.parametrize(("width", "height"), [(4000, 3000), (3000, 4000)])
+def test_a_lens_that_nothing_reports_is_assumed(width: int, height: int) -> None:
+    frame = header(width, height, make="X", model="Y", focal_length_mm=8.8)
+    choice = cameras_from_headers([frame])
+    (camera,) = choice.cameras
+    assert camera_from_header(frame) == (camera, "assumed")
+    assert (camera.focal_length_px, camera.focal_length_sd_px) == (3400.0, 1700.0)
+    (warning,) = choice.warnings
+    assert warning.code == "focal-length-assumed"
+    assert "3400 px is assumed" in warning.text
+    assert "--camera FILE" in warning.text
+
+
+@pytest.mark.parametrize(
+    ("size", "exif", "expected"),
+    [
+        ((640, 512), {"make": "DJI", "model": "MAVIC2-ENTERPRISE-ADVANCED"}, 750.0),
+        ((640, 512), {"make": "DJI", "model": "XT2", "focal_length_mm": 13.0, "pixels_per_mm": 10.8}, 764.7),
+        ((336, 256), {"make": "FLIR", "model": "Vue Pro R", "focal_length_mm": 13.0}, 764.7),
+        ((1280, 1024), {"make": "DJI", "model": "M3T", "focal_length_mm": 9.1}, 1516.7),
+        ((1640, 1232), {"make": "RaspberryPi", "model": "RP_imx219"}, 1357.1),
+    ],
+)
+def test_sensors_of_published_pitch(size: tuple[int, int], exif: dict[str, object], expected: float) -> None:
+    camera, source = camera_from_header(header(*size, **exif))
+    assert (source, camera.kind) == ("sensor-pitch", "brown")
+    assert camera.focal_length_px == pytest.approx(expected, abs=0.1)
+
+
+def test_the_visual_camera_of_a_thermal_drone_goes_by_its_own_tags() -> None:
+    exif = {"make": "DJI", "model": "MAVIC2-ENTERPRISE-ADVANCED", "focal_length_35mm": 24.0}
+    assert camera_from_header(header(8000, 6000, **exif))[1] == "exif-35mm"
+
+
+@pytest.mark.parametrize(
+    ("exif", "expected", "reach"),
+    [
+        # Both can be: the one nearer to what most cameras have, as unsure as they are apart.
+        ({"focal_length_mm": 10.0, "pixels_per_mm": 300.0, "focal_length_35mm": 94.0}, 3000.0, 10862 - 3000),
+        # No lens maps a plane to a plane as wide.
+        ({"focal_length_mm": 5.0, "pixels_per_mm": 150.0}, 3400.0, 3400.0 - 750.0),
+    ],
+)
+def test_contradicting_tags_have_a_deviation_that_covers_them(
+    exif: dict[str, object], expected: float, reach: float
+) -> None:
+    choice = cameras_from_headers([header(make="X", model="Y", **exif)])
+    (camera,) = choice.cameras
+    assert camera.focal_length_px == pytest.approx(expected)
+    assert camera.focal_length_sd_px == pytest.approx(reach, rel=1e-3)
+    assert [w.code for w in choice.warnings] == ["focal-length-assumed"]
+
+
+def test_a_source_that_two_others_contradict_is_outvoted() -> None:
+    camera, source = camera_from_header(
+        header(make="DJI", model="FC6310", focal_length_mm=8.8, pixels_per_mm=40.0, focal_length_35mm=24.0)
+    )
+    assert (source, camera.focal_length_px) == ("sensor-table", pytest.approx(8.8 * 4000 / 13.2))
+
+
+def test_a_zoom_that_always_says_the_same_says_nothing() -> None:
+    exif = {"make": "SIYIKEJI", "model": "ZR10", "focal_length_mm": 47.0, "focal_length_35mm": 94.0}
+    camera, source = camera_from_header(header(2560, 1440, **exif))
+    assert (source, camera.focal_length_px) == ("assumed", 2176.0)
+
+
+def test_an_action_camera_in_its_wide_mode_begins_as_a_fisheye() -> None:
+    camera, source = camera_from_header(header(make="GoPro", model="HERO5 Black", focal_length_35mm=15.0))
+    assert (source, camera.kind) == ("action-camera", "fisheye")
+    assert camera.focal_length_px / 4000 == pytest.approx(0.433, abs=1e-3)
+    linear, _ = camera_from_header(header(make="GoPro", model="HERO5 Black", focal_length_35mm=17.0))
+    assert linear.kind == "brown"
+    untagged, source = camera_from_header(header(make="GoPro", model="HERO5 Black"))
+    assert (source, untagged.kind, untagged.focal_length_px) == ("assumed", "fisheye", 1880.0)
 
 
 def test_each_make_size_and_focal_length_is_a_camera() -> None:

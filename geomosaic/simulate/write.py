@@ -24,7 +24,7 @@ from geomosaic.simulate.exif import camera_tags, gps_tags, tiff_bytes, with_segm
 from geomosaic.simulate.flight import START_S, Flight, Observed, rotations_in
 from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.readout import gyroscope_tag, readout_of
-from geomosaic.survey.cameras import FILM_DIAGONAL_MM
+from geomosaic.survey.focal_lengths import FILM_DIAGONAL_MM
 
 Floats = NDArray[np.float64]
 MAKE = "geomosaic"

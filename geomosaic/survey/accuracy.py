@@ -73,7 +73,11 @@ FOCAL_LENGTH: Final = {
     "dji-calibrated": FocalAccuracy(0.01, "the maker's number for the model, to the digit its design's"),
     "focal-plane": FocalAccuracy(0.02, "nominal focal length and sensor size"),
     "sensor-table": FocalAccuracy(0.02, "nominal focal length and sensor size"),
+    "sensor-pitch": FocalAccuracy(0.05, "published pixel pitch, exact; focal length as published or tagged"),
     "exif-35mm": FocalAccuracy(0.02, "besides the rounding to whole millimetres, which is added"),
+    "action-camera": FocalAccuracy(0.2, "one lens, several modes: wide 0.47, medium 0.63 of the width"),
+    "assumed": FocalAccuracy(0.5, "nothing reported: cameras in use have 0.5 to 1.6 of the longer side"),
+    "contradicting": FocalAccuracy(0.5, "at least; all that are reported lie within one deviation"),
 }
 
 MAKERS_DISTORTION: Final = DistortionAccuracy(

@@ -15,6 +15,16 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
+from geomosaic.survey.focal_lengths import (
+    ALIKE,
+    action_camera,
+    agreed,
+    nearest_to_usual,
+    reported_focal_lengths,
+    too_wide,
+    usual_focal_px,
+    wide_mode,
+)
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import (
     dji_calibrated,
@@ -28,29 +38,6 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
-FILM_DIAGONAL_MM: Annotated[
-    float,
-    Because(
-        "mm",
-        "of an image of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
-        "CIPA DCG-001",
-    ),
-] = math.hypot(36.0, 24.0)
-SENSOR_WIDTHS_MM: Annotated[
-    dict[str, float],
-    Because(
-        "mm",
-        "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
-        "wrong one makes the focal length wrong by as much",
-        "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
-        "35.9; where the rest are from is not known",
-    ),
-] = {
-    "fc300c": 6.17, "fc300s": 6.17, "fc300x": 6.17, "fc330": 6.17, "fc220": 6.17, "fc350": 6.17,
-    "fc550": 17.3, "fc6310": 13.2, "fc6310r": 13.2, "fc6310s": 13.2, "fc6510": 13.2, "fc6520": 17.3,
-    "l1d-20c": 13.2, "fc3411": 13.2, "l2d-20c": 17.3, "m3e": 17.3, "zenmusep1": 35.9, "s.o.d.a.": 12.75,
-    "dsc-wx220": 6.17, "ilce-6000": 23.5, "ilce-7rm2": 35.9,
-}  # fmt: skip
 _MAX_ASPECT_DIFFERENCE: Annotated[
     float,
     Because(
@@ -60,15 +47,6 @@ _MAX_ASPECT_DIFFERENCE: Annotated[
         CHOSEN,
     ),
 ] = 0.003
-_BESIDE_35MM: Annotated[
-    float,
-    Because(
-        "share of the 35 mm equivalent",
-        "by which a maker's focal length may differ from it and still be this image's: whole millimetres "
-        "leave some per cent, an image that was cut or taken by another lens differs by more",
-        CHOSEN,
-    ),
-] = 0.15
 _UNLIKE_TAGS: Annotated[
     float,
     Because(
@@ -84,7 +62,15 @@ _TAGS: Final = {
     "xmp-fisheye": "FisheyePolynomial",
     "dji-calibrated": "CalibratedFocalLength",
 }
-_GIVE: Final = "give the camera's interior orientation with --camera FILE (docs/inputs.md)"
+_UNSURE: Final = {
+    "assumed": "the frames don't report a focal length that can be",
+    "contradicting": "the tags contradict each other about the focal length, or give one that no lens has",
+    "action-camera": "an action camera, whose field of view depends on a mode that no tag gives",
+}
+_UNSURE_MEANS: Final = (
+    ", and the images decide. Over flat land they can't: the map's scale and heights then rest on positions; "
+    "give the camera's interior orientation with --camera FILE"
+)
 
 
 @dataclass(frozen=True)
@@ -100,9 +86,7 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     """A camera for each make, model, size and focal length, from EXIF and XMP.
 
     A frame whose focal length can't be, or not among the others of its make, model and size, takes the one
-    that most of those have.
-
-    Raises: `InputError` naming a frame that doesn't report its focal length, where no such other does.
+    that most of those have; where none has one it is assumed.
     """
     reported = [_reported(header) for header in headers]
     known, wrong = _among_others(headers, reported)
@@ -127,6 +111,10 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
 def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
     """What is taken of a camera's lens and shutter, from the tags of its first frame."""
     focal = f"{camera.focal_length_px:.0f} px"
+    if source in _UNSURE:
+        lens = "a fisheye's " if camera.kind == "fisheye" else ""
+        text = f"{camera.name}: {_UNSURE[source]}; {lens}{focal} is assumed to begin with{_UNSURE_MEANS}"
+        return [Warn("focal-length-assumed", "", text), *_shutter_reported(header, camera)]
     text = f"{camera.name}: focal length {focal} (sd {camera.focal_length_sd_px:.0f}) from {source}"
     if source in _TAGS:
         text += f", principal point {camera.principal_col_px:.0f}, {camera.principal_row_px:.0f}"
@@ -155,30 +143,72 @@ def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
     """A frame's camera and which source reported it, the surest first whose focal length can be.
 
     The maker's calibration in the XMP (DJI's `DewarpData`, Pix4D's `Camera:Perspective...`, DJI's
-    `CalibratedFocalLength`); focal length with the focal plane's resolution; focal length with the
-    sensor's width from `SENSOR_WIDTHS_MM`; the 35 mm equivalent, which compares diagonals
-    (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
-
-    Raises: `InputError` where none reports a focal length that can be.
+    `CalibratedFocalLength`), then those of `reported_focal_lengths` that another one agrees with.
+    `contradicting` where none does: that nearest to most cameras', with a deviation that covers all.
+    `assumed` where none reports a focal length that can be.
     """
-    camera, source, wrong = _reported(header)
-    if camera is None:
-        raise _unreported(header, wrong)
-    return camera, source
+    camera, source, _ = _reported(header)
+    return _assumed_lens(header) if camera is None else (camera, source)
+
+
+def unreported(headers: Sequence[FrameHeader]) -> list[int]:
+    """Frames that report no lens, nor does another of their make, model and size."""
+    known, _ = _among_others(headers, [_reported(header) for header in headers])
+    return [i for i, (_, source) in enumerate(known) if source == "assumed"]
 
 
 def _reported(header: FrameHeader) -> tuple[Camera | None, str, str]:
     """The camera that a header reports, by which source, and what it reports before that can't be."""
     exif, width, height = header.exif, header.width_px, header.height_px
-    mm = exif.focal_length_mm
-    zoom = (
-        f" {mm:g} mm" if mm else f" {exif.focal_length_35mm:g} mm (35 mm)" if exif.focal_length_35mm else ""
-    )
-    name = f"{label(header)} {width} x {height}{zoom}"
-    scale = width / exif.width_px if exif.width_px else 1.0
+    reported = reported_focal_lengths(header)
+    from_35mm = reported.by_source.get("exif-35mm")
+    blank = _blank(header)
+    makers = {
+        "dji-dewarp": dji_dewarp(header, blank),
+        "xmp-perspective": xmp_perspective(header, blank, reported.pixels_per_mm),
+        "xmp-fisheye": xmp_fisheye(header, blank, reported.pixels_per_mm),
+        "dji-calibrated": dji_calibrated(header, blank),
+    }
+    wrong, unlike = "", {}
+    for source, lens in makers.items():
+        if lens is None:
+            continue
+        if lens_problem(lens):
+            wrong = wrong or _TAGS[source]
+        elif from_35mm and abs(lens.focal_length_px / from_35mm - 1.0) >= ALIKE:
+            unlike[source] = lens.focal_length_px
+        else:
+            return lens, source, ""
+    focals = {}
+    for source, focal in reported.by_source.items():
+        if focal_length_can_be(focal, width, height):
+            focals[source] = focal
+        else:
+            wrong = wrong or f"a focal length of {focal:.3g} px (from {source})"
+    if not focals:
+        return None, "", wrong
+    chosen = agreed(focals if len(focals) > 1 else focals | unlike)
+    if chosen is None:
+        return _of_several(header, blank, focals | unlike), "contradicting", wrong
+    focal = focals[chosen]
+    if too_wide(focal, width, height) and blank.kind != "fisheye":
+        return _of_several(header, blank, focals), "contradicting", wrong
+    relative = FOCAL_LENGTH[chosen].sd_relative
+    if chosen == "exif-35mm" and exif.focal_length_35mm is not None:
+        relative = math.hypot(relative, 1.0 / math.sqrt(12.0) / exif.focal_length_35mm)
+    if action_camera(header):
+        relative, chosen = FOCAL_LENGTH["action-camera"].sd_relative, "action-camera"
+    return replace(blank, focal_length_px=focal, focal_length_sd_px=relative * focal), chosen, wrong
+
+
+def _blank(header: FrameHeader) -> Camera:
+    """The frame's camera without a lens."""
+    exif, width, height = header.exif, header.width_px, header.height_px
+    mm, mm_35 = exif.focal_length_mm, exif.focal_length_35mm
+    zoom = f" {mm:g} mm" if mm else f" {mm_35:g} mm (35 mm)" if mm_35 else ""
     by_rows = shutter(header)
-    blank = Camera(
-        name,
+    return Camera(
+        f"{label(header)} {width} x {height}{zoom}",
         width,
         height,
         1.0,
@@ -186,44 +216,25 @@ def _reported(header: FrameHeader) -> tuple[Camera | None, str, str]:
         height / 2.0,
         readout_s=by_rows.readout_s,
         readout_sd_s=by_rows.sd_s,
-        kind="fisheye" if fisheye(header) else "brown",
+        kind="fisheye" if fisheye(header) or wide_mode(header) else "brown",
     )
-    from_35mm = None
-    if exif.focal_length_35mm is not None:
-        diagonal = math.hypot(width, height) if width <= 1.55 * height else 1.25 * width
-        from_35mm = exif.focal_length_35mm * diagonal / FILM_DIAGONAL_MM
-    per_mm = None if exif.pixels_per_mm is None else exif.pixels_per_mm * scale
-    sensor = SENSOR_WIDTHS_MM.get(exif.model.lower())
-    of_mm = per_mm or (width / sensor if sensor else None)
-    makers = {
-        "dji-dewarp": dji_dewarp(header, blank),
-        "xmp-perspective": xmp_perspective(header, blank, of_mm),
-        "xmp-fisheye": xmp_fisheye(header, blank, of_mm),
-        "dji-calibrated": dji_calibrated(header, blank),
-    }
-    wrong = ""
-    for source, lens in makers.items():
-        if lens is None or (from_35mm and abs(lens.focal_length_px / from_35mm - 1.0) >= _BESIDE_35MM):
-            continue
-        if not lens_problem(lens):
-            return lens, source, ""
-        wrong = wrong or _TAGS[source]
-    focals = {
-        "focal-plane": None if mm is None or per_mm is None else mm * per_mm,
-        "sensor-table": None if mm is None or sensor is None else mm * width / sensor,
-        "exif-35mm": from_35mm,
-    }
-    for source, focal in focals.items():
-        if focal is None:
-            continue
-        if not focal_length_can_be(focal, width, height):
-            wrong = wrong or f"a focal length of {focal:.3g} px (from {source})"
-            continue
-        relative = FOCAL_LENGTH[source].sd_relative
-        if source == "exif-35mm" and exif.focal_length_35mm is not None:
-            relative = math.hypot(relative, 1.0 / math.sqrt(12.0) / exif.focal_length_35mm)
-        return replace(blank, focal_length_px=focal, focal_length_sd_px=relative * focal), source, wrong
-    return None, "", wrong
+
+
+def _of_several(header: FrameHeader, blank: Camera, focals: dict[str, float]) -> Camera:
+    """A lens of which sources contradict each other, or that is none: its deviation covers them all."""
+    usual = usual_focal_px(header)
+    flat = {s: f for s, f in focals.items() if not too_wide(f, blank.width_px, blank.height_px)}
+    focal = nearest_to_usual(flat or {"assumed": usual}, usual)
+    reach = max(abs(f - focal) for f in focals.values())
+    sd_px = max(FOCAL_LENGTH["assumed"].sd_relative * focal, reach)
+    return replace(blank, focal_length_px=focal, focal_length_sd_px=sd_px)
+
+
+def _assumed_lens(header: FrameHeader) -> tuple[Camera, str]:
+    """The lens of a frame that reports none."""
+    focal = usual_focal_px(header)
+    sd_px = FOCAL_LENGTH["assumed"].sd_relative * focal
+    return replace(_blank(header), focal_length_px=focal, focal_length_sd_px=sd_px), "assumed"
 
 
 def _among_others(
@@ -243,19 +254,10 @@ def _among_others(
                 known[i], wrong[i] = None, f"a focal length of {focal:.3g} px (from {reported[i][1]})"
         usual = Counter(k for i in alike if (k := known[i]) is not None and not wrong[i]).most_common(1)
         for i in alike:
-            if wrong[i] and usual:
+            if (wrong[i] or known[i] is None) and usual:
                 known[i] = usual[0][0]
-    cameras = []
-    for header, camera, problem in zip(headers, known, wrong, strict=True):
-        if camera is None:
-            raise _unreported(header, problem)
-        cameras.append(camera)
+    cameras = [_assumed_lens(h) if c is None else c for h, c in zip(headers, known, strict=True)]
     return cameras, wrong
-
-
-def _unreported(header: FrameHeader, wrong: str) -> InputError:
-    problem = f"{wrong} can't be" if wrong else "the frame doesn't report its focal length"
-    return InputError(problem, file=header.path, mend=_GIVE)
 
 
 def cameras_from_file(

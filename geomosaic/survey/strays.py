@@ -17,9 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
-from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.survey.cameras import cameras_from_headers
+from geomosaic.survey.cameras import unreported
 from geomosaic.survey.damage import Look
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
@@ -132,20 +131,10 @@ def without(headers: Sequence[FrameHeader], strays: Sequence[Stray]) -> list[Fra
 
 def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
     """Frames of a camera and size that report no lens, as long as they are fewer than half."""
-    out: list[Stray] = []
-    while True:
-        rest = without(headers, out)
-        try:
-            cameras_from_headers(rest)
-        except InputError as error:
-            kinds = {str(h.path): (label(h), h.width_px, h.height_px) for h in rest}
-            kind = kinds.get(error.file or "")
-            alike = [h for h in rest if kinds[str(h.path)] == kind]
-            if kind is None or 2 * (len(out) + len(alike)) >= len(headers):
-                return []
-            out += [_out("frame-no-camera", h, error.problem) for h in alike]
-        else:
-            return out
+    lacking = unreported(headers)
+    if 2 * len(lacking) >= len(headers):
+        return []
+    return [_out("frame-no-camera", headers[i], "the frame doesn't report its focal length") for i in lacking]
 
 
 def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:

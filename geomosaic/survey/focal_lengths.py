@@ -1,0 +1,226 @@
+"""Focal lengths in pixels as a frame's tags and tables of published sensors report them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.survey.header import FrameHeader
+
+FILM_DIAGONAL_MM: Annotated[
+    float,
+    Because(
+        "mm",
+        "of an image of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
+        "CIPA DCG-001",
+    ),
+] = math.hypot(36.0, 24.0)
+SENSOR_WIDTHS_MM: Annotated[
+    dict[str, float],
+    Because(
+        "mm",
+        "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
+        "wrong one makes the focal length wrong by as much",
+        "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
+        "35.9; where the rest are from is not known",
+    ),
+] = {
+    "fc300c": 6.17, "fc300s": 6.17, "fc300x": 6.17, "fc330": 6.17, "fc220": 6.17, "fc350": 6.17,
+    "fc550": 17.3, "fc6310": 13.2, "fc6310r": 13.2, "fc6310s": 13.2, "fc6510": 13.2, "fc6520": 17.3,
+    "l1d-20c": 13.2, "fc3411": 13.2, "l2d-20c": 17.3, "m3e": 17.3, "zenmusep1": 35.9, "s.o.d.a.": 12.75,
+    "dsc-wx220": 6.17, "ilce-6000": 23.5, "ilce-7rm2": 35.9, "e-p1": 17.3, "e-p2": 17.3, "e-pl1": 17.3,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """widths_px: of the versions sold, the usual one first; shapes: their ratios of sides, empty for any;
+    focal_mm: of a lens that can't be changed."""
+
+    widths_px: tuple[int, ...]
+    pitch_um: float
+    focal_mm: float | None = None
+    shapes: tuple[float, ...] = ()
+
+
+_UNCOOLED: Final = (640 / 512, 336 / 256)
+SENSORS: Annotated[
+    dict[str, Sensor],
+    Because(
+        "px, um, mm",
+        "pixel pitch of sensors by a part of EXIF's make and model, the first that fits: thermal cameras "
+        "report no focal plane or that of their visual camera, boards report no lens; a wrong pitch makes "
+        "the focal length wrong by as much",
+        "data sheets: DJI (XT2, H20T, H30T, M2EA, M30T, Mavic 3T), FLIR (XT, Vue Pro, Duo Pro R, Vue TZ20), "
+        "Raspberry Pi (camera modules 1 to 3 and HQ)",
+    ),
+] = {
+    "zh30t": Sensor((1280,), 12.0, 24.0, _UNCOOLED),
+    "h20t": Sensor((640,), 12.0, 13.5, _UNCOOLED),
+    "mavic2-enterprise-advanced": Sensor((640,), 12.0, 9.0, _UNCOOLED),
+    "m30t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
+    "m3t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
+    "xt2": Sensor((640, 336), 17.0, None, _UNCOOLED),
+    "tz20": Sensor((640,), 12.0, None, _UNCOOLED),
+    "flir": Sensor((640, 336), 17.0, None, _UNCOOLED),
+    "vue pro": Sensor((640, 336), 17.0, None, _UNCOOLED),
+    "ov5647": Sensor((2592,), 1.4, 3.6),
+    "imx219": Sensor((3280,), 1.12, 3.04),
+    "imx708": Sensor((4608,), 1.4, 4.74),
+    "imx477": Sensor((4056,), 1.55),
+}
+_SHAPE: Annotated[
+    float,
+    Because("share of the ratio of sides", "336 x 256 and 4:3 differ by 1.6 %", CHOSEN),
+] = 0.01
+_ONE_LENGTH: Annotated[
+    set[str],
+    Because(
+        "model",
+        "of zoom cameras that write one focal length at every zoom: it says nothing of a frame",
+        "SIYI's data sheet: ZR10, 4.7 to 47 mm; its frames say 47 mm where they see 55 degrees",
+    ),
+] = {"zr10"}
+_ACTION_MAKES: Annotated[
+    set[str],
+    Because(
+        "make",
+        "of action cameras, which have several fields of view and no tag of the mode",
+        "OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift",
+    ),
+] = {"gopro", "xiaoyi", "yi technology", "sjcam", "drift"}
+_WIDE_MODE_MM: Annotated[
+    float,
+    Because(
+        "mm, 35 mm equivalent",
+        "to which an action camera's frame is of its wide mode, whose lens is a fisheye; 17 mm is GoPro's "
+        "linear mode, straightened in the camera",
+        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 15 mm, Hero 2 wide 16 mm",
+    ),
+] = 16.0
+_ACTION: Annotated[
+    float,
+    Because(
+        "focal length over longer side",
+        "of their wide modes, where no tag gives it",
+        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Hero 8 0.477, Drift 0.47; "
+        "GoPro's field of view of the Hero 5, 122.6 degrees: 0.467 of an equidistant lens",
+    ),
+] = 0.47
+ALIKE: Annotated[
+    float,
+    Because(
+        "share",
+        "by which two sources of one focal length may differ: whole millimetres of 35 mm equivalents leave "
+        "some per cent, an image that was cut or taken by another lens differs by more",
+        CHOSEN,
+    ),
+] = 0.15
+_USUAL: Annotated[
+    float,
+    Because(
+        "focal length over longer side",
+        "where nothing reports one; the reach of the prior is wide on both sides",
+        "OpenSfM, default_focal_prior in opensfm/config.py: 0.85",
+    ),
+] = 0.85
+_WIDEST_FLAT: Annotated[
+    float,
+    Because(
+        "focal length over longer side",
+        "shorter ones are fisheyes, or the tag of another camera: no wider lens maps a plane to a plane",
+        "Voigtlaender Heliar-Hyper Wide 10 mm and Laowa 9 mm on 36 mm: 0.28 and 0.25",
+    ),
+] = 0.25
+
+
+@dataclass(frozen=True)
+class Reported:
+    """Focal lengths in pixels of a frame by source, the surest first; pixels_per_mm: of the frame, None where
+    nothing reports it."""
+
+    by_source: dict[str, float]
+    pixels_per_mm: float | None
+
+
+def reported_focal_lengths(header: FrameHeader) -> Reported:
+    """What the tables and EXIF say of a frame's focal length.
+
+    `sensor-pitch`: the lens in mm on a sensor of known pitch, before all others, since what EXIF adds there
+    is of another camera of the same drone; `focal-plane`: the lens in mm with EXIF's resolution;
+    `sensor-table`: with the sensor's width; `exif-35mm`: the 35 mm equivalent, which compares diagonals
+    (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
+    """
+    exif, width, height = header.exif, header.width_px, header.height_px
+    if exif.model.lower().strip() in _ONE_LENGTH:
+        return Reported({}, None)
+    sensor = _sensor(header)
+    if sensor is not None:
+        mm = sensor.focal_mm or exif.focal_length_mm
+        native = width if width in sensor.widths_px else sensor.widths_px[0]
+        per_mm = 1000.0 / sensor.pitch_um * width / native
+        return Reported({} if mm is None else {"sensor-pitch": mm * per_mm}, per_mm)
+    scale = width / exif.width_px if exif.width_px else 1.0
+    per_mm_by_tag = None if exif.pixels_per_mm is None else exif.pixels_per_mm * scale
+    sensor_mm = SENSOR_WIDTHS_MM.get(exif.model.lower().strip())
+    per_mm_by_table = None if sensor_mm is None else width / sensor_mm
+    focals: dict[str, float] = {}
+    if exif.focal_length_mm is not None:
+        by_mm = {"focal-plane": per_mm_by_tag, "sensor-table": per_mm_by_table}
+        focals = {name: exif.focal_length_mm * per for name, per in by_mm.items() if per is not None}
+    if exif.focal_length_35mm is not None:
+        diagonal = math.hypot(width, height) if width <= 1.55 * height else 1.25 * width
+        focals["exif-35mm"] = exif.focal_length_35mm * diagonal / FILM_DIAGONAL_MM
+    return Reported(focals, per_mm_by_tag or per_mm_by_table)
+
+
+def _sensor(header: FrameHeader) -> Sensor | None:
+    called = f"{header.exif.make} {header.exif.model}".lower()
+    longer, shorter = max(header.width_px, header.height_px), min(header.width_px, header.height_px)
+    for words, sensor in SENSORS.items():
+        if words in called and _shaped(longer / shorter, sensor.shapes):
+            return sensor
+    return None
+
+
+def _shaped(ratio: float, shapes: tuple[float, ...]) -> bool:
+    return not shapes or any(abs(ratio / shape - 1.0) < _SHAPE for shape in shapes)
+
+
+def agreed(focals: dict[str, float]) -> str | None:
+    """The first source that another one agrees with, or the only one; None where they contradict each
+    other."""
+    for source, focal in focals.items():
+        if len(focals) == 1 or any(
+            other != source and abs(value / focal - 1.0) < ALIKE for other, value in focals.items()
+        ):
+            return source
+    return None
+
+
+def action_camera(header: FrameHeader) -> bool:
+    """Whether the frame is of an action camera, by its make."""
+    return header.exif.make.lower().strip() in _ACTION_MAKES
+
+
+def wide_mode(header: FrameHeader) -> bool:
+    """Whether the frame is of an action camera's wide mode, which it is where no tag says otherwise."""
+    equivalent_mm = header.exif.focal_length_35mm
+    return action_camera(header) and (equivalent_mm is None or equivalent_mm <= _WIDE_MODE_MM)
+
+
+def usual_focal_px(header: FrameHeader) -> float:
+    """Where a lens begins of which nothing is reported."""
+    return (_ACTION if wide_mode(header) else _USUAL) * max(header.width_px, header.height_px)
+
+
+def too_wide(focal_px: float, width_px: int, height_px: int) -> bool:
+    """Whether no lens that maps planes to planes is as short."""
+    return focal_px < _WIDEST_FLAT * max(width_px, height_px)
+
+
+def nearest_to_usual(focals: dict[str, float], usual_px: float) -> float:
+    """Of focal lengths that contradict each other, the one that most cameras are nearest to."""
+    return min(focals.values(), key=lambda focal: abs(math.log(focal / usual_px)))
