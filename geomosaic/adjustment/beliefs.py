@@ -49,6 +49,23 @@ _FOCAL_SD: Annotated[
         CHOSEN,
     ),
 ] = 0.005
+WIDE_FOCAL: Annotated[
+    float,
+    Because(
+        "share of the focal length",
+        "deviation beyond which it was assumed rather than reported: tags that agree are good to 0.05",
+        CHOSEN,
+    ),
+] = 0.1
+_WIDE_DISTORTION: Annotated[
+    float,
+    Because(
+        "times a lens's own deviations",
+        "of the radial terms where the focal length was assumed: nothing is known of such a lens, and terms "
+        "go with powers of the focal length; OpenSfM's action cameras reach -0.39 in k1",
+        "OpenSfM, opensfm/data/camera_calibration.yaml",
+    ),
+] = 4.0
 _PRINCIPAL_SD: Annotated[
     tuple[float, float],
     Because(
@@ -234,10 +251,12 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
     least, most = (sd * max(camera.width_px, camera.height_px) for sd in _PRINCIPAL_SD)
     principal = min(max(focal, least), most)
-    lens = _LENS_SD[camera.kind]
+    lens = np.array(_LENS_SD[camera.kind])
+    if focal > WIDE_FOCAL * camera.focal_length_px:
+        lens[:3] *= _WIDE_DISTORTION
     if camera.distortion_sd:
         corner = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px
-        lens = np.minimum(lens, camera.distortion_sd / camera.lens.shares(corner)).tolist()
+        lens = np.minimum(lens, camera.distortion_sd / camera.lens.shares(corner))
     about_s = camera.readout_sd_s if camera.readout_s else 0.0
     return np.array([focal, principal, principal, *lens, about_s or (_READOUT_SD_S if readout else 0.0)])
 

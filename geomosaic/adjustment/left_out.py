@@ -45,7 +45,7 @@ _SURELY: Annotated[
         "normal distribution: 0.1 % by chance",
     ),
 ] = 3.0
-_LEFT_OUT: Annotated[
+LEFT_OUT: Annotated[
     int,
     Because(
         "tracks",
@@ -162,10 +162,10 @@ class LeftOut:
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
         asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, _CELLS))
         few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
-        out = np.random.default_rng(0).permutation(len(few)) % _LEFT_OUT == 0
+        out = np.random.default_rng(0).permutation(len(few)) % LEFT_OUT == 0
         solving = np.isin(np.arange(tracks.points), few[~out])
         self.begun = first.of_points(first.points_m[solving])
-        place = _places(first.points_m[~solving], flying_height_m(block))
+        place = places(first.points_m[~solving], flying_height_m(block))
         self._judged = partial(
             _judged, chosen_tracks(tracks, solving), chosen_tracks(tracks, ~solving), place
         )
@@ -186,7 +186,7 @@ def _without_tie_points(block: Block) -> Block:
     return replace(block, ties=TiePoints(tuple(bare)))
 
 
-def _places(points_m: Floats, height_m: float) -> Ints:
+def places(points_m: Floats, height_m: float) -> Ints:
     """Number of the place of each point, (p,)."""
     square = np.floor(points_m[:, :2] / (_ALIKE * height_m))
     return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
@@ -205,7 +205,7 @@ def _judged(tracks: Tracks, judges: Tracks, place: Ints, model: Model) -> Judged
         )  # fmt: skip
     except NotSolvableError:
         return Judged(None, np.full(judges.points, np.inf), place)
-    return Judged(solved.of_points(solved.points_m), _left_out_px(judges, block, solved), place)
+    return Judged(solved.of_points(solved.points_m), left_out_px(judges, block, solved), place)
 
 
 def _begun_lens(given: Camera, found: Camera) -> Camera:
@@ -217,7 +217,7 @@ def _begun_lens(given: Camera, found: Camera) -> Camera:
     return with_interior(given, numbers)
 
 
-def _left_out_px(tracks: Tracks, block: Block, solved: Begun) -> Floats:
+def left_out_px(tracks: Tracks, block: Block, solved: Begun) -> Floats:
     """Deviations (t,) of tracks that a solution has not seen, their points put nearest to their rays."""
     number = {c.name: k for k, c in enumerate(solved.cameras)}
     cameras = [solved.cameras[number[c.name]] for c in block.cameras]

@@ -36,6 +36,7 @@ from geomosaic.adjustment.doubts import (
 from geomosaic.adjustment.fallback import with_fallbacks
 from geomosaic.adjustment.flown import flown
 from geomosaic.adjustment.height_drift import height_drift
+from geomosaic.adjustment.lens_start import with_lens_starts
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import (
     Adjusted,
@@ -156,6 +157,7 @@ class _Work:
 
 
 def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
+    block = with_lens_starts(block, settings, spread)
     sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
     tracks = thin_tracks(join_tracks(block.ties), sizes, settings.observations_per_frame)
     if not tracks.points and all(c.check for c in block.control):

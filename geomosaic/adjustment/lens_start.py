@@ -1,0 +1,189 @@
+"""Where an unsure lens begins: several starts, compared on a few frames before the whole block is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.beliefs import WIDE_FOCAL, priors_of
+from geomosaic.adjustment.bundle import solve_bundle
+from geomosaic.adjustment.chosen_ground import flying_height_m
+from geomosaic.adjustment.left_out import BETTER, LEFT_OUT, Judged, left_out_px, places
+from geomosaic.adjustment.misalignment import offset_net
+from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.solution import points_on_ground
+from geomosaic.adjustment.start import placed_by_images, start_poses
+from geomosaic.adjustment.tracks import Tracks, chosen_tracks, join_tracks, thin_tracks
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import NotSolvableError
+from geomosaic.matching.model import TiePoints
+from geomosaic.spread import Spread
+
+Ints = NDArray[np.intp]
+
+_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "of one camera that starts are compared on: fewer leave the focal length to chance, more take time "
+        "that the whole block takes anyway",
+        CHOSEN,
+    ),
+] = 10
+_PER_FRAME: Annotated[
+    int,
+    Because("image observations a frame", "asked for by each frame of them, as for models", CHOSEN),
+] = 192
+_CELLS: Annotated[
+    int, Because("cells a side", "of a frame over which they are spread: corners tell lenses apart", CHOSEN)
+] = 8
+_LEAST: Annotated[int, Because("tracks", "with fewer nothing is compared: ten would judge", CHOSEN)] = 50
+STARTS: Annotated[
+    tuple[tuple[str, float], ...],
+    Because(
+        "kind of lens, focal length over longer side",
+        "that are tried besides the given one, each within a fifth of all between: farther apart a solve "
+        "ends in another least value, closer ones end alike",
+        "28 to 60 mm on 36 mm and the wide modes of action cameras, fisheyes of 8 mm on APS-C and on four "
+        "thirds: 0.34 and 0.46",
+    ),
+] = (
+    ("brown", 0.5), ("brown", 0.67), ("brown", 0.9), ("brown", 1.2), ("brown", 1.6),
+    ("fisheye", 0.35), ("fisheye", 0.5), ("fisheye", 0.75), ("fisheye", 1.1), ("fisheye", 1.6),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A lens to try: the block of a few frames that have it, tracks to solve by and others to judge by."""
+
+    block: Block
+    settings: Settings
+    solving: Tracks
+    judges: Tracks
+    place: Ints
+
+
+def unsure(camera: Camera) -> bool:
+    """Whether so little is known of a focal length that other starts are tried."""
+    return camera.focal_length_sd_px > WIDE_FOCAL * camera.focal_length_px
+
+
+def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
+    """The block whose unsure lenses begin where tie points left out of small solves are predicted best.
+
+    Each start is solved on up to ten well-overlapping frames, with its focal length free. Another start is
+    taken where it predicts the left-out tie points surely better than the given one (`Judged.beats`): over
+    flat land all starts predict alike, and the given one stays. Its deviation stays wide.
+    """
+    starts = {c.name: _best(block, settings, spread, c) for c in block.lenses if unsure(c)}
+    if all(starts.get(c.name, c) == c for c in block.lenses):
+        return block
+    return replace(block, cameras=tuple(starts.get(c.name, c) for c in block.cameras))
+
+
+def _best(block: Block, settings: Settings, spread: Spread, camera: Camera) -> Camera:
+    """The lens that a camera begins with."""
+    part = _part(block, _well_overlapping(block, camera))
+    sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
+    tracks = thin_tracks(join_tracks(part.ties), sizes, _PER_FRAME, _CELLS) if len(part.names) > 1 else None
+    if tracks is None or tracks.points < _LEAST:
+        return camera
+    out = np.random.default_rng(0).permutation(tracks.points) % LEFT_OUT == 0
+    judges = chosen_tracks(tracks, out)
+    at_m, judges = points_on_ground(part.poses, part.cameras, part.ground, judges)
+    place = places(at_m, flying_height_m(part))
+    still = replace(settings, rolling_shutter=False, turning=False)
+    lenses = [camera, *(_start(camera, *start) for start in STARTS)]
+    trials = [
+        _Trial(_of_lens(part, lens), still, chosen_tracks(tracks, ~out), judges, place) for lens in lenses
+    ]
+    names = [f"{lens.kind} {lens.focal_length_px:.0f}" for lens in lenses]
+    given, *others = spread.map(f"lens-start-{camera.name}", _tried, trials, names)
+    better = [judged for judged in others if judged.beats(given)]
+    if not better:
+        return camera
+    least_px = min(judged.median_px for judged in better)
+    best = next(judged for judged in better if BETTER * judged.median_px <= least_px)
+    assert best.solved is not None
+    return replace(
+        best.solved.cameras[0],
+        focal_length_sd_px=camera.focal_length_sd_px,
+        readout_s=camera.readout_s,
+        readout_sd_s=camera.readout_sd_s,
+    )
+
+
+def _start(camera: Camera, kind: str, share: float) -> Camera:
+    focal = share * max(camera.width_px, camera.height_px)
+    return replace(camera, kind=kind, focal_length_px=focal, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+
+
+def _of_lens(block: Block, lens: Camera) -> Block:
+    """All frames with one lens, as unsure as the one it stands for, whose rows are read at once."""
+    sd_px = WIDE_FOCAL * lens.focal_length_px
+    lens = replace(lens, focal_length_sd_px=sd_px, readout_s=0.0, readout_sd_s=0.0)
+    return replace(block, cameras=(lens,) * len(block.names))
+
+
+def _tried(trial: _Trial) -> Judged:
+    """A lens's own solve, begun as a block is, and what it leaves at the other tracks."""
+    nothing = Judged(None, np.full(trial.judges.points, np.inf), trial.place)
+    try:
+        start = start_poses(trial.block, offset_net(trial.block))
+        block = placed_by_images(trial.block, start)
+        points, kept = points_on_ground(start, block.cameras, block.ground, trial.solving)
+        if 2 * len(points) < trial.solving.points:
+            return nothing
+        priors = priors_of(block, trial.settings, block.lenses, points)
+        solved = solve_bundle(kept, block.lens_of, priors, start, rough=True)
+        left_px = left_out_px(trial.judges, block, solved)
+    except (NotSolvableError, np.linalg.LinAlgError):
+        return nothing
+    return Judged(solved.of_points(solved.points_m), left_px, trial.place)
+
+
+def _well_overlapping(block: Block, camera: Camera) -> list[int]:
+    """Up to _FRAMES frames of a camera, each the one with most tie points to those before."""
+    mine = {i for i, c in enumerate(block.cameras) if c.name == camera.name}
+    ties = np.zeros((len(block.names),) * 2)
+    for pair in block.ties.pairs:
+        if pair.left in mine and pair.right in mine:
+            ties[pair.left, pair.right] = ties[pair.right, pair.left] = len(pair)
+    chosen = [int(np.argmax(ties.sum(axis=0)))] if ties.any() else []
+    while chosen and len(chosen) < _FRAMES:
+        shared = ties[chosen].sum(axis=0)
+        shared[chosen] = 0.0
+        if not shared.any():
+            break
+        chosen.append(int(np.argmax(shared)))
+    return sorted(chosen)
+
+
+def _part(block: Block, frames: Sequence[int]) -> Block:
+    """Some frames of a block and the pairs between them, without control, read at once."""
+    number = {frame: k for k, frame in enumerate(frames)}
+    at, poses = np.array(frames, dtype=np.intp), block.poses
+    pairs = tuple(
+        replace(t, left=number[t.left], right=number[t.right])
+        for t in block.ties.pairs
+        if t.left in number and t.right in number
+    )
+    return Block(
+        names=tuple(block.names[i] for i in frames),
+        cameras=tuple(block.cameras[i] for i in frames),
+        poses=Poses(
+            poses.positions_m[at], poses.rotations[at], poses.positions_sd_m[at], poses.rotations_sd_rad[at]
+        ),
+        ground=block.ground,
+        ties=TiePoints(pairs),
+        sequence=tuple(range(len(frames))),
+        lines=tuple(block.lines[i] for i in frames),
+        ground_pixel_m=block.ground_pixel_m,
+    )
