@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.matching.model import TiePoints
 from geomosaic.spread import Spread
+from geomosaic.survey.accuracy import FOCAL_LENGTH
+from geomosaic.survey.model import Warn
 
 Ints = NDArray[np.intp]
 
@@ -59,9 +61,22 @@ STARTS: Annotated[
 )  # fmt: skip
 
 
+_CONTRADICTED: Annotated[
+    float,
+    Because(
+        "deviations",
+        "from a reported focal length, beyond which one that a few frames show contradicts it: with less, "
+        "what else bends a block would be blamed on the lens",
+        CHOSEN,
+    ),
+] = 5.0
+_FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
+
+
 @dataclass(frozen=True)
 class _Trial:
-    """A lens to try: the block of a few frames that have it, tracks to solve by and others to judge by."""
+    """A lens to try: the block of a few frames that have it, tracks to solve by and others to judge by, each
+    in a place."""
 
     block: Block
     settings: Settings
@@ -80,16 +95,46 @@ def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
 
     Each start is solved on up to ten well-overlapping frames, with its focal length free. Another start is
     taken where it predicts the left-out tie points surely better than the given one (`Judged.beats`): over
-    flat land all starts predict alike, and the given one stays. Its deviation stays wide.
+    flat land all starts predict alike, and the given one stays. Its deviation stays wide. A reported focal
+    length becomes unsure where the same few frames contradict it.
     """
-    starts = {c.name: _best(block, settings, spread, c) for c in block.lenses if unsure(c)}
-    if all(starts.get(c.name, c) == c for c in block.lenses):
+    starts = {c.name: _begun(block, settings, spread, c) for c in block.lenses}
+    if all(starts[c.name] == c for c in block.lenses):
         return block
-    return replace(block, cameras=tuple(starts.get(c.name, c) for c in block.cameras))
+    return replace(block, cameras=tuple(starts[c.name] for c in block.cameras))
 
 
-def _best(block: Block, settings: Settings, spread: Spread, camera: Camera) -> Camera:
+def lens_notes(block: Block, cameras: Sequence[Camera]) -> tuple[list[str], list[Warn]]:
+    """What the images found of unsure lenses, and a warning for each reported focal length that they
+    contradict. Args: cameras: of each frame, adjusted."""
+    notes, warnings = [], []
+    found = {c.name: c for c in cameras}
+    for given in block.lenses:
+        focal_px = found[given.name].focal_length_px
+        if unsure(given):
+            kind = "a fisheye lens" if found[given.name].kind == "fisheye" else "a lens"
+            notes.append(f"{given.name}: {kind} of {focal_px:.0f} px by the images")
+        elif _far_off(given, focal_px):
+            text = (
+                f"{given.name}: the images contradict the reported focal length of "
+                f"{given.focal_length_px:.0f} px; solved anew, {focal_px:.0f} px; the map's scale rests on "
+                "positions: give the camera's interior orientation with --camera FILE"
+            )
+            warnings.append(Warn("focal-length-contradicted", "", text))
+    return notes, warnings
+
+
+def _far_off(camera: Camera, focal_px: float) -> bool:
+    """Whether a focal length is none that a camera can have, by what was reported of it."""
+    off, sd = abs(focal_px / camera.focal_length_px - 1.0), camera.focal_length_sd_px / camera.focal_length_px
+    return off > max(_CONTRADICTED * sd, WIDE_FOCAL)
+
+
+def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> Camera:
     """The lens that a camera begins with."""
+    known = camera.distortion_sd or not camera.focal_length_sd_px
+    if known and not unsure(camera):
+        return camera
     part = _part(block, _well_overlapping(block, camera))
     sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
     tracks = thin_tracks(join_tracks(part.ties), sizes, _PER_FRAME, _CELLS) if len(part.names) > 1 else None
@@ -98,38 +143,49 @@ def _best(block: Block, settings: Settings, spread: Spread, camera: Camera) -> C
     out = np.random.default_rng(0).permutation(tracks.points) % LEFT_OUT == 0
     judges = chosen_tracks(tracks, out)
     at_m, judges = points_on_ground(part.poses, part.cameras, part.ground, judges)
-    place = places(at_m, flying_height_m(part))
     still = replace(settings, rolling_shutter=False, turning=False)
-    lenses = [camera, *(_start(camera, *start) for start in STARTS)]
-    trials = [
-        _Trial(_of_lens(part, lens), still, chosen_tracks(tracks, ~out), judges, place) for lens in lenses
-    ]
-    names = [f"{lens.kind} {lens.focal_length_px:.0f}" for lens in lenses]
-    given, *others = spread.map(f"lens-start-{camera.name}", _tried, trials, names)
+    trial = _Trial(part, still, chosen_tracks(tracks, ~out), judges, places(at_m, flying_height_m(part)))
+    if not unsure(camera):
+        free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
+        as_given, freed = _judged(f"lens-{camera.name}", trial, [camera, free], spread)
+        if freed.solved is None or not freed.beats(as_given):
+            return camera
+        if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
+            return camera
+        camera = free
+    tried = [replace(c, focal_length_sd_px=WIDE_FOCAL * c.focal_length_px) for c in _starts(camera)]
+    given, *others = _judged(f"lens-start-{camera.name}", trial, tried, spread)
     better = [judged for judged in others if judged.beats(given)]
     if not better:
         return camera
     least_px = min(judged.median_px for judged in better)
     best = next(judged for judged in better if BETTER * judged.median_px <= least_px)
     assert best.solved is not None
+    lens = best.solved.cameras[0]
     return replace(
-        best.solved.cameras[0],
-        focal_length_sd_px=camera.focal_length_sd_px,
-        readout_s=camera.readout_s,
-        readout_sd_s=camera.readout_sd_s,
+        camera,
+        kind=lens.kind,
+        focal_length_px=lens.focal_length_px,
+        k1=lens.k1,
+        k2=lens.k2,
+        k3=lens.k3,
     )
 
 
-def _start(camera: Camera, kind: str, share: float) -> Camera:
-    focal = share * max(camera.width_px, camera.height_px)
-    return replace(camera, kind=kind, focal_length_px=focal, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+def _starts(camera: Camera) -> list[Camera]:
+    """The given lens, then others."""
+    longer = max(camera.width_px, camera.height_px)
+    blank = replace(camera, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+    return [camera, *(replace(blank, kind=kind, focal_length_px=share * longer) for kind, share in STARTS)]
 
 
-def _of_lens(block: Block, lens: Camera) -> Block:
-    """All frames with one lens, as unsure as the one it stands for, whose rows are read at once."""
-    sd_px = WIDE_FOCAL * lens.focal_length_px
-    lens = replace(lens, focal_length_sd_px=sd_px, readout_s=0.0, readout_sd_s=0.0)
-    return replace(block, cameras=(lens,) * len(block.names))
+def _judged(name: str, trial: _Trial, lenses: Sequence[Camera], spread: Spread) -> list[Judged]:
+    """What each lens leaves, of cameras whose rows are read at once."""
+    still = [replace(lens, readout_s=0.0, readout_sd_s=0.0) for lens in lenses]
+    frames = len(trial.block.names)
+    trials = [replace(trial, block=replace(trial.block, cameras=(lens,) * frames)) for lens in still]
+    keys = [f"{c.kind} {c.focal_length_px:.1f} {c.focal_length_sd_px:.1f}" for c in still]
+    return spread.map(name, _tried, trials, keys)
 
 
 def _tried(trial: _Trial) -> Judged:

@@ -40,6 +40,16 @@ LEAST_HEIGHT_M: Annotated[
 ] = 1.0
 
 
+_MOST_FOCAL: Annotated[
+    float,
+    Because(
+        "share of the focal length",
+        "deviation that is counted at most: an assumed lens has it, and sees half as much again or less",
+        CHOSEN,
+    ),
+] = 0.5
+
+
 def half_extent_m(camera: Camera, height_m: float) -> float:
     """Distance on flat ground from the nadir point to the corner of a level frame."""
     return float(np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px * height_m)
@@ -67,11 +77,14 @@ def misplacement_m(
 ) -> Floats:
     """How far a frame's ground points may lie off at `sigmas` standard deviations, (n,).
 
-    From the position's, the tilt's, and at half of the frame's reach the yaw's deviation.
+    From the position's, the tilt's, and at half of the frame's reach the yaw's and the focal length's
+    deviation.
     """
     height = heights_above_ground_m(poses, ground)
     reach = np.array([half_extent_m(c, h) for c, h in zip(cameras, height, strict=True)]) / 2.0
     tilt = height * np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), _MOST_TILT_RAD)
     yaw = reach * np.minimum(poses.rotations_sd_rad[:, 2], _MOST_YAW_RAD)
+    focal = np.array([c.focal_length_sd_px / c.focal_length_px for c in cameras])
+    lens = reach * np.minimum(focal, _MOST_FOCAL)
     position = poses.positions_sd_m[:, :2].max(axis=1)
-    return np.asarray(sigmas * np.sqrt(position**2 + tilt**2 + yaw**2))
+    return np.asarray(sigmas * np.sqrt(position**2 + tilt**2 + yaw**2 + lens**2))

@@ -10,6 +10,7 @@ import numpy as np
 
 from geomosaic.adjustment.control import ground_control
 from geomosaic.adjustment.height_datum import common_height_sd_m, with_common_height
+from geomosaic.adjustment.lens_start import lens_notes
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.outcome import unplaced_parts
@@ -116,7 +117,10 @@ class AdjustmentSolve(Stage):
             "adjustment.ground_residual_rms_m",
             float(np.sqrt((residual**2).mean())) if residual.size else None,
         )
-        for warning in adjusted.warnings:
+        lens_found, lens_warnings = lens_notes(block, adjusted.cameras)
+        for note in lens_found:
+            context.inform(note)
+        for warning in (*lens_warnings, *adjusted.warnings):
             context.warn(warning.code, warning.frame, warning.text)
         _report_control(context, adjusted)
         _report_shared(context, adjusted)

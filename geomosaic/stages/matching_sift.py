@@ -42,7 +42,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 15
+    version = 16
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,

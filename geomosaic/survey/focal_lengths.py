@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated
 
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.survey.header import FrameHeader
@@ -45,7 +45,14 @@ class Sensor:
     shapes: tuple[float, ...] = ()
 
 
-_UNCOOLED: Final = (640 / 512, 336 / 256)
+_UNCOOLED: Annotated[
+    tuple[float, float],
+    Because(
+        "ratio of sides",
+        "of thermal sensors, by which their frames differ from those of the visual camera of the same name",
+        "data sheets: 640 x 512 and 336 x 256",
+    ),
+] = (640 / 512, 336 / 256)
 SENSORS: Annotated[
     dict[str, Sensor],
     Because(
