@@ -10,6 +10,7 @@ from geomosaic.adjustment.laying import Beliefs, Fixes, laid
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.outcome import unplaced_parts
 from geomosaic.adjustment.start import start_poses
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
@@ -113,8 +114,8 @@ def test_an_assumed_heading_is_never_called_wrong() -> None:
     assert np.abs(turned_deg(adjusted.poses, flown.truth)).max() < 3.0
 
 
-def test_a_frame_of_which_nothing_is_known_is_left_out_and_named() -> None:
-    """No tie point, no deviation that counts: the system has no pivot there; the others are solved."""
+def test_a_frame_of_which_nothing_is_known_is_rejected() -> None:
+    """No tie point, no deviation that counts: it is a part that nothing places; the others are solved."""
     flown = fly(9, lines=2, per_line=6)
     ties = tuple(t for t in flown.block.ties.pairs if 5 not in (t.left, t.right))
     sd, turn_sd = flown.block.poses.positions_sd_m.copy(), flown.block.poses.rotations_sd_rad.copy()
@@ -123,7 +124,7 @@ def test_a_frame_of_which_nothing_is_known_is_left_out_and_named() -> None:
         told(flown, positions_sd_m=sd, rotations_sd_rad=turn_sd), ties=replace(flown.block.ties, pairs=ties)
     )
     adjusted = METHODS["bundle"](block, Settings())
-    assert [w.frame for w in adjusted.warnings if w.code == "pose-not-determined"] == ["005.jpg"]
+    assert [block.names[i] for part in unplaced_parts(block) for i in part] == ["005.jpg"]
     assert adjusted.status[5] == "rejected" and adjusted.status.count("tied") == 11
     others = np.arange(12) != 5
     assert np.abs(adjusted.poses.positions_m - flown.truth.positions_m)[others].max() < 4.0
