@@ -23,18 +23,16 @@ from geomosaic.adjustment.bundle_equations import (
     while_read,
     while_read_sd,
 )
-from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
+from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Factors, Priors, State
 from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.robust import INFORMATION, student_weight
 from geomosaic.adjustment.swing import MOST_DRIFT
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px, observed_of, own_miss, parts_of
-from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse
-from geomosaic.placement.prior import position_assumed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -48,26 +46,6 @@ _LEAST_SIGMA_PX: Annotated[
         CHOSEN,
     ),
 ] = 0.02
-_MAY_BE_CHANCE: Annotated[
-    float,
-    Because(
-        "share of the stated variance",
-        "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
-        "may be a shift of all positions",
-        CHOSEN,
-    ),
-] = 0.5
-_COMMON_SD_M: Annotated[
-    float,
-    Because(
-        "m per axis",
-        "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
-        "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
-        "know",
-        "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
-        "%, the globe's mean, are 3.3 m per axis",
-    ),
-] = 2.5
 _DETERMINED: Annotated[
     float,
     Because(
@@ -371,28 +349,3 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
         out[free[left[worst]]] = True
         left = np.delete(left, worst)
     return out
-
-
-def common_error(bundle: Bundle, given: Poses) -> Floats:
-    """Variances (3,), east, north and up in m², of what all positions may be off by in common; heights are
-    `height_datum`'s.
-
-    Residuals show how positions scatter about the block; a shift of all of them they don't show. Where they
-    scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is stated
-    may be such a shift, up to what a receiver's errors have in common over a flight.
-    """
-    known = ~position_assumed(given)
-    if not known.any():
-        return np.zeros(3)
-    stated = np.median(given.positions_sd_m[known], axis=0)
-    rest = stated**2 * max(1.0 - bundle.factors.horizontal**2 / _MAY_BE_CHANCE, 0.0)
-    return np.minimum(rest, [_COMMON_SD_M**2, _COMMON_SD_M**2, 0.0])
-
-
-def with_common_error(bundle: Bundle, variance_m2: Floats) -> Bundle:
-    """The poses' deviations with `common_error` counted in full in every frame."""
-    covariance = bundle.pose_covariance.copy()
-    for axis in range(3):
-        covariance[:, axis, axis] += variance_m2[axis]
-    sd = np.sqrt(bundle.poses.positions_sd_m**2 + variance_m2)
-    return replace(bundle, pose_covariance=covariance, poses=replace(bundle.poses, positions_sd_m=sd))
