@@ -11,6 +11,7 @@ from adjustment_blocks import fly
 from geoids import egm96_of, undulation_m
 from survey_files import survey_folder
 
+from geomosaic.adjustment.bundle_model import Factors
 from geomosaic.adjustment.common_error import common_error, height_reference, with_common_error
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, GroundControl, HeightReference, Settings
@@ -88,7 +89,7 @@ def common_height_sd_m(
     poses = replace(poses, positions_m=poses.positions_m - np.column_stack([np.zeros((6, 2)), off_m]))
     if above_m is not None:
         ground = replace(ground, up_m=poses.positions_m[:1, 2:] - above_m)
-    return float(np.sqrt(common_error(block, poses, ground)[2]))
+    return float(np.sqrt(common_error(block, poses, ground, Factors())[2]))
 
 
 def of_pos(survey: Survey, sd_vertical_m: float, *, datum_stated: bool) -> Survey:

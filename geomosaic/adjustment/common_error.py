@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.adjustment.bundle_model import Factors
 from geomosaic.adjustment.model import Block, HeightReference
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
@@ -109,20 +110,34 @@ def _undulation_m(lon_deg: float, lat_deg: float) -> float:
 
 
 def common_error(
-    block: Block, poses: Poses, ground: GroundSurface, horizontal: float | None = None
+    block: Block, poses: Poses, ground: GroundSurface, factors: Factors | None = None, *, moved: bool = False
 ) -> Floats:
     """Variances (3,), east, north and up in m², of what all positions may be off by in common, besides what
-    the solution's covariance says; 0 of what control points hold.
+    the solution's covariance says.
 
-    Args: poses, ground: as found. horizontal: the variance component of positions in plan, of methods that
-        estimate it; without it the deviations in plan are taken to hold all.
+    Args: poses, ground: as found. factors: the variance components, of methods that estimate them and use
+        control points; without them the deviations in plan are taken to hold all. moved: whether the
+        positions were shifted onto control, so that it alone says where the block lies.
     """
-    used = [c for c in block.control if not c.check and c.observations]
-    out = np.zeros(3)
-    if horizontal is not None and not used:
-        out[:2] = _in_plan(block.poses, horizontal)
-    if not any(c.sd_m[2] < POSITION["none"].sd_vertical_m for c in used):
-        out[2] = _in_height(block, poses, ground)
+    in_height = _in_height(block, poses, ground)
+    if factors is None:
+        return np.array([0.0, 0.0, in_height])
+    of_positions = np.append(_in_plan(block.poses, factors.horizontal), in_height)
+    of_control = _of_control(block, factors)
+    both = np.where(moved, np.inf, of_positions), of_control
+    together = 1.0 / (1.0 / np.maximum(both, 1e-12)).sum(axis=0)
+    return np.asarray(np.minimum.reduce([*both, together]))
+
+
+def _of_control(block: Block, factors: Factors) -> Floats:
+    """Of the median of the control points used, as far as their precision is worse than stated: the rest is
+    in the solution's covariance. Infinite where no point holds an axis."""
+    out = np.full(3, np.inf)
+    used = np.array([c.sd_m for c in block.control if not c.check and c.observations]).reshape(-1, 3)
+    for axis, factor in enumerate(factors.of_control):
+        sd_m = used[used[:, axis] < POSITION["none"].sd_vertical_m, axis]
+        if sd_m.size:
+            out[axis] = np.pi / 2.0 * (factor**2 - 1.0) * float(np.mean(sd_m**2)) / len(sd_m)
     return out
 
 

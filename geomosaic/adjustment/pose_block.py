@@ -25,6 +25,11 @@ from geomosaic.adjustment.common_error import common_error, with_common_error
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.control_marks import with_marks_of_whole_images
+from geomosaic.adjustment.control_precision import (
+    precision_figures,
+    precision_warnings,
+    with_precision,
+)
 from geomosaic.adjustment.control_reference import placed_by_control
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
@@ -347,13 +352,15 @@ _STEPS: dict[str, Callable[[_Work], _Work]] = {
 def _outcome(work: _Work) -> Adjusted:
     block, given, found = work.block, work.given, work.found
     bundle, seen = found.of_ties, found.seen
-    common_m2 = common_error(block, bundle.poses, found.ground, bundle.factors.horizontal)
+    moved = not np.array_equal(found.priors.poses.positions_m, block.poses.positions_m)
+    common_m2 = common_error(block, bundle.poses, found.ground, bundle.factors, moved=moved)
     moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
     shared = shared_unknowns(bundle, found.priors)
     heard = heard_shares(found.ties, bundle, len(block.names))
     strayed = strayed_frames(block, bundle.poses, heard)
+    control = with_precision(block.control, bundle.factors)
     outcome = settled(
-        replace(block, poses=given.poses),
+        replace(block, poses=given.poses, control=control),
         bundle.poses,
         (Round(work.misalignments_m, moves),),
         cameras=tuple(bundle.cameras[k] for k in block.lens_of),
@@ -369,10 +376,14 @@ def _outcome(work: _Work) -> Adjusted:
             *unsolved_frames(block, bundle.left_out),
             *strayed_lenses(block.lenses, bundle.strayed),
             *model_warnings(block, work.choice),
+            *precision_warnings(block.control, bundle.factors),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
         strayed=strayed,
-        figures=_figures(bundle, found.ties) | _relief(found) | _shape(block, found),
+        figures=_figures(bundle, found.ties)
+        | _relief(found)
+        | _shape(block, found)
+        | precision_figures(block.control, bundle.factors),
         spread=spread_of(bundle, block.lens_of),
         covariance=bundle.pose_covariance,
         common_m2=common_m2,

@@ -24,8 +24,9 @@ from geomosaic.adjustment.bundle_equations import (
     while_read_sd,
 )
 from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Factors, Priors, State
+from geomosaic.adjustment.control_precision import control_component
 from geomosaic.adjustment.normal import Reduced, reduce_normals
-from geomosaic.adjustment.robust import INFORMATION, student_weight
+from geomosaic.adjustment.robust import INFORMATION, credible, student_weight
 from geomosaic.adjustment.swing import MOST_DRIFT
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
@@ -178,6 +179,7 @@ def variance_components(
         factors = replace(factors, image_px=float(np.clip(image_px, _LEAST_SIGMA_PX, most_px)))
     control_px = median_px(length_px[control]) / MEDIAN_LENGTH
     factors = replace(factors, control_px=float(np.clip(control_px, MEASURED_SD_PX, most_px)))
+    factors = control_component(tracks, camera_of, priors, state, factors)
     if image_only:
         return factors, np.zeros((len(GROUPS) + len(factors.while_read),) * 2)
     found = [
@@ -254,7 +256,7 @@ def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) ->
             continue
         squares = float((counted * (miss / sd) ** 2)[stated].sum())
         scatter = factors.of(group) * float(np.sqrt(squares / r))
-        factor, above = (_believed(f, r) for f in (scatter, _A_LITTLE * scatter))
+        factor, above = (credible(f, r) for f in (scatter, _A_LITTLE * scatter))
         least, most = PRIOR_FACTORS
         follows = float(np.log(above / factor) / np.log(_A_LITTLE)) if least < factor < most else 0.0
         factor = float(np.clip(factor, least, most))
@@ -304,19 +306,6 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: floa
         squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION
         scale_px *= float(np.sqrt(squares / redundancy))
     return scale_px
-
-
-def _believed(factor: float, redundancy: float) -> float:
-    """A factor estimated from so many redundant observations, drawn to 1 where it may as well be chance.
-
-    Its logarithm is weighed with the probability that the stated deviation is wrong, by Schwarz's
-    approximation (1978) of the evidence: of 48 observations a factor of 1.1 is chance, one of 1.5 is not.
-    Else the covariance of a small block with rightly stated deviations would follow their draw.
-    """
-    variance = max(factor**2, 1e-6)
-    evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))
-    wrong = 1.0 / (1.0 + np.sqrt(redundancy) * np.exp(-min(evidence, 500.0)))
-    return float(np.exp(wrong * np.log(variance) / 2.0))
 
 
 def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Bools:
