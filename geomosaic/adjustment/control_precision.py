@@ -17,7 +17,7 @@ from geomosaic.adjustment.model import GroundControl
 from geomosaic.adjustment.robust import credible, lie_weight, student_weight
 from geomosaic.adjustment.tracks import Tracks, part_of
 from geomosaic.adjustment.trust import MEDIAN_ONE, common_similarity, common_slope, median_px
-from geomosaic.constants import MEDIAN_LENGTH, Because
+from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.estimation.linear import inverse_each
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
@@ -40,7 +40,7 @@ _COARSER: Annotated[
         "chi-squared distribution: 26.2 of 12 degrees of freedom, root of the ratio 1.48",
     ),
 ] = 1.5
-_ROUNDS: Annotated[int, Because("rounds", "of re-weighting", "converged to a hundredth")] = 12
+_ROUNDS: Annotated[int, Because("rounds", "of re-weighting, which then stands to a hundredth", CHOSEN)] = 12
 
 
 @dataclass(frozen=True)

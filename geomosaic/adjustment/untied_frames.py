@@ -134,7 +134,8 @@ def _predicted(at_m: Floats, values: Floats, stated: Floats) -> tuple[Floats, fl
 
     A trend (a constant; of two components, east and north, a similarity), a signal of exponential covariance,
     and noise in proportion to what is stated. Length and share of the signal are those of the greatest
-    restricted likelihood; wild corrections lose their weight first.
+    restricted likelihood, if a signal is worth its two numbers (Schwarz 1978); wild corrections lose their
+    weight first.
 
     Args: at_m (k, 2); stated (k + 1,): deviations of the corrections and, last, of what is asked for.
     """
@@ -153,7 +154,8 @@ def _predicted(at_m: Floats, values: Floats, stated: Floats) -> tuple[Floats, fl
             alone = share * scale + (1.0 - share) * float(stated[-1] ** 2)
             covariance = signal + np.diag((1.0 - share) * noise)
             tried = _collocated(covariance, here, base, trend, values)
-            found = (*tried[:2], float(np.sqrt(tried[2] * max(alone + tried[3], 0.0))))
+            likelihood = tried[0] - (np.log(values.size) if share else 0.0)
+            found = (likelihood, tried[1], float(np.sqrt(tried[2] * max(alone + tried[3], 0.0))))
             best = found if best is None or found[0] > best[0] else best
     assert best is not None
     return best[1], best[2]
