@@ -273,7 +273,8 @@ def test_headings_unknown_or_just_opposite(known: bool) -> None:
 
 
 def test_a_frame_without_ties_stays_over_a_dem() -> None:
-    """The terrain's deviation goes with the flying height; a frame that sees nothing has no say in it."""
+    """The terrain's deviation goes with the flying height; a frame that sees nothing has no say in it. It goes
+    with the others, which have no error in common here."""
     flown = fly(1, 2, 4, relief=lambda e, n: 0.4 * hills(e, n))
     dem = GroundSurface("dem", -60.0, -60.0, 2.0, np.zeros((160, 160)))
     p = flown.block.poses
@@ -284,7 +285,8 @@ def test_a_frame_without_ties_stays_over_a_dem() -> None:
         ground=dem, sequence=tuple(range(9)), lines=(0,) * 9,
     )  # fmt: skip
     adjusted = METHODS["bundle"](block, Settings())
-    assert adjusted.poses.positions_m[-1] == pytest.approx(p.positions_m[-1], abs=1e-5)
+    moved = adjusted.poses.positions_m[-1] - p.positions_m[-1]
+    assert np.all(np.abs(moved) < 1.5 * adjusted.poses.positions_sd_m[-1])
 
 
 def test_a_block_of_the_wrong_size_is_named() -> None:

@@ -260,7 +260,7 @@ def test_the_equations_name_modules_and_functions_that_are_there() -> None:
         assert (ROOT / "geomosaic" / module).is_file(), module
     for name, module in (
         ("share_shown", "adjustment/bundle_equations"), ("lie_weight", "adjustment/robust"),
-        ("stepped", "adjustment/bundle_model"), ("common_error", "adjustment/variance"),
+        ("stepped", "adjustment/bundle_model"), ("common_error", "adjustment/common_error"),
         ("Readout", "adjustment/collinearity"),
     ):  # fmt: skip
         assert f"`{name}`" in text

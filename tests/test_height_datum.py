@@ -8,14 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adjustment_blocks import fly
+from geoids import egm96_of, undulation_m
 from survey_files import survey_folder
 
-from geomosaic.adjustment.height_datum import common_height_sd_m, with_common_height
+from geomosaic.adjustment.bundle_model import Factors
+from geomosaic.adjustment.common_error import common_error, height_reference, with_common_error
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.model import Block, GroundControl, HeightReference, Settings
 from geomosaic.camera.exterior import Poses
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import ControlPoint, Survey
+from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
 
 
@@ -60,29 +64,74 @@ def test_a_survey_has_no_deviation_that_is_no_number(survey: Survey) -> None:
             replace(survey, frames=(wrong, *others))
 
 
-def outcome(survey: Survey, off_m: np.ndarray) -> Adjusted:
-    """All frames tied, and found so much below the heights they were given."""
-    lonlat = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
-    heights = np.array([f.position.height_ellipsoidal_m or 0.0 for f in survey.frames]) - off_m
+def block_of(survey: Survey, control: tuple[GroundControl, ...] = ()) -> Block:
     n = len(survey.frames)
+    lonlat = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
+    heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=float)
     poses = Poses(
         survey.work_frame.enu_from_geodetic(*lonlat.T, heights),
         np.tile(np.eye(3), (n, 1, 1)), np.full((n, 3), 0.2), np.full((n, 3), 0.01),
     )  # fmt: skip
     flat = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
-    cameras = tuple(survey.camera_of(i) for i in range(n))
-    covariance = np.tile(np.diag([0.04] * 3 + [1e-4] * 3), (n, 1, 1))
-    return Adjusted(poses, cameras, ("tied",) * n, (), (), flat, pose_covariance=covariance)
+    names, cameras = tuple(f.name for f in survey.frames), tuple(survey.camera_of(i) for i in range(n))
+    return Block(
+        names, cameras, poses, flat, TiePoints(()), tuple(range(n)), (0,) * n, 0.1,
+        control=control, heights=height_reference(survey),
+    )  # fmt: skip
+
+
+def common_height_sd_m(
+    survey: Survey, off_m: np.ndarray, control: tuple[GroundControl, ...] = (), above_m: float | None = None
+) -> float:
+    """Of frames found so much below the heights they were given, so high above the ground."""
+    block = block_of(survey, control)
+    poses, ground = block.poses, block.ground
+    poses = replace(poses, positions_m=poses.positions_m - np.column_stack([np.zeros((6, 2)), off_m]))
+    if above_m is not None:
+        ground = replace(ground, up_m=poses.positions_m[:1, 2:] - above_m)
+    return float(np.sqrt(common_error(block, poses, ground, Factors())[2]))
+
+
+def of_pos(survey: Survey, sd_vertical_m: float, *, datum_stated: bool) -> Survey:
+    given = {"source": "pos", "sd_vertical_m": sd_vertical_m, "datum_stated": datum_stated}
+    frames = tuple(replace(f, position=replace(f.position, **given)) for f in survey.frames)
+    return replace(survey, frames=frames)
 
 
 def test_an_unknown_datum_is_shared_by_all_frames(survey: Survey) -> None:
     """15 m of a receiver's own and 30 m of the sea's level about the ellipsoid."""
-    adjusted = outcome(survey, np.full(6, 3.0))
-    assert common_height_sd_m(survey, adjusted) == pytest.approx(np.hypot(15.0, 30.0), abs=1e-3)
-    stated = with_common_height(adjusted, 15.0)
-    assert stated.poses.positions_sd_m[3] == pytest.approx([0.2, 0.2, np.hypot(0.2, 15.0)])
-    assert stated.pose_covariance is not None
-    assert np.diag(stated.pose_covariance[3])[:3] == pytest.approx([0.04, 0.04, 225.04])
+    assert common_height_sd_m(survey, np.full(6, 3.0)) == pytest.approx(np.hypot(15.0, 30.0), abs=1e-3)
+    poses = with_common_error(block_of(survey).poses, np.array([0.0, 0.0, 225.0]))
+    assert poses.positions_sd_m[3] == pytest.approx([0.2, 0.2, np.hypot(0.2, 15.0)])
+
+
+def test_heights_of_a_pos_file_without_datum_are_off_by_the_geoid_s_undulation(
+    survey: Survey, tmp_path: Path
+) -> None:
+    """Where a geoid grid is installed; else by what it is over the Earth. Stated are 5 cm."""
+    frame = survey.work_frame
+    there = LocalFrame(11.0, 48.0, frame.height_ellipsoidal_m)
+    undulation = float(undulation_m(np.array(11.0), np.array(48.0)))
+    unstated = of_pos(replace(survey, work_frame=there), 0.05, datum_stated=False)
+    with egm96_of(tmp_path):
+        reference = height_reference(unstated)
+    assert reference is not None and reference.datum_sd_m == pytest.approx(undulation, abs=0.01)
+    still = np.zeros(6)
+    assert common_height_sd_m(of_pos(survey, 0.05, datum_stated=False), still) == pytest.approx(30.0, abs=0.1)
+    assert common_height_sd_m(of_pos(survey, 0.05, datum_stated=True), still) == 0.0
+
+
+@pytest.mark.parametrize(("column", "stated"), [("alt_m", False), ("height_ellipsoidal_m", True)])
+def test_a_pos_file_says_whether_its_datum_is_stated(tmp_path: Path, column: str, stated: bool) -> None:
+    folder = survey_folder(tmp_path / "frames", 3)
+    names = sorted(p.name for p in folder.glob("*.JPG"))
+    rows = [f"{name},{9.12 + 1e-4 * k},48.77,500.0" for k, name in enumerate(names)]
+    pos = tmp_path / "pos.csv"
+    pos.write_text("\n".join([f"frame,lon_deg,lat_deg,{column}", *rows]) + "\n", encoding="utf-8")
+    read = read_survey(folder, pos=pos)
+    assert [f.position.datum_stated for f in read.frames] == [stated] * 3
+    reference = height_reference(read)
+    assert reference is not None and (reference.datum_sd_m is None) is stated
 
 
 @pytest.mark.parametrize(
@@ -95,25 +144,47 @@ def test_heights_that_may_count_from_the_take_off_tell_no_datum(
     low = tuple(
         replace(f, position=replace(f.position, height_ellipsoidal_m=100.0 + ground_m)) for f in survey.frames
     )
-    low_survey = replace(survey, frames=low)
-    adjusted = outcome(low_survey, np.zeros(6))
-    ground = replace(adjusted.ground, up_m=adjusted.poses.positions_m[:1, 2:] - 100.0)
-    found_m = common_height_sd_m(low_survey, replace(adjusted, ground=ground))
+    found_m = common_height_sd_m(replace(survey, frames=low), np.zeros(6), above_m=100.0)
     assert found_m == pytest.approx(np.hypot(15.0, stated_m), rel=1e-4)
 
 
 def test_a_drift_is_shared_too_and_control_holds_all(survey: Survey) -> None:
-    adjusted = outcome(survey, np.arange(6) * 20.0)
-    assert common_height_sd_m(survey, adjusted) == pytest.approx(
+    drift = np.arange(6) * 20.0
+    assert common_height_sd_m(survey, drift) == pytest.approx(
         np.hypot(np.hypot(15.0, 30.0), 1.4826 * 30.0), rel=0.01
     )
-    image = (survey.frames[0].name, 10.0, 10.0)
-    point = ControlPoint("A", 9.12, 48.77, 400.0, 0.03, 0.05, check=False, images=(image,))
-    assert common_height_sd_m(replace(survey, control=(point,)), adjusted) == 0.0
-    in_plan = replace(point, plan_only=True)
-    assert common_height_sd_m(replace(survey, control=(in_plan,)), adjusted) > 30.0
-    pos = tuple(
-        replace(f, position=replace(f.position, source="pos", sd_vertical_m=3.0)) for f in survey.frames
-    )
-    assert common_height_sd_m(replace(survey, frames=pos), outcome(survey, np.arange(6) * 1.0)) == 0.0
-    assert common_height_sd_m(replace(survey, frames=pos), adjusted) == pytest.approx(1.4826 * 30.0, rel=0.01)
+    sd_m = np.array([0.03, 0.03, 0.05])
+    point = GroundControl("A", np.zeros(3), sd_m, False, ((0, 10.0, 10.0),))
+    assert common_height_sd_m(survey, drift, (point,)) == 0.0
+    in_plan = replace(point, sd_m=np.array([0.03, 0.03, 1e5]))
+    assert common_height_sd_m(survey, drift, (in_plan,)) > 30.0
+    pos = of_pos(survey, 3.0, datum_stated=True)
+    assert common_height_sd_m(pos, np.arange(6) * 1.0) == 0.0
+    assert common_height_sd_m(pos, drift) == pytest.approx(1.4826 * 30.0, rel=0.01)
+
+
+def test_an_offset_of_all_heights_is_stated_and_leaves_the_plan_alone() -> None:
+    """All heights 5 m too high, in a source that states 0.1 m and no datum; a check point says so, and is
+    not called wrong."""
+    flown = fly(3, position_sd_m=np.array([0.1, 0.1, 0.1]), points=400)
+    poses, n = flown.block.poses, len(flown.block.names)
+    frame = LocalFrame(11.0, 48.0, 500.0)
+    raised = replace(poses, positions_m=poses.positions_m + [0.0, 0.0, 5.0])
+    heights = frame.geodetic_from_enu(raised.positions_m)[:, 2]
+    at = np.array([30.0, 40.0, 0.0])
+    check = GroundControl("C", at, np.full(3, 0.02), True, tuple(flown.seen(at, 0.3)))
+    block = replace(
+        flown.block, poses=raised, control=(check,),
+        heights=HeightReference(frame, heights, np.full(n, 0.1), 46.0),
+    )  # fmt: skip
+    adjusted = METHODS["bundle"](block, Settings(model="given"))
+    off = adjusted.poses.positions_m - flown.truth.positions_m
+    sd = adjusted.poses.positions_sd_m
+    assert off[:, 2] == pytest.approx(5.0, abs=0.5) and np.all(np.abs(off[:, 2]) < 2.0 * sd[:, 2])
+    assert np.all(np.abs(off[:, :2]) < 0.5) and np.all(sd[:, :2] < 0.5)
+    assert np.std(off[:, 2]) < 0.2
+    assert adjusted.pose_covariance is not None
+    assert np.sqrt(adjusted.pose_covariance[:, 2, 2]) == pytest.approx(sd[:, 2])
+    (judged,) = adjusted.control
+    assert judged.sd_m[2] > 40.0 and np.all(judged.sd_m[:2] < 1.0)
+    assert not [w for w in adjusted.warnings if w.code == "check-disagrees"]

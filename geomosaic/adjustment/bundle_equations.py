@@ -53,7 +53,7 @@ def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, facto
     total = float(cost[has_say(tracks, priors)].sum())
     total += float((trust_of(priors) * (present_miss(priors, state) / pose_sd(priors, factors)) ** 2).sum())
     total += float(((shared_miss(priors, state) / shared_sd(priors)) ** 2).sum())
-    total += float((((priors.points_m - state.points) / priors.points_sd_m) ** 2).sum())
+    total += float((((priors.points_m - state.points) / points_sd(priors, factors)) ** 2).sum())
     total += float(((while_read(state) / while_read_sd(priors, factors)) ** 2).sum())
     if priors.terrain is not None:
         total += terrain_cost(
@@ -106,8 +106,9 @@ def _with_priors(n: Normals, camera_of: Ints, priors: Priors, state: State, fact
     sd, i = while_read_sd(priors, factors), np.arange(6, n.pose.shape[1])
     n.pose[:, i, i] += 1.0 / sd**2
     n.pose_side[:, 6:] -= while_read(state) / sd**2
-    n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / priors.points_sd_m**2
-    n.point_side[:] += (priors.points_m - state.points) / priors.points_sd_m**2
+    point_sd = points_sd(priors, factors)
+    n.points[:, [0, 1, 2], [0, 1, 2]] += 1.0 / point_sd**2
+    n.point_side[:] += (priors.points_m - state.points) / point_sd**2
     weight, off = 1.0 / shared_sd(priors) ** 2, shared_miss(priors, state)
     c, k = state.interior.shape
     i = np.arange(k)
@@ -128,6 +129,13 @@ def pose_sd(priors: Priors, factors: Factors) -> Floats:
     """Deviations of the pose priors with their present factors, (f, 6); inf where nothing is known."""
     sd = np.column_stack([priors.poses.positions_sd_m, priors.poses.rotations_sd_rad]) * factors.by_column
     return np.asarray(np.where(np.isfinite(sd), sd, np.inf))
+
+
+def points_sd(priors: Priors, factors: Factors) -> Floats:
+    """Deviations (p, 3) of the points' priors: of control with its component, and larger where a point has
+    less say."""
+    say = 1.0 if priors.control_say is None else priors.control_say
+    return priors.points_sd_m * np.where(priors.control[:, None], factors.of_control, 1.0) / np.sqrt(say)
 
 
 def while_read(state: State) -> Floats:

@@ -47,7 +47,8 @@ GROUPS: Annotated[
 class Factors:
     """Variance components: deviations of normal errors that would contribute as much as tie points' and
     control's image coordinates do, in px, and what the stated deviations of each group of pose priors, each
-    function of a swing and, last, drifts along the ground and up are multiplied with."""
+    function of a swing and, last, drifts along the ground and up are multiplied with; and those of control
+    points in plan and in height."""
 
     image_px: float = 0.5
     control_px: float = MEASURED_SD_PX
@@ -56,10 +57,17 @@ class Factors:
     tilt: float = 1.0
     yaw: float = 1.0
     while_read: tuple[float, ...] = ()
+    control_plan: float = 1.0
+    control_height: float = 1.0
 
     def of(self, group: str) -> float:
         """One of GROUPS."""
         return float(getattr(self, group))
+
+    @property
+    def of_control(self) -> Floats:
+        """(3,): east, north, up."""
+        return np.array([self.control_plan, self.control_plan, self.control_height])
 
     @property
     def by_column(self) -> Floats:
@@ -86,7 +94,8 @@ class Priors:
     unknowns, cameras' numbers before the mounting's, keep what they were given as the block does not
     determine them; left_out (f,): frames whose images have no say, since they made the system unsolvable;
     unrest (p,): how many times the image's deviation tie points have, 1 where None, see `unrest`;
-    clearance_m (f,): see `clearance`; all five set by the solver.
+    clearance_m (f,): see `clearance`; control_say (p, 3): factors of the weights of the points' coordinates,
+    1 where None, see `control_precision`; all six set by the solver.
     """
 
     poses: Poses
@@ -108,6 +117,7 @@ class Priors:
     left_out: Bools | None = None
     unrest: Floats | None = None
     clearance_m: Floats | None = None
+    control_say: Floats | None = None
 
 
 @dataclass(frozen=True)

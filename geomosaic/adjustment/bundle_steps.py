@@ -28,6 +28,7 @@ from geomosaic.adjustment.bundle_model import (
 )
 from geomosaic.adjustment.clearance import too_near
 from geomosaic.adjustment.component_steps import ahead, image_change
+from geomosaic.adjustment.control_precision import control_say
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.normal import Reduced, reduce_normals
 from geomosaic.adjustment.point_by_point import settled_points, wandering
@@ -172,7 +173,8 @@ def settle(
     image's component is believed to stand already."""
     steps: tuple[SolveStep, ...] = ()
     for _ in range(12):
-        priors = replace(priors, trust=trust_in_tags(priors, state, factors))
+        say = control_say(tracks, camera_of, priors, state, factors)
+        priors = replace(priors, trust=trust_in_tags(priors, state, factors), control_say=say)
         state, used, reduced = _converge(
             *(tracks, camera_of, priors, state, factors),
             *(_STEPS_BETWEEN if steps else _MOST_STEPS, _ROUGH),

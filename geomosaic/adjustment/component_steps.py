@@ -26,8 +26,9 @@ _TIMES: Annotated[
 
 
 def image_change(before: Factors, after: Factors) -> float:
-    """The largest relative change of the image's components."""
-    pairs = (before.image_px, after.image_px), (before.control_px, after.control_px)
+    """The largest relative change of the components of images and of control."""
+    names = "image_px", "control_px", "control_plan", "control_height"
+    pairs = [(getattr(before, name), getattr(after, name)) for name in names]
     return max(abs(float(np.log(a / b))) for a, b in pairs)
 
 

@@ -99,6 +99,7 @@ def control_residuals(
     cameras: tuple[Camera, ...],
     ground: GroundSurface,
     spread: Spread | None = None,
+    common_m2: Floats | float = 0.0,
 ) -> tuple[ControlResidual, ...]:
     """Where each point was surveyed minus where the images put it, by the poses as they are.
 
@@ -108,7 +109,7 @@ def control_residuals(
 
     Args: spread: covariance of poses and cameras after a bundle, which used the points that aren't for
         checking. Without it no point was used: all are check points, and the poses' own deviations count,
-        as if they were independent.
+        as if they were independent. common_m2 (3,): see `common_error`; a point moves with all frames.
     """
     out = []
     for c in block.control:
@@ -119,10 +120,10 @@ def control_residuals(
             continue
         at_m, own, by_pose, by_interior = found
         try:
-            moved = (spread or _of_poses(poses))(frames, by_pose, by_interior)
+            moved = (spread or spread_of_poses(poses))(frames, by_pose, by_interior)
         except NotSolvableError:
-            moved = _of_poses(poses)(frames, by_pose, by_interior)
-        sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2)
+            moved = spread_of_poses(poses)(frames, by_pose, by_interior)
+        sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2 + common_m2)
         out.append(ControlResidual(c.name, c.check or spread is None, len(frames), c.enu_m - at_m, sd))
     return tuple(out)
 
@@ -144,10 +145,10 @@ def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
     return out
 
 
-def spread_of(bundle: Bundle, camera_of: Ints, common_m2: Floats) -> Spread:
+def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
     """Covariance of what depends on a bundle's poses and cameras, with all their correlations.
 
-    Args: camera_of (f,): the camera's index of each frame; common_m2 (3,): see `variance.common_error`.
+    Args: camera_of (f,): the camera's index of each frame.
     """
 
     def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
@@ -155,13 +156,13 @@ def spread_of(bundle: Bundle, camera_of: Ints, common_m2: Floats) -> Spread:
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
         of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
-        moved = by_pose[:, :, :3].sum(axis=0)
-        return np.asarray(bundle.reduced.propagate(poses, shared) + moved @ np.diag(common_m2) @ moved.T)
+        return bundle.reduced.propagate(poses, shared)
 
     return spread
 
 
-def _of_poses(poses: Poses) -> Spread:
+def spread_of_poses(poses: Poses) -> Spread:
+    """That of poses as if they were independent."""
     sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
     variance = np.where(np.isfinite(sd), sd, _UNKNOWN_SD) ** 2
 

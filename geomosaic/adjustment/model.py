@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
@@ -47,13 +48,28 @@ class ControlResidual:
 
 
 @dataclass(frozen=True)
+class HeightReference:
+    """What a survey's reported heights count from, for `common_error`.
+
+    height_m (n,): ellipsoidal as reported, NaN where not; sd_m (n,): as stated. datum_sd_m: by which all of
+    them may be off since their source doesn't state its vertical datum, None where it does.
+    """
+
+    work_frame: LocalFrame
+    height_m: Floats
+    sd_m: Floats
+    datum_sd_m: float | None
+
+
+@dataclass(frozen=True)
 class Block:
     """A survey ready to be adjusted: where the frames are believed to be, and what ties them.
 
     `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
     number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
     poses, cameras, tie points and control are those of the images as they lie in the files. times_s (n,):
-    of frames whose velocity no tag reports, when they were taken, or NaN.
+    of frames whose velocity no tag reports, when they were taken, or NaN. heights: None where a DEM
+    holds them, or where they hold nothing.
     """
 
     names: tuple[str, ...]
@@ -67,6 +83,7 @@ class Block:
     turned: tuple[int, ...] = ()
     control: tuple[GroundControl, ...] = ()
     times_s: Floats | None = None
+    heights: HeightReference | None = None
 
     @property
     def lenses(self) -> tuple[Camera, ...]:

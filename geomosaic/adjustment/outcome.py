@@ -7,9 +7,11 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.control import Spread, control_residuals, control_warnings
+from geomosaic.adjustment.common_error import common_error, with_common_error
+from geomosaic.adjustment.control import Spread, control_residuals, control_warnings, spread_of_poses
 from geomosaic.adjustment.misalignment import ties_on_ground
 from geomosaic.adjustment.model import Adjusted, Block, Round
+from geomosaic.adjustment.untied_frames import moved_with_neighbours
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.placement.graph import connected_parts
@@ -55,26 +57,61 @@ def settled(
     warnings: tuple[Warn, ...] = (),
     figures: dict[str, float] | None = None,
     spread: Spread | None = None,
+    covariance: Floats | None = None,
+    common_m2: Floats | None = None,
     unsolved: Collection[int] = (),
     strayed: Collection[int] = (),
 ) -> Adjusted:
     """The outcome for poses found by any method: `tied` are frames with tie points, the others are
-    `placed` by POS alone, as are those `unsolved`. spread: see `control_residuals`; given by methods that
-    used control. Frames that nothing places are `rejected`, see `unplaced_parts`, and those `strayed`."""
+    `placed` by POS alone, as are those `unsolved`, and moved with the tied ones around them unless control
+    points that the method used hold them. Frames that nothing places are `rejected`, see `unplaced_parts`,
+    and those `strayed`.
+
+    Args: spread: see `control_residuals`; covariance (f, 6, 6): of the poses. Both are given by methods that
+        use control. common_m2: see `common_error`.
+    """
     cameras, ground = cameras or block.cameras, ground or block.ground
     tied = {i for pair in block.ties.frames for i in pair} - set(unsolved)
     nowhere = {i for part in unplaced_parts(block) for i in part} | set(strayed)
-    control = control_residuals(block, poses, cameras, ground, spread)
+    status = np.array(
+        ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
+    )
+    untied = status == "placed"
+    if spread is not None:
+        untied[[i for c in block.control if not c.check for i, _, _ in c.observations]] = False
+        untied[list(unsolved)] = True
+    poses = moved_with_neighbours(block.poses, poses, status == "tied", untied)
+    if spread is not None and covariance is not None:
+        spread = _with_untied(spread, poses, untied)
+        sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
+        covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), covariance)
+    if common_m2 is None:
+        common_m2 = common_error(block, poses, ground)
+    if covariance is not None:
+        covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
+    control = control_residuals(block, poses, cameras, ground, spread, common_m2)
+    poses = with_common_error(poses, common_m2)
     return Adjusted(
         poses=poses,
         cameras=cameras,
-        status=tuple(
-            "rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))
-        ),
+        status=tuple(status.tolist()),
         rounds=rounds,
         residuals_m=residuals_m(block, poses, cameras, ground),
         ground=ground,
         warnings=(*warnings, *control_warnings(control)),
-        figures=figures or {},
+        figures=(figures or {}) | {"common_height_sd_m": float(np.sqrt(common_m2[2]))},
         control=control,
+        pose_covariance=covariance,
     )
+
+
+def _with_untied(spread: Spread, poses: Poses, untied: NDArray[np.bool_]) -> Spread:
+    """A spread in which poses that took no part in the solve have their own deviations."""
+    alone = spread_of_poses(poses)
+
+    def both(frames: NDArray[np.intp], by_pose: Floats, by_interior: Floats) -> Floats:
+        apart = untied[frames][:, None, None]
+        solved = spread(frames, np.where(apart, 0.0, by_pose), by_interior)
+        return solved + alone(frames, np.where(apart, by_pose, 0.0), by_interior)
+
+    return both

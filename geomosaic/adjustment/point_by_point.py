@@ -14,6 +14,7 @@ from geomosaic.adjustment.bundle_equations import (
     has_say,
     image_sd_px,
     observed,
+    points_sd,
     share_shown,
 )
 from geomosaic.adjustment.bundle_model import Factors, Priors, State
@@ -130,7 +131,7 @@ class _Own:
         self._camera_of, self._priors, self._state = camera_of, priors, state
         self._shown, self._says = share_shown(some, priors), has_say(some, priors)
         self._sd_px = image_sd_px(some, priors, factors)
-        self._given_m, self._weight = priors.points_m[which], 1.0 / priors.points_sd_m[which] ** 2
+        self._given_m, self._weight = priors.points_m[which], 1.0 / points_sd(priors, factors)[which] ** 2
         if priors.terrain is not None:
             height_m = priors.terrain.height_m(state.positions, frame_share(tracks, state), state.level)
             self._ground_sd_m = priors.terrain.sd_share * height_m

@@ -21,9 +21,15 @@ from geomosaic.adjustment.chosen_model import (
     turns_shown,
     with_readout,
 )
+from geomosaic.adjustment.common_error import common_error, with_common_error
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.control_marks import with_marks_of_whole_images
+from geomosaic.adjustment.control_precision import (
+    precision_figures,
+    precision_warnings,
+    with_precision,
+)
 from geomosaic.adjustment.control_reference import placed_by_control
 from geomosaic.adjustment.doubts import (
     doubtful_positions,
@@ -56,7 +62,6 @@ from geomosaic.adjustment.start import placed_by_images, start_poses
 from geomosaic.adjustment.tracks import Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.turned import as_filed, as_taken
 from geomosaic.adjustment.usable_input import usable
-from geomosaic.adjustment.variance import common_error, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
@@ -349,21 +354,23 @@ _STEPS: dict[str, Callable[[_Work], _Work]] = {
 def _outcome(work: _Work) -> Adjusted:
     block, given, found = work.block, work.given, work.found
     bundle, seen = found.of_ties, found.seen
-    held = any(not c.check and c.observations for c in block.control)
-    common_m2 = np.zeros(3) if held else common_error(bundle, block.poses)
-    bundle = with_common_error(bundle, common_m2)
+    moved = not np.array_equal(found.priors.poses.positions_m, block.poses.positions_m)
+    common_m2 = common_error(block, bundle.poses, found.ground, bundle.factors, moved=moved)
     moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
     shared = shared_unknowns(bundle, found.priors)
     heard = heard_shares(found.ties, bundle, len(block.names))
     strayed = strayed_frames(block, bundle.poses, heard)
+    control = with_precision(block.control, bundle.factors)
     outcome = settled(
-        block,
+        replace(block, poses=given.poses, control=control),
         bundle.poses,
         (Round(work.misalignments_m, moves),),
         cameras=tuple(bundle.cameras[k] for k in block.lens_of),
         ground=found.ground,
         warnings=(
-            *lying_tags(block, bundle.poses, strayed, bundle.factors.horizontal),
+            *lying_tags(
+                block, with_common_error(bundle.poses, common_m2), strayed, bundle.factors.horizontal
+            ),
             *strayed.values(),
             *doubtful_positions(block, bundle.poses, np.unique(seen.frame)),
             *height_drift(given, bundle.poses, np.unique(seen.frame)).warnings(given),
@@ -371,16 +378,21 @@ def _outcome(work: _Work) -> Adjusted:
             *unsolved_frames(block, bundle.left_out),
             *strayed_lenses(block.lenses, bundle.strayed),
             *model_warnings(block, work.choice),
+            *precision_warnings(block.control, bundle.factors),
         ),
         unsolved=np.flatnonzero(bundle.left_out).tolist(),
         strayed=strayed,
-        figures=_figures(bundle, found.ties) | _relief(found) | _shape(block, found),
-        spread=spread_of(bundle, block.lens_of, common_m2),
+        figures=_figures(bundle, found.ties)
+        | _relief(found)
+        | _shape(block, found)
+        | precision_figures(block.control, bundle.factors),
+        spread=spread_of(bundle, block.lens_of),
+        covariance=bundle.pose_covariance,
+        common_m2=common_m2,
     )
     residuals = ImageResiduals(found.ties.frame, found.ties.image_px, bundle.residual_px, bundle.weight)
     return replace(
         outcome,
-        pose_covariance=bundle.pose_covariance,
         shared=shared,
         model=work.choice,
         image_residuals=residuals,

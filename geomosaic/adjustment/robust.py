@@ -103,3 +103,16 @@ def share_down_weighted(standardised: Floats) -> float:
     """The share of pairs whose `student_weight` is less than half of a perfect one's; NaN of none."""
     half = student_weight(standardised) < student_weight(np.zeros(1)) / 2.0
     return float(half.mean()) if half.size else float("nan")
+
+
+def credible(factor: float, redundancy: float) -> float:
+    """A factor estimated from so many redundant observations, drawn to 1 where it may as well be chance.
+
+    Its logarithm is weighed with the probability that the stated deviation is wrong, by Schwarz's
+    approximation (1978) of the evidence: of 48 observations a factor of 1.1 is chance, one of 1.5 is not.
+    Else the covariance of a small block with rightly stated deviations would follow their draw.
+    """
+    variance = max(factor**2, 1e-6)
+    evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))
+    wrong = 1.0 / (1.0 + np.sqrt(redundancy) * np.exp(-min(evidence, 500.0)))
+    return float(np.exp(wrong * np.log(variance) / 2.0))

@@ -27,7 +27,7 @@ from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.tracks import Tracks, nearest_to_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
@@ -36,7 +36,7 @@ Ints = NDArray[np.intp]
 _DATUM_IN_DOUBT: Annotated[
     float,
     Because(
-        "deviations of a position",
+        "deviations of a position, and of the shift as control scatters",
         "by which control lies off the block in the median before its positions are taken to be of another "
         "datum and shifted along: with less their common noise is; with more, heights of another datum pull "
         "against control",
@@ -150,13 +150,16 @@ def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], gro
 
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
     """Median of control minus what the poses make of it, (3,); and whether that is another datum: three
-    points or more agree on what the positions' deviations can't explain."""
+    points or more agree on what the deviations of the positions and the points' own scatter can't explain."""
     used = replace(block, control=tuple(c for c in block.control if not c.check))
     off = np.array([c.residual_m for c in control_residuals(used, poses, cameras, block.ground)])
     if not len(off):
         return np.zeros(3), False
     shift = np.median(off, axis=0)
-    beyond = np.abs(shift) > _DATUM_IN_DOUBT * np.median(block.poses.positions_sd_m, axis=0)
+    scatter_m = NORMAL_PER_MAD * np.median(np.abs(off - shift), axis=0)
+    of_shift_m = np.sqrt(np.pi / 2.0 / len(off)) * scatter_m  # a median's, of normal errors
+    sd_m = np.hypot(np.median(block.poses.positions_sd_m, axis=0), of_shift_m)
+    beyond = np.abs(shift) > _DATUM_IN_DOUBT * sd_m
     return shift, bool(len(off) >= 3 and beyond.any())
 
 

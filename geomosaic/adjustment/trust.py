@@ -58,9 +58,9 @@ def own_miss(priors: Priors, state: State, factors: Factors) -> tuple[Floats, in
     out, slopes = miss.copy(), 0
     for part in parts_of(priors):
         frames = part[observed[part, 0]]
-        out[frames, :2] -= _common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
+        out[frames, :2] -= common_similarity(state.positions[frames, :2], miss[frames, :2], sd[frames, :2])
         may = float(np.median(priors.poses.rotations_sd_rad[frames, :2])) if len(frames) else 0.0
-        common = _common_slope(state.positions[frames, :2], miss[frames, 2], sd[frames, 2], may)
+        common = common_slope(state.positions[frames, :2], miss[frames, 2], sd[frames, 2], may)
         slopes += bool(len(frames)) and bool(np.ptp(common))
         out[frames, 2] -= common
         frames = part[observed[part, 5]]
@@ -68,7 +68,7 @@ def own_miss(priors: Priors, state: State, factors: Factors) -> tuple[Floats, in
     return np.where(observed, out, 0.0), slopes
 
 
-def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
+def common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
     """What shift, turn and scale of all positions explain of their misses (k, 2), by re-weighting from the
     median shift on; of two frames or fewer all."""
     k = len(at_m)
@@ -90,7 +90,7 @@ def _common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
     return np.asarray(found)
 
 
-def _common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> Floats:
+def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> Floats:
     """What a height that slopes explains of all misses (k,), by re-weighting from the common height on; a
     height alone where the slope may be chance, by Schwarz's approximation (1978) of the evidence, or where it
     is steeper than attitudes may be off by: then heights drift or jump, and no block has tipped over."""

@@ -23,18 +23,17 @@ from geomosaic.adjustment.bundle_equations import (
     while_read,
     while_read_sd,
 )
-from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Bundle, Factors, Priors, State
+from geomosaic.adjustment.bundle_model import GROUPS, MEASURED_SD_PX, Factors, Priors, State
+from geomosaic.adjustment.control_precision import control_component
 from geomosaic.adjustment.normal import Reduced, reduce_normals
-from geomosaic.adjustment.robust import INFORMATION, student_weight
+from geomosaic.adjustment.robust import INFORMATION, credible, student_weight
 from geomosaic.adjustment.swing import MOST_DRIFT
 from geomosaic.adjustment.terrain import surface_share
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px, observed_of, own_miss, parts_of
-from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse
-from geomosaic.placement.prior import position_assumed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -48,26 +47,6 @@ _LEAST_SIGMA_PX: Annotated[
         CHOSEN,
     ),
 ] = 0.02
-_MAY_BE_CHANCE: Annotated[
-    float,
-    Because(
-        "share of the stated variance",
-        "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
-        "may be a shift of all positions",
-        CHOSEN,
-    ),
-] = 0.5
-_COMMON_SD_M: Annotated[
-    float,
-    Because(
-        "m per axis",
-        "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
-        "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
-        "know",
-        "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
-        "%, the globe's mean, are 3.3 m per axis",
-    ),
-] = 2.5
 _DETERMINED: Annotated[
     float,
     Because(
@@ -200,6 +179,7 @@ def variance_components(
         factors = replace(factors, image_px=float(np.clip(image_px, _LEAST_SIGMA_PX, most_px)))
     control_px = median_px(length_px[control]) / MEDIAN_LENGTH
     factors = replace(factors, control_px=float(np.clip(control_px, MEASURED_SD_PX, most_px)))
+    factors = control_component(tracks, camera_of, priors, state, factors)
     if image_only:
         return factors, np.zeros((len(GROUPS) + len(factors.while_read),) * 2)
     found = [
@@ -276,7 +256,7 @@ def _of_groups(priors: Priors, state: State, factors: Factors, share: Floats) ->
             continue
         squares = float((counted * (miss / sd) ** 2)[stated].sum())
         scatter = factors.of(group) * float(np.sqrt(squares / r))
-        factor, above = (_believed(f, r) for f in (scatter, _A_LITTLE * scatter))
+        factor, above = (credible(f, r) for f in (scatter, _A_LITTLE * scatter))
         least, most = PRIOR_FACTORS
         follows = float(np.log(above / factor) / np.log(_A_LITTLE)) if least < factor < most else 0.0
         factor = float(np.clip(factor, least, most))
@@ -328,19 +308,6 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, begun_px: floa
     return scale_px
 
 
-def _believed(factor: float, redundancy: float) -> float:
-    """A factor estimated from so many redundant observations, drawn to 1 where it may as well be chance.
-
-    Its logarithm is weighed with the probability that the stated deviation is wrong, by Schwarz's
-    approximation (1978) of the evidence: of 48 observations a factor of 1.1 is chance, one of 1.5 is not.
-    Else the covariance of a small block with rightly stated deviations would follow their draw.
-    """
-    variance = max(factor**2, 1e-6)
-    evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))
-    wrong = 1.0 / (1.0 + np.sqrt(redundancy) * np.exp(-min(evidence, 500.0)))
-    return float(np.exp(wrong * np.log(variance) / 2.0))
-
-
 def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> Bools:
     """Which shared unknowns the block does not determine, (s,): worst first, until all others are.
 
@@ -371,28 +338,3 @@ def undetermined(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, 
         out[free[left[worst]]] = True
         left = np.delete(left, worst)
     return out
-
-
-def common_error(bundle: Bundle, given: Poses) -> Floats:
-    """Variances (3,), east, north and up in m², of what all positions may be off by in common; heights are
-    `height_datum`'s.
-
-    Residuals show how positions scatter about the block; a shift of all of them they don't show. Where they
-    scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is stated
-    may be such a shift, up to what a receiver's errors have in common over a flight.
-    """
-    known = ~position_assumed(given)
-    if not known.any():
-        return np.zeros(3)
-    stated = np.median(given.positions_sd_m[known], axis=0)
-    rest = stated**2 * max(1.0 - bundle.factors.horizontal**2 / _MAY_BE_CHANCE, 0.0)
-    return np.minimum(rest, [_COMMON_SD_M**2, _COMMON_SD_M**2, 0.0])
-
-
-def with_common_error(bundle: Bundle, variance_m2: Floats) -> Bundle:
-    """The poses' deviations with `common_error` counted in full in every frame."""
-    covariance = bundle.pose_covariance.copy()
-    for axis in range(3):
-        covariance[:, axis, axis] += variance_m2[axis]
-    sd = np.sqrt(bundle.poses.positions_sd_m**2 + variance_m2)
-    return replace(bundle, pose_covariance=covariance, poses=replace(bundle.poses, positions_sd_m=sd))

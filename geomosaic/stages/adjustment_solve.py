@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from geomosaic.adjustment.common_error import height_reference
 from geomosaic.adjustment.control import ground_control
-from geomosaic.adjustment.height_datum import common_height_sd_m, with_common_height
 from geomosaic.adjustment.lens_start import lens_notes
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
@@ -82,9 +82,6 @@ class AdjustmentSolve(Stage):
         block = block_of(survey, inputs["prior_ground"], placement, ties)
         settings = Settings(**params.model_dump(exclude={"method"}))
         adjusted = METHODS[params.method](block, settings, context)
-        level_sd_m = common_height_sd_m(survey, adjusted)
-        adjusted = with_common_height(adjusted, level_sd_m)
-        context.metric("adjustment.common_height_sd_m", level_sd_m)
         held = {i for c in block.control if not c.check for i, _, _ in c.observations}
         parts = connected_parts(len(block.names), ties.frames)
         nowhere = {i for part in unplaced_parts(block) for i in part}
@@ -95,12 +92,14 @@ class AdjustmentSolve(Stage):
             context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
         parts = [part for part in parts if part[0] not in nowhere]
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
-            context.warn(
-                "no-tie-points",
-                block.names[frame],
-                "tied to no other frame; placed by its position and attitude"
-                + (" and by control points" if params.method == "bundle" and frame in held else ""),
-            )
+            how = " and by control points" if params.method == "bundle" and frame in held else ""
+            moved = adjusted.poses.positions_m[frame] - block.poses.positions_m[frame]
+            if not how and moved.any():
+                sd_m = float(np.linalg.norm(adjusted.poses.positions_sd_m[frame, :2])) / np.sqrt(2.0)
+                how = f", moved by {np.linalg.norm(moved):.1f} m as the frames around it were"
+                how += f" (standard deviation in plan {sd_m:.1f} m)"
+            text = f"tied to no other frame; placed by its position and attitude{how}"
+            context.warn("no-tie-points", block.names[frame], text)
         large = [part for part in parts if len(part) > 1]
         for part in large[1:]:
             context.warn(
@@ -150,6 +149,7 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
         times_s=np.array(
             [f.time_s if f.velocity_m_per_s is None else None for f in survey.frames], dtype=np.float64
         ),
+        heights=height_reference(survey),
     )
 
 

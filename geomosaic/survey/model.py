@@ -18,7 +18,8 @@ class Position:
     Geodetic WGS 84. Either height may be unknown. Standard deviations always have a value: the
     observation's own, or the default of its source (see `survey.accuracy`); `source` says which. A position
     that nobody observed has the source `none`: it lies between the frames before and after, as good as
-    anywhere.
+    anywhere. datum_stated: whether the source says what `height_ellipsoidal_m` counts from; where it doesn't,
+    the heights of all frames may be off by one offset.
     """
 
     lon_deg: float
@@ -29,6 +30,7 @@ class Position:
     sd_north_m: float
     sd_vertical_m: float
     source: str
+    datum_stated: bool = True
 
     @property
     def deviations_m(self) -> tuple[float, float, float]:

@@ -95,7 +95,11 @@ def observe(
         rows, unmatched = _matched(headers, pos, left_out, strict=strict)
         warnings = [*pos.warnings, *unmatched, *_against_exif(headers, own, rows, pos)]
         positions = _with_missing(
-            [p if row is None else _position(row, p) for row, p in zip(rows, own, strict=True)], anywhere
+            [
+                p if row is None else _position(row, p, datum_stated=pos.datum_stated)
+                for row, p in zip(rows, own, strict=True)
+            ],
+            anywhere,
         )
         attitudes = [a if row is None else _attitude(row, a) for row, a in zip(rows, attitudes, strict=True)]
     warnings += _doubts(headers, positions, attitudes)
@@ -173,7 +177,7 @@ def _matched(
     return [rows.get(name) for name in own], warnings
 
 
-def _position(row: PosRow, own: Position | None) -> Position:
+def _position(row: PosRow, own: Position | None, *, datum_stated: bool) -> Position:
     default = POSITION["pos"]
     position = Position(
         row.lon_deg,
@@ -184,6 +188,7 @@ def _position(row: PosRow, own: Position | None) -> Position:
         row.sd_north_m or default.sd_horizontal_m,
         row.sd_vertical_m or default.sd_vertical_m,
         "pos",
+        datum_stated,
     )
     if own is None:
         return position
@@ -192,7 +197,13 @@ def _position(row: PosRow, own: Position | None) -> Position:
     if position.height_ellipsoidal_m is None and own.height_ellipsoidal_m is not None:
         height, sd = own.height_ellipsoidal_m, own.sd_vertical_m
         source = f"pos, height from {own.source}"
-        return replace(position, height_ellipsoidal_m=height, sd_vertical_m=sd, source=source)
+        return replace(
+            position,
+            height_ellipsoidal_m=height,
+            sd_vertical_m=sd,
+            source=source,
+            datum_stated=own.datum_stated,
+        )
     return position
 
 

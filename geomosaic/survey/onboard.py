@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,7 +63,8 @@ def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:
         if lon is None or lat is None or (lon == 0.0 and lat == 0.0) or abs(lat) > 90.0 or abs(lon) > 180.0:
             return None
     heights = onboard_heights(exif, xmp)
-    return Position(lon, lat, heights.height_m, heights.above_ground_m, *_position_accuracy(xmp))
+    position = Position(lon, lat, heights.height_m, heights.above_ground_m, *_position_accuracy(xmp))
+    return replace(position, datum_stated=not heights.datum_unknown)
 
 
 def _position_accuracy(xmp: Xmp) -> tuple[float, float, float, str]:

@@ -286,6 +286,9 @@ def heights_of(table: Table, crs: CRS | None, lonlat: Floats) -> tuple[Floats, l
                 mend="give ellipsoidal heights (height_ellipsoidal_m), or install proj-data",
             ) from error
     elif column == "height":
-        text = f"{name}: heights have no stated datum, taken as ellipsoidal"
+        text = (
+            f"{name}: heights have no stated datum, taken as ellipsoidal: all may be off by the same amount; "
+            "name the column height_ellipsoidal or height_orthometric"
+        )
         notes.append(Warn("height-datum-assumed", "", text))
     return values + offset, notes

@@ -110,11 +110,13 @@ class PosRow:
 
 @dataclass(frozen=True)
 class PosFile:
-    """Rows in the file's order, and what was assumed in reading them."""
+    """Rows in the file's order, what was assumed in reading them, and whether the file says what its heights
+    count from."""
 
     path: Path
     rows: tuple[PosRow, ...]
     warnings: tuple[Warn, ...]
+    datum_stated: bool = True
 
 
 def read_pos(
@@ -171,7 +173,8 @@ def read_pos(
             names, lines, lonlat.tolist(), table.texts("camera"), zip(*columns, strict=True), strict=True
         )
     ]
-    return PosFile(path, tuple(rows), (*notes, *places.notes, *doubts, *assumed))
+    datum_stated = all(doubt.code != "height-datum-assumed" for doubt in doubts)
+    return PosFile(path, tuple(rows), (*notes, *places.notes, *doubts, *assumed), datum_stated)
 
 
 def _table(

@@ -1,0 +1,83 @@
+"""Control is as precise as its residuals show: a variance component, never below what is stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import Flown, fly
+
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, GroundControl, Settings
+
+PLAN = np.array(
+    [[-15.0, -10.0], [95.0, -10.0], [95.0, 100.0], [-15.0, 100.0], [40.0, 45.0], [40.0, -5.0], [90.0, 45.0],
+     [-10.0, 50.0]]
+)  # fmt: skip
+
+
+def surveyed(flown: Flown, noise_m: float, *, points: int = 8, stated_m: float = 0.05) -> list[GroundControl]:
+    out = []
+    for k, plan in enumerate(PLAN[:points]):
+        at = np.append(plan, 0.0)
+        seen = tuple(flown.seen(at, 0.5))
+        given = at + flown.rng.normal(0.0, noise_m, 3)
+        out.append(GroundControl(f"P{k}", given, np.full(3, stated_m), False, seen))
+    return out
+
+
+def solved(flown: Flown, control: list[GroundControl]) -> Adjusted:
+    return METHODS["bundle"](replace(flown.block, control=tuple(control)), Settings(model="given"))
+
+
+def worst(adjusted: Adjusted) -> float:
+    """By how many deviations the worst point disagrees, which the verdict asks."""
+    return max(float(np.abs(c.residual_m / c.sd_m).max()) for c in adjusted.control)
+
+
+@pytest.mark.parametrize("seed", [1, 3, 7])
+def test_control_of_two_metres_is_weighted_by_that(seed: int) -> None:
+    flown = fly(seed, points=300, position_sd_m=np.array([0.5, 0.5, 0.5]))
+    adjusted = solved(flown, surveyed(flown, 2.0))
+    assert 1.2 < adjusted.figures["control_sd_m.plan"] < 3.2
+    assert 0.8 < adjusted.figures["control_sd_m.height"] < 3.8
+    (warning,) = [w for w in adjusted.warnings if w.code == "control-imprecise"]
+    assert "m in plan (stated 0.05 m)" in warning.text
+    assert "control-disagrees" not in [w.code for w in adjusted.warnings] and worst(adjusted) < 5.0
+    off = adjusted.poses.positions_m - flown.truth.positions_m
+    assert np.all(np.abs(off.mean(axis=0)) < 3.0)
+    assert np.all(np.abs(off) < 4.0 * adjusted.poses.positions_sd_m)
+
+
+@pytest.mark.parametrize("noise_m", [0.05, 2.0])
+def test_a_blunder_among_them_is_named_and_widens_nothing(noise_m: float) -> None:
+    flown = fly(5, points=300, position_sd_m=np.array([0.5, 0.5, 0.5]))
+    control = surveyed(flown, noise_m)
+    plain = solved(flown, control)
+    control[3] = replace(control[3], enu_m=control[3].enu_m + [16.0, -12.0, 0.0])
+    adjusted = solved(flown, control)
+    named = [w.text for w in adjusted.warnings if w.code == "control-disagrees"]
+    assert len(named) == 1 and "'P3'" in named[0]
+    found = adjusted.figures["control_sd_m.plan"]
+    assert found == pytest.approx(plain.figures["control_sd_m.plan"], rel=0.5)
+    moved = adjusted.poses.positions_m - plain.poses.positions_m
+    assert np.abs(moved).max() < (0.2 if noise_m < 1.0 else 2.0)
+
+
+def test_good_control_is_as_stated_whatever_the_positions() -> None:
+    """Positions 8 m off in common: that is not control's error."""
+    flown = fly(6, points=300)
+    poses = flown.block.poses
+    off = replace(poses, positions_m=poses.positions_m + [8.0, -6.0, 9.0])
+    adjusted = solved(replace(flown, block=replace(flown.block, poses=off)), surveyed(flown, 0.05))
+    assert adjusted.figures["control_sd_m.plan"] < 0.08 and adjusted.figures["control_sd_m.height"] < 0.08
+    assert "control-imprecise" not in [w.code for w in adjusted.warnings]
+    away = adjusted.poses.positions_m - flown.truth.positions_m
+    assert np.abs(away.mean(axis=0)).max() < 0.4
+
+
+def test_four_points_show_no_precision() -> None:
+    flown = fly(7, points=300)
+    adjusted = solved(flown, surveyed(flown, 2.0, points=4))
+    assert not [name for name in adjusted.figures if name.startswith("control_sd_m")]
