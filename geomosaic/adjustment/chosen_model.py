@@ -16,6 +16,7 @@ from geomosaic.adjustment.left_out import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.residual_pattern import residual_patterns
 from geomosaic.adjustment.tracks import Tracks
+from geomosaic.adjustment.trust import median_px
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.spread import Spread
@@ -148,7 +149,7 @@ def chosen_model(
     """
     good = first.factors.image_px <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
-        good = good and float(np.nanmedian(np.linalg.norm(first.residual_px, axis=1))) <= _LEAST_PX
+        good = good and median_px(np.linalg.norm(first.residual_px, axis=1)) <= _LEAST_PX
     if good or tracks.points < _TOO_FEW:
         return block, settings, None, first
     left_out = LeftOut(block, tracks, first, spread)

@@ -124,7 +124,8 @@ def common_error(
         return np.array([0.0, 0.0, in_height])
     of_positions = np.append(_in_plan(block.poses, factors.horizontal), in_height)
     of_control = _of_control(block, factors)
-    both = np.where(moved, np.inf, of_positions), of_control
+    anywhere = POSITION["none"].sd_horizontal_m ** 2
+    both = np.clip([np.where(moved, anywhere, of_positions), of_control], 0.0, anywhere)
     together = 1.0 / (1.0 / np.maximum(both, 1e-12)).sum(axis=0)
     return np.asarray(np.minimum.reduce([*both, together]))
 
