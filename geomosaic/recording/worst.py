@@ -43,6 +43,7 @@ class Fault:
 _LAID = "no need: the images laid it right; correct it in the positions' table if they are used elsewhere"
 _MENDS: dict[str, tuple[float, str]] = {
     "bundle-failed": (95.0, "more overlap, or positions of more frames"),
+    "self-calibration-failed": (85.0, "a calibrated lens (--camera), or more overlap"),
     "not-placed": (80.0, "give its position (--pos), or leave it out"),
     "no-tie-points": (70.0, "leave it out, or fly with more overlap there"),
     "separate-part": (68.0, "frames between the parts, or control points in each"),
