@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.matching.contrast import SIFT_CONTRAST
+
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
@@ -52,7 +54,7 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
     if inside.size == 0:
         return np.zeros(one.shape, np.uint8)
     low, high = np.percentile(inside[:: max(1, inside.size // 200_000)].astype(np.float32), [0.5, 99.5])
-    if pixels.dtype == np.uint8 and high - low >= 85.0:
+    if pixels.dtype == np.uint8:
         return np.ascontiguousarray(one if one.dtype == np.uint8 else np.rint(one).astype(np.uint8))
     scaled = (one.astype(np.float32) - low) * (255.0 / max(high - low, 1e-6))
     return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
@@ -85,7 +87,7 @@ def sift_features(
     frame evenly; keypoints beside invalid pixels are left out.
     """
     mask = None if valid is None else cv2.erode(valid, np.ones((9, 9), np.uint8))
-    sift = cv2.SIFT.create(contrastThreshold=0.01, edgeThreshold=12, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(contrastThreshold=SIFT_CONTRAST, edgeThreshold=12, enable_precise_upscale=True)
     found = sift.detect(image, mask)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros(0, np.float32), np.zeros((0, 128), np.uint8))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
+from geomosaic.matching.contrast import faint_tiles, raised
 from geomosaic.matching.features import Bytes, Features, grey, reduction_for, shrunk, sift_features
 from geomosaic.matching.match import Looks, Matching, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
@@ -84,7 +85,9 @@ def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
     rows, cols = (
         picture.reduction * whole / part for whole, part in zip(seen.grey.shape, small.shape, strict=True)
     )
-    return sift_features(small, valid, (cols, rows), most)
+    faint = faint_tiles(small, valid)
+    asked = round(most * (1.0 + float(faint.mean())))
+    return sift_features(raised(small, valid, faint), valid, (cols, rows), asked)
 
 
 @dataclass(frozen=True)
