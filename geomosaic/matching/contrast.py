@@ -9,18 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.matching.features import SIFT_CONTRAST, Bytes, shrunk
 
-Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 
-SIFT_CONTRAST: Annotated[
-    float,
-    Because(
-        "of the range from black to white",
-        "contrast below which SIFT drops a keypoint; OpenCV shares it out over three layers an octave",
-        "a quarter of Lowe 2004, section 4: aerial images are soft",
-    ),
-] = 0.01
 _LOWE_SIGMA_PX: Annotated[
     float,
     Because("px", "scale of the first layer in which keypoints are sought", "Lowe 2004, section 3.3"),
@@ -42,14 +34,6 @@ _TILES: Annotated[
         CHOSEN,
     ),
 ] = 4
-_LOW_RANGE: Annotated[
-    float,
-    Because(
-        "grey levels from the 0.5 to the 99.5 % quantile",
-        "a third of the scale; an image of 8 bits with less is faint everywhere",
-        CHOSEN,
-    ),
-] = 85.0
 _WINDOW_SHARE: Annotated[
     float,
     Because(
@@ -77,32 +61,35 @@ _LEAST_NOISE: Annotated[
 _SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 
 
-def raised(image: Bytes, valid: Bytes | None, faint: NDArray[np.bool_]) -> Bytes:
-    """An 8 bit image with its faint tiles brought to a common local mean and deviation (Wallis 1976).
+def raised(image: Bytes, valid: Bytes | None, longest_px: int, levels: float = 1.0) -> tuple[Bytes, float]:
+    """An image with its faint tiles brought to a common local mean and deviation (Wallis 1976), and their
+    share of all tiles.
 
     An image without a faint tile is returned as it is. Between faint tiles and others the change is gradual.
 
-    Args: image, valid (rows, cols); valid is 0 where a pixel is not.
+    Args: image (rows, cols); valid (rows, cols) is 0 where a pixel is not; longest_px: of the smaller image
+        that keypoints are sought in and contrast is judged by; levels: as in `faint_tiles`.
     """
+    small, inside = shrunk(image, valid, longest_px)
+    faint = faint_tiles(small, inside, levels)
     if not faint.any():
-        return image
-    share = cv2.resize(faint.astype(np.float32), image.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    values = image.astype(np.float32)
-    mean, sd = _local(values, valid)
-    gain = np.minimum(_TARGET_SD / np.maximum(sd, _LEAST_NOISE), _MOST_NOISE / noise_sd(image, valid))
-    out = values + share * (128.0 - values + (values - mean) * np.maximum(gain, 1.0))
-    return np.asarray(np.clip(np.rint(out), 0, 255).astype(np.uint8))
+        return image, 0.0
+    share = cv2.resize(faint.astype(np.float32), small.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    mean, sd = _local(small.astype(np.float32), inside)
+    gain = np.minimum(_TARGET_SD / np.maximum(sd, _LEAST_NOISE), _MOST_NOISE / noise_sd(small, inside))
+    gain = 1.0 + share * (np.maximum(gain, 1.0) - 1.0)
+    offset = share * 128.0 - (gain + share - 1.0) * mean
+    size = image.shape[::-1]
+    out = image * cv2.resize(gain, size) + cv2.resize(offset, size)
+    return np.asarray(np.clip(np.rint(out), 0, 255).astype(np.uint8)), float(faint.mean())
 
 
-def faint_tiles(image: Bytes, valid: Bytes | None) -> NDArray[np.bool_]:
-    """Which tiles (_TILES, _TILES) of an 8 bit image are faint: hardly one of their local extremes reaches
-    SIFT's contrast. All of them, where the whole image has a low range of grey levels."""
-    inside = image[valid > 0] if valid is not None else image.ravel()
-    if not inside.size:
-        return np.zeros((_TILES, _TILES), np.bool_)
-    low, high = np.percentile(inside[:: max(1, inside.size // 200_000)], [0.5, 99.5])
-    if high - low < _LOW_RANGE:
-        return np.ones((_TILES, _TILES), np.bool_)
+def faint_tiles(image: Bytes, valid: Bytes | None, levels: float = 1.0) -> NDArray[np.bool_]:
+    """Which tiles (_TILES, _TILES) of an image are faint: hardly one of their local extremes reaches SIFT's
+    contrast.
+
+    Args: levels: of the image, that one of the picture's 8 bits was stretched to.
+    """
     step = 2.0 ** (1.0 / 3.0)
     fine = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _LOWE_SIGMA_PX)
     layer = cv2.GaussianBlur(fine, (0, 0), _LOWE_SIGMA_PX * (step**2 - 1.0) ** 0.5) - fine
@@ -112,7 +99,7 @@ def faint_tiles(image: Bytes, valid: Bytes | None) -> NDArray[np.bool_]:
     )
     if valid is not None:
         extreme &= valid > 0
-    reached = extreme & (np.abs(layer) >= SIFT_CONTRAST / 3.0 * 255.0)
+    reached = extreme & (np.abs(layer) >= SIFT_CONTRAST / 3.0 * 255.0 * levels)
     return _tile_sums(reached) < _REACHED * _tile_sums(extreme)
 
 

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.matching.contrast import SIFT_CONTRAST
+from geomosaic.constants import Because
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
+SIFT_CONTRAST: Annotated[
+    float,
+    Because(
+        "of the range from black to white",
+        "below which SIFT drops a keypoint, over the three layers of an octave: more drops soft ground, less "
+        "takes noise",
+        "OpenCV's default is 0.04; this one is chosen",
+    ),
+] = 0.01
 
 
 @dataclass(frozen=True)
@@ -36,7 +46,15 @@ def reduction_for(width_px: int, height_px: int, longest_px: int) -> int:
 
 
 def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = None) -> Bytes:
-    """One 8 bit band for matching only: a chosen band, or luma; stretched where the contrast is low.
+    """One 8 bit band for matching only, see `stretched`."""
+    return stretched(pixels, valid, band)[0]
+
+
+def stretched(
+    pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = None
+) -> tuple[Bytes, float]:
+    """One 8 bit band for matching only: a chosen band, or luma; stretched where the contrast is low. Then
+    how many grey levels one of the pixels' own 8 bits has become; 1 where they have more bits.
 
     The stretch (0.5 to 99.5 % of the valid pixels onto 0 to 255) is applied to more than 8 bits
     always, and to 8 bits where that range holds less than a third of the scale: the logical adaptive
@@ -52,12 +70,13 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
         one = pixels[..., :3].mean(axis=-1)
     inside = one[valid > 0] if valid is not None else one.ravel()
     if inside.size == 0:
-        return np.zeros(one.shape, np.uint8)
+        return np.zeros(one.shape, np.uint8), 1.0
     low, high = np.percentile(inside[:: max(1, inside.size // 200_000)].astype(np.float32), [0.5, 99.5])
-    if pixels.dtype == np.uint8:
-        return np.ascontiguousarray(one if one.dtype == np.uint8 else np.rint(one).astype(np.uint8))
-    scaled = (one.astype(np.float32) - low) * (255.0 / max(high - low, 1e-6))
-    return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
+    if pixels.dtype == np.uint8 and high - low >= 85.0:
+        return np.ascontiguousarray(one if one.dtype == np.uint8 else np.rint(one).astype(np.uint8)), 1.0
+    levels = 255.0 / max(high - low, 1e-6)
+    scaled = np.clip(np.rint((one.astype(np.float32) - low) * levels), 0, 255)
+    return np.asarray(scaled.astype(np.uint8)), float(levels) if pixels.dtype == np.uint8 else 1.0
 
 
 def shrunk(image: Bytes, valid: Bytes | None, longest_px: int) -> tuple[Bytes, Bytes | None]:

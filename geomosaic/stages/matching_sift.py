@@ -125,7 +125,7 @@ class MatchingSift(Stage):
         context: Context,
     ) -> tuple[TiePairs, Pairing]:
         """The pairs that hold together, and how all were tried."""
-        sight = Sight(params.longest_px, params.band)
+        sight = Sight(params.longest_px, params.keypoints_px, params.band)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]
         with pictured(context, sight, survey.frames) as pictures:
             features = context.stored(
@@ -136,7 +136,7 @@ class MatchingSift(Stage):
                 Matching(params.ratio, params.check, params.tolerance_px, params.least),
                 features,
                 sizes,
-                [sight.pixel_px(f, params.keypoints_px) for f in survey.frames],
+                [sight.pixel_px(f) for f in survey.frames],
                 believed,
                 placement.sequence,
             )
