@@ -1,16 +1,18 @@
-"""Local contrast of faint images, raised before keypoints are sought: for matching only, never in the mosaic."""
+"""Local contrast of faint images, raised for matching only: the mosaic's pixels stay as they are."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.matching.features import SIFT_CONTRAST, Bytes, shrunk
+from geomosaic.matching.features import SIFT_CONTRAST, Bytes, away_from_invalid, shrunk
 
+Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
 _LOWE_SIGMA_PX: Annotated[
@@ -59,18 +61,25 @@ _LEAST_NOISE: Annotated[
     float, Because("grey levels", "deviation of rounding to whole levels", "1 / sqrt(12)")
 ] = 12.0**-0.5
 _SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+_NOISE_PER_MEAN = math.sqrt(math.pi / 2.0) / 6.0
+"""Standard deviation of noise over the mean size of its second differences."""
 
 
-def raised(image: Bytes, valid: Bytes | None, longest_px: int, levels: float = 1.0) -> tuple[Bytes, float]:
+def raised(
+    image: Bytes, valid: Bytes | None, longest_px: int, levels: float | None = 1.0
+) -> tuple[Bytes, float]:
     """An image with its faint tiles brought to a common local mean and deviation (Wallis 1976), and their
     share of all tiles.
 
     An image without a faint tile is returned as it is. Between faint tiles and others the change is gradual.
 
     Args: image (rows, cols); valid (rows, cols) is 0 where a pixel is not; longest_px: of the smaller image
-        that keypoints are sought in and contrast is judged by; levels: as in `faint_tiles`.
+        that keypoints are sought in and contrast is judged by; levels: as `stretched` gives them. Where they
+        are not known, noise in the quietest tile tells: a camera's 8 bits hold about one level of it.
     """
     small, inside = shrunk(image, valid, longest_px)
+    if levels is None:
+        levels = max(1.0, _least_noise_sd(small, inside))
     faint = faint_tiles(small, inside, levels)
     if not faint.any():
         return image, 0.0
@@ -84,7 +93,7 @@ def raised(image: Bytes, valid: Bytes | None, longest_px: int, levels: float = 1
     return np.asarray(np.clip(np.rint(out), 0, 255).astype(np.uint8)), float(faint.mean())
 
 
-def faint_tiles(image: Bytes, valid: Bytes | None, levels: float = 1.0) -> NDArray[np.bool_]:
+def faint_tiles(image: Bytes, valid: Bytes | None, levels: float) -> NDArray[np.bool_]:
     """Which tiles (_TILES, _TILES) of an image are faint: hardly one of their local extremes reaches SIFT's
     contrast.
 
@@ -98,21 +107,34 @@ def faint_tiles(image: Bytes, valid: Bytes | None, levels: float = 1.0) -> NDArr
         (layer < 0) & (layer == cv2.erode(layer, around))
     )
     if valid is not None:
-        extreme &= valid > 0
+        extreme &= away_from_invalid(valid) > 0
     reached = extreme & (np.abs(layer) >= SIFT_CONTRAST / 3.0 * 255.0 * levels)
     return _tile_sums(reached) < _REACHED * _tile_sums(extreme)
 
 
 def noise_sd(image: Bytes, valid: Bytes | None) -> float:
     """Standard deviation of an image's noise in grey levels (Immerkaer 1996); at least that of rounding."""
+    size, inside = _second_differences(image, valid)
+    return max(_LEAST_NOISE, _NOISE_PER_MEAN * float(size.sum()) / max(1, int(inside.sum())))
+
+
+def _least_noise_sd(image: Bytes, valid: Bytes | None) -> float:
+    """As `noise_sd`, of the tile with the least of it."""
+    size, inside = _second_differences(image, valid)
+    count = _tile_sums(inside)
+    return _NOISE_PER_MEAN * float((_tile_sums(size)[count > 0] / count[count > 0]).min(initial=np.inf))
+
+
+def _second_differences(image: Bytes, valid: Bytes | None) -> tuple[Floats32, NDArray[np.bool_]]:
+    """Their size (rows, cols), 0 beside invalid pixels, and where it is known."""
     size = np.abs(cv2.filter2D(image.astype(np.float32), -1, _SECOND_DIFFERENCES))
-    inside = size if valid is None else size[valid > 0]
-    return max(_LEAST_NOISE, float(np.sqrt(np.pi / 2.0) / 6.0 * inside.mean()) if inside.size else 0.0)
+    inside = np.ones(image.shape, np.bool_) if valid is None else away_from_invalid(valid) > 0
+    return (size * inside).astype(np.float32), inside
 
 
-def _tile_sums(marked: NDArray[np.bool_]) -> NDArray[np.int64]:
-    rows, cols = (np.arange(_TILES) * side // _TILES for side in marked.shape)
-    return np.add.reduceat(np.add.reduceat(marked.astype(np.int64), rows, axis=0), cols, axis=1)
+def _tile_sums(values: NDArray[Any]) -> Floats:
+    rows, cols = (np.arange(_TILES) * side // _TILES for side in values.shape)
+    return np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), cols, axis=1)
 
 
 def _local(values: Floats32, valid: Bytes | None) -> tuple[Floats32, Floats32]:
@@ -123,6 +145,6 @@ def _local(values: Floats32, valid: Bytes | None) -> tuple[Floats32, Floats32]:
         cv2.blur(v, (side, side), borderType=cv2.BORDER_REFLECT)
         for v in (values * weight, values * values * weight, weight)
     )
-    whole = np.maximum(whole, 1e-6)
-    mean = first / whole
-    return mean, np.sqrt(np.maximum(second / whole - mean * mean, 0.0))
+    mean = first / np.maximum(whole, 1e-6)
+    sd = np.sqrt(np.maximum(second / np.maximum(whole, 1e-6) - mean * mean, 0.0))
+    return mean.astype(np.float32), sd.astype(np.float32)

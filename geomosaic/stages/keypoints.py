@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -92,7 +92,8 @@ def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
     rows, cols = (
         picture.reduction * whole / part for whole, part in zip(seen.grey.shape, small.shape, strict=True)
     )
-    return sift_features(small, valid, (cols, rows), round(most * (1.0 + seen.faint)))
+    found = sift_features(small, valid, (cols, rows), round(most * (1.0 + seen.faint)))
+    return replace(found, faint=seen.faint)
 
 
 @dataclass(frozen=True)
