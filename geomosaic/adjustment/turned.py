@@ -15,7 +15,6 @@ from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
-from geomosaic.matching.model import TiePoints
 
 
 def _half_turned(block: Block) -> list[int]:
@@ -58,7 +57,7 @@ def as_taken(block: Block) -> Block:
         block,
         cameras=cameras,
         poses=_turned_poses(block.poses, frames),
-        ties=TiePoints(pairs, block.ties.untied),
+        ties=replace(block.ties, pairs=pairs),
         turned=(),
         control=control,
     )

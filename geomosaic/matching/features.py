@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.constants import Because
+
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
+SIFT_CONTRAST: Annotated[
+    float,
+    Because(
+        "of the range from black to white",
+        "below which SIFT drops a keypoint, over the three layers of an octave: more drops soft ground, less "
+        "takes noise",
+        "OpenCV's default is 0.04; this one is chosen",
+    ),
+] = 0.01
 
 
 @dataclass(frozen=True)
@@ -17,12 +29,13 @@ class Features:
     """Keypoints of a frame.
 
     image_px: (n, 2) col, row in the full frame, corner origin. size_px: (n,) diameters there.
-    descriptors: (n, 128) uint8 as SIFT gives them.
+    descriptors: (n, 128) uint8 as SIFT gives them. faint: share of the frame whose contrast was raised.
     """
 
     image_px: Floats
     size_px: NDArray[np.float32]
     descriptors: Bytes
+    faint: float = 0.0
 
     def __len__(self) -> int:
         return len(self.image_px)
@@ -34,7 +47,15 @@ def reduction_for(width_px: int, height_px: int, longest_px: int) -> int:
 
 
 def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = None) -> Bytes:
-    """One 8 bit band for matching only: a chosen band, or luma; stretched where the contrast is low.
+    """One 8 bit band for matching only, see `stretched`."""
+    return stretched(pixels, valid, band)[0]
+
+
+def stretched(
+    pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = None
+) -> tuple[Bytes, float | None]:
+    """One 8 bit band for matching only: a chosen band, or luma; stretched where the contrast is low. Then
+    how many grey levels one of the pixels' own 8 bits has become; None where they have more bits.
 
     The stretch (0.5 to 99.5 % of the valid pixels onto 0 to 255) is applied to more than 8 bits
     always, and to 8 bits where that range holds less than a third of the scale: the logical adaptive
@@ -50,12 +71,13 @@ def grey(pixels: NDArray[np.generic], valid: Bytes | None, band: int | None = No
         one = pixels[..., :3].mean(axis=-1)
     inside = one[valid > 0] if valid is not None else one.ravel()
     if inside.size == 0:
-        return np.zeros(one.shape, np.uint8)
+        return np.zeros(one.shape, np.uint8), 1.0
     low, high = np.percentile(inside[:: max(1, inside.size // 200_000)].astype(np.float32), [0.5, 99.5])
     if pixels.dtype == np.uint8 and high - low >= 85.0:
-        return np.ascontiguousarray(one if one.dtype == np.uint8 else np.rint(one).astype(np.uint8))
-    scaled = (one.astype(np.float32) - low) * (255.0 / max(high - low, 1e-6))
-    return np.asarray(np.clip(np.rint(scaled), 0, 255).astype(np.uint8))
+        return np.ascontiguousarray(one if one.dtype == np.uint8 else np.rint(one).astype(np.uint8)), 1.0
+    levels = 255.0 / max(high - low, 1e-6)
+    scaled = np.clip(np.rint((one.astype(np.float32) - low) * levels), 0, 255)
+    return np.asarray(scaled.astype(np.uint8)), float(levels) if pixels.dtype == np.uint8 else None
 
 
 def shrunk(image: Bytes, valid: Bytes | None, longest_px: int) -> tuple[Bytes, Bytes | None]:
@@ -71,6 +93,11 @@ def shrunk(image: Bytes, valid: Bytes | None, longest_px: int) -> tuple[Bytes, B
     return small, np.where(kept == 255, 255, 0).astype(np.uint8)
 
 
+def away_from_invalid(valid: Bytes) -> Bytes:
+    """Pixels (rows, cols) that have no invalid one within 4 px."""
+    return np.asarray(cv2.erode(valid, np.ones((9, 9), np.uint8)), np.uint8)
+
+
 def coarsest(features: Features, most: int) -> NDArray[np.intp]:
     """Numbers of the largest keypoints, as an image of a fraction of the size would have."""
     return np.sort(np.argsort(-features.size_px, kind="stable")[:most])
@@ -84,8 +111,8 @@ def sift_features(
     The strongest are taken cell by cell of a grid of about 24 x 24 cells, so that they cover the
     frame evenly; keypoints beside invalid pixels are left out.
     """
-    mask = None if valid is None else cv2.erode(valid, np.ones((9, 9), np.uint8))
-    sift = cv2.SIFT.create(contrastThreshold=0.01, edgeThreshold=12, enable_precise_upscale=True)
+    mask = None if valid is None else away_from_invalid(valid)
+    sift = cv2.SIFT.create(contrastThreshold=SIFT_CONTRAST, edgeThreshold=12, enable_precise_upscale=True)
     found = sift.detect(image, mask)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros(0, np.float32), np.zeros((0, 128), np.uint8))

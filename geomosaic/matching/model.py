@@ -134,10 +134,12 @@ class TiePairs(Sequence[TiePair]):
 
 @dataclass(frozen=True)
 class TiePoints:
-    """All pairs that hold together; pairs tried without success are named in `untied`."""
+    """All pairs that hold together; pairs tried without success are named in `untied`, frames without any tie
+    in `reasons`, each with the reason."""
 
     pairs: tuple[TiePair, ...] | TiePairs
     untied: tuple[tuple[int, int], ...] = ()
+    reasons: tuple[tuple[int, str], ...] = ()
 
     @property
     def frames(self) -> list[tuple[int, int]]:

@@ -31,7 +31,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 51
+    version = 52
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip
@@ -91,6 +91,7 @@ class AdjustmentSolve(Stage):
             few = f" ({some(left)})" if len(left) > 1 else ""
             context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
         parts = [part for part in parts if part[0] not in nowhere]
+        reasons = dict(ties.reasons)
         for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
             how = " and by control points" if params.method == "bundle" and frame in held else ""
             moved = adjusted.poses.positions_m[frame] - block.poses.positions_m[frame]
@@ -98,7 +99,8 @@ class AdjustmentSolve(Stage):
                 sd_m = float(np.linalg.norm(adjusted.poses.positions_sd_m[frame, :2])) / np.sqrt(2.0)
                 how = f", moved by {np.linalg.norm(moved):.1f} m as the frames around it were"
                 how += f" (standard deviation in plan {sd_m:.1f} m)"
-            text = f"tied to no other frame; placed by its position and attitude{how}"
+            why = f" ({reasons[frame]})" if frame in reasons else ""
+            text = f"tied to no other frame{why}; placed by its position and attitude{how}"
             context.warn("no-tie-points", block.names[frame], text)
         large = [part for part in parts if len(part) > 1]
         for part in large[1:]:

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
-from geomosaic.matching.features import Bytes, Features, grey, reduction_for, shrunk, sift_features
+from geomosaic.matching.contrast import raised
+from geomosaic.matching.features import Bytes, Features, reduction_for, shrunk, sift_features, stretched
 from geomosaic.matching.match import Looks, Matching, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.kept import Kept
@@ -28,33 +29,39 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sight:
-    """How frames are looked at: halved until no side is longer than longest_px, in one band or in luma."""
+    """How frames are looked at: halved until no side is longer than longest_px, in one band or in luma;
+    keypoints are sought in images shrunk to keypoints_px."""
 
     longest_px: int
+    keypoints_px: int
     band: int | None = None
 
     def reduction(self, frame: Frame) -> int:
         """Pixels of the frame in one of the image, along each side."""
         return reduction_for(frame.width_px, frame.height_px, self.longest_px)
 
-    def pixel_px(self, frame: Frame, keypoints_px: int) -> float:
-        """Pixels of the frame in one of the image that its keypoints are of: no larger than keypoints_px."""
-        return max(float(self.reduction(frame)), max(frame.width_px, frame.height_px) / keypoints_px)
+    def pixel_px(self, frame: Frame) -> float:
+        """Pixels of the frame in one of the image that its keypoints are of."""
+        return max(float(self.reduction(frame)), max(frame.width_px, frame.height_px) / self.keypoints_px)
 
 
 @dataclass(frozen=True)
 class Brightness:
-    """grey (rows, cols) of a frame as it is looked at; valid (rows, cols), None where all pixels are."""
+    """grey (rows, cols) of a frame as it is looked at, its faint parts raised; valid (rows, cols), None where
+    all pixels are; faint: share of the frame that was raised."""
 
     grey: Bytes
     valid: Bytes | None
+    faint: float = 0.0
 
 
 def frame_brightness(sight: Sight, unseen: Unseen) -> Brightness:
     """Decodes a frame."""
     reduction, luma = sight.reduction(unseen.frame), sight.band is None
     pixels, valid = read_pixels(unseen.frame, reduction, luma=luma, spare=unseen.spare)
-    return Brightness(grey(pixels, valid, sight.band), valid)
+    image, levels = stretched(pixels, valid, sight.band)
+    image, faint = raised(image, valid, sight.keypoints_px, levels)
+    return Brightness(image, valid, faint)
 
 
 @dataclass(frozen=True)
@@ -78,13 +85,15 @@ def pictured(context: Context, sight: Sight, frames: Sequence[Frame]) -> Iterato
 
 
 def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
-    """Keypoints of an image of the frame with no side longer than keypoints_px."""
+    """Keypoints of an image of the frame with no side longer than keypoints_px: at most `most`, and as many
+    again for a frame that is faint all over."""
     seen = picture.brightness.load()
     small, valid = shrunk(seen.grey, seen.valid, keypoints_px)
     rows, cols = (
         picture.reduction * whole / part for whole, part in zip(seen.grey.shape, small.shape, strict=True)
     )
-    return sift_features(small, valid, (cols, rows), most)
+    found = sift_features(small, valid, (cols, rows), round(most * (1.0 + seen.faint)))
+    return replace(found, faint=seen.faint)
 
 
 @dataclass(frozen=True)

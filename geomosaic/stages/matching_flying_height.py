@@ -25,7 +25,7 @@ class MatchingFlyingHeight(Stage):
     id = "matching.flying_height"
     display_name = "Measure the flying height"
     group = "Matching"
-    version = 1
+    version = 2
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey}
     outputs: ClassVar[dict[str, type]] = {"flying_height": FlyingHeight}
@@ -36,7 +36,7 @@ class MatchingFlyingHeight(Stage):
         frames = survey.frames
         pairs = neighbours(frames, _PAIRS) if height_is_unknown(survey) else []
         used = sorted({i for pair in pairs for i in pair[:2]})
-        with pictured(context, Sight(_LONGEST_PX), [frames[i] for i in used]) as pictures:
+        with pictured(context, Sight(_LONGEST_PX, _LONGEST_PX), [frames[i] for i in used]) as pictures:
             take = partial(frame_features, _LONGEST_PX, 3000)
             found = context.map("keypoints for the flying height", take, pictures)
         features = dict(zip(used, found, strict=True))

@@ -22,6 +22,7 @@ from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import found_turned, reheaded, righted, seen_pairs
+from geomosaic.matching.untied import MOSTLY
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
@@ -103,11 +104,18 @@ class MatchingSift(Stage):
         seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
         turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
         self._report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
+        faint = [features.look().faint for features in pairing.features]
+        mostly = sum(share >= MOSTLY for share in faint)
+        context.metric("matching.faint_frames", mostly)
+        if mostly:
+            context.inform(
+                f"{mostly} of {len(faint)} frames are faint; their contrast is raised for matching alone"
+            )
         context.metric("matching.pairs_tried", len(pairs) + len(untied))
         context.metric("matching.pairs_tied", len(pairs))
         context.metric("matching.tie_points", int(pairs.counts.sum()))
         return {
-            "ties": TiePoints(pairs, tuple(untied)),
+            "ties": pairing.ties(pairs, faint),
             "placement": replace(
                 placement,
                 poses=reheaded(righted(placement.poses, turns), headings),
@@ -125,7 +133,7 @@ class MatchingSift(Stage):
         context: Context,
     ) -> tuple[TiePairs, Pairing]:
         """The pairs that hold together, and how all were tried."""
-        sight = Sight(params.longest_px, params.band)
+        sight = Sight(params.longest_px, params.keypoints_px, params.band)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]
         with pictured(context, sight, survey.frames) as pictures:
             features = context.stored(
@@ -136,7 +144,7 @@ class MatchingSift(Stage):
                 Matching(params.ratio, params.check, params.tolerance_px, params.least),
                 features,
                 sizes,
-                [sight.pixel_px(f, params.keypoints_px) for f in survey.frames],
+                [sight.pixel_px(f) for f in survey.frames],
                 believed,
                 placement.sequence,
             )

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching, PairMatch
-from geomosaic.matching.model import TiePairs
+from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess, SeenPlanes
 from geomosaic.matching.refinement import Refinement
+from geomosaic.matching.untied import untied_reasons
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.graph import connected_parts, flown_beside
@@ -73,6 +74,12 @@ class Pairing:
     def untied(self) -> list[Pair]:
         """Pairs that were tried in vain."""
         return [pair for pair, match in self.looks.items() if not len(match.left)]
+
+    def ties(self, pairs: TiePairs, faint: Sequence[float]) -> TiePoints:
+        """Tied pairs, untied ones, and why frames have no tie. faint: share of each frame's tiles."""
+        keypoints = [len(self._places_of(i)) for i in range(len(self.features))]
+        reasons = untied_reasons(self.looks, keypoints, faint, self.how.least)
+        return TiePoints(pairs, tuple(self.untied), reasons)
 
     def _found(self) -> TiePairs:
         """All pairs that hold together now."""
