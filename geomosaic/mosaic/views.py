@@ -113,7 +113,8 @@ def frame_views(
         geodetic = work_frame.geodetic_from_enu(seen)
         on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
         bounds = np.concatenate([on_map[1:].min(axis=0), on_map[1:].max(axis=0)])
-        views.append(FrameView(i, pose, camera, on_map[0], bounds, gsd_m, quality=part.quality))
+        view = FrameView(i, pose, camera, on_map[0], bounds, gsd_m, quality=part.quality)
+        views.append(view if part.quality is None else view.widened())
     return tuple(views)
 
 
