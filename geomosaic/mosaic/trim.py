@@ -15,7 +15,6 @@ from rasterio.features import shapes
 
 from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -26,6 +25,7 @@ from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir
 from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Window
+from geomosaic.placement.reach import half_extent_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
@@ -113,7 +113,8 @@ class Edges:
 class Looks:
     """How a survey's frames look at the ground: poses, views of all they see up to `HORIZON`, and the limits
     of what they see well. known: the ground before a surface was matched, the same without one. area: what
-    the mosaic is cut to. tied: polygons of shapely's on the map, between tie points."""
+    the mosaic is cut to. tied: polygons of shapely's on the map,
+    see `tied_ground`."""
 
     poses: Poses
     views: tuple[FrameView, ...]
@@ -124,8 +125,8 @@ class Looks:
 
 
 def mosaic_edges(scene: Scene, looks: Looks) -> Edges:
-    """What of all that frames see is left out: what no frame sees within the limits, and what lies beyond the
-    tie points on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches the mosaic's
+    """What of all that frames see is left out: what no frame sees within the limits, and what lies far
+    beyond the tie points on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches the mosaic's
     outside.
 
     Of a matched surface and the ground known before it the surer counts. Scene: its views are of what is seen
@@ -192,19 +193,21 @@ def looked_at(
     return at_m, np.where(owner > 0, tangent, np.nan)
 
 
-def tied_ground(
-    sighted: ImageResiduals, poses: Poses, cameras: Sequence[Camera], scene: Scene
-) -> shapely.Geometry:
-    """What lies between the tie points of each frame, on the map: their hull's ground."""
+def tied_ground(sighted: ImageResiduals, views: Sequence[FrameView], scene: Scene) -> shapely.Geometry:
+    """The ground on the map that isn't extrapolated far: what lies between the tie points of each frame, or no
+    farther from below it than a level frame would reach."""
     projection, found = MapProjection(scene.grid.crs), []
-    for i in np.unique(sighted.frame).tolist():
-        hull = shapely.convex_hull(shapely.MultiPoint(sighted.image_px[sighted.frame == i]))
-        if hull.geom_type == "Polygon":
-            at_px = np.asarray(hull.exterior.coords)
-            at_m = ground_from_image(poses[i], cameras[i], scene.ground, at_px)
-            geodetic = scene.work_frame.geodetic_from_enu(at_m[np.isfinite(at_m).all(axis=1)])
-            on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
-            found.append(shapely.convex_hull(shapely.MultiPoint(on_map)))
+    for view in views:
+        mine = sighted.image_px[sighted.frame == view.frame]
+        hull = shapely.convex_hull(shapely.MultiPoint(mine))
+        if hull.geom_type != "Polygon":
+            continue
+        at_m = ground_from_image(view.pose, view.camera, scene.ground, np.asarray(hull.exterior.coords))
+        geodetic = scene.work_frame.geodetic_from_enu(at_m[np.isfinite(at_m).all(axis=1)])
+        on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
+        above_m = float(view.pose.position_m[2] - scene.ground.up_at(*view.pose.position_m[:2]))
+        level = shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, max(above_m, 0.0)))
+        found += [shapely.convex_hull(shapely.MultiPoint(on_map)), level]
     return shapely.union_all(found)
 
 

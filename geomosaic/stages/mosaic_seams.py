@@ -57,7 +57,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 1004
+    version = 1006
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -203,7 +203,7 @@ class MosaicSeams(Stage):
             seeing = seeing if area is None else area.seen_by(seeing)
             adjusted: Adjusted = inputs["adjusted"]
             sighted = adjusted.image_residuals
-            tied = None if sighted is None else tied_ground(sighted, frames.poses, frames.cameras, scene)
+            tied = None if sighted is None else tied_ground(sighted, seeing, scene)
             looks = Looks(frames.poses, seeing, limits, adjusted.ground, area, tied)
             edges = mosaic_edges(scene, looks)
             if edges.kept.is_empty:
