@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
@@ -13,11 +13,9 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.features import shapes
 
-from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.area import Area, rings_of
 from geomosaic.mosaic.limits import Limits
 from geomosaic.mosaic.model import OutputGrid, Trimmed, TrimmedPart
@@ -26,7 +24,6 @@ from geomosaic.mosaic.scene import Scene
 from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Window
 from geomosaic.placement.reach import half_extent_m
-from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
 
@@ -111,23 +108,22 @@ class Edges:
 
 @dataclass(frozen=True)
 class Looks:
-    """How a survey's frames look at the ground: poses, views of all they see up to `HORIZON`, and the limits
-    of what they see well. known: the ground before a surface was matched, the same without one. area: what
-    the mosaic is cut to. tied: polygons of shapely's on the map,
-    see `tied_ground`."""
+    """How a survey's frames look at the ground: poses, which of them tie points hold, views of all they see up
+    to `HORIZON`, and the limits of what they see well. known: the ground before a surface was matched, the
+    same without one. area: what the mosaic is cut to."""
 
     poses: Poses
+    tied: Sequence[bool]
     views: tuple[FrameView, ...]
     limits: Limits
     known: GroundSurface
     area: Area | None = None
-    tied: Any = None
 
 
 def mosaic_edges(scene: Scene, looks: Looks) -> Edges:
-    """What of all that frames see is left out: what no frame sees within the limits, and what lies far
-    beyond the tie points on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches the mosaic's
-    outside.
+    """What of all that frames see is left out: what no frame sees within the limits, and beyond the land that
+    was flown over what lies on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches
+    the mosaic's outside.
 
     Of a matched surface and the ground known before it the surer counts. Scene: its views are of what is seen
     well.
@@ -141,8 +137,7 @@ def mosaic_edges(scene: Scene, looks: Looks) -> Edges:
     shown = (well.owner > 0) & ~outside
     why = np.where(outside | shown, 0, _why(seen, scene, looks)).astype(np.uint8)
     guessed = shown & (_off_px(well, scene, looks) > OFF_PX)
-    if looks.tied is not None:
-        guessed &= ~Area(rings_of(looks.tied)).cells(grid, whole_of(grid), cell_px)
+    guessed &= ~_flown_over(scene, looks)
     if not guessed[shown].all():
         why[guessed] = _GUESSED
     inside = ~_outer(why > 0, outside)
@@ -193,22 +188,17 @@ def looked_at(
     return at_m, np.where(owner > 0, tangent, np.nan)
 
 
-def tied_ground(sighted: ImageResiduals, views: Sequence[FrameView], scene: Scene) -> shapely.Geometry:
-    """The ground on the map that isn't extrapolated far: what lies between the tie points of each frame, or no
-    farther from below it than a level frame would reach."""
-    projection, found = MapProjection(scene.grid.crs), []
-    for view in views:
-        mine = sighted.image_px[sighted.frame == view.frame]
-        hull = shapely.convex_hull(shapely.MultiPoint(mine))
-        if hull.geom_type != "Polygon":
-            continue
-        at_m = ground_from_image(view.pose, view.camera, scene.ground, np.asarray(hull.exterior.coords))
-        geodetic = scene.work_frame.geodetic_from_enu(at_m[np.isfinite(at_m).all(axis=1)])
-        on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
-        above_m = float(view.pose.position_m[2] - scene.ground.up_at(*view.pose.position_m[:2]))
-        level = shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, max(above_m, 0.0)))
-        found += [shapely.convex_hull(shapely.MultiPoint(on_map)), level]
-    return shapely.union_all(found)
+def _flown_over(scene: Scene, looks: Looks) -> Bools:
+    """Cells no farther from below a tied frame than a level frame would reach: seen by one frame alone, say,
+    but not extrapolated far."""
+    circles = []
+    for view in looks.views:
+        if looks.tied[view.frame]:
+            east, north, up = view.pose.position_m.tolist()
+            above_m = max(up - float(scene.ground.up_at(east, north)), 0.0)
+            circles.append(shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, above_m)))
+    over = Area(rings_of(shapely.union_all(circles)))
+    return over.cells(scene.grid, whole_of(scene.grid), cell_px_of(scene))
 
 
 def _looked_at(of: Ownership, scene: Scene, looks: Looks) -> tuple[Floats, Floats, int]:

@@ -24,7 +24,7 @@ from geomosaic.mosaic.seam_figures import seam_figures
 from geomosaic.mosaic.seam_parts import Glimpse, bands, giving, glimpsed
 from geomosaic.mosaic.shadows import hidden_parts, shaded, shadow, side_px_of
 from geomosaic.mosaic.tones import Tones
-from geomosaic.mosaic.trim import HORIZON, Edges, Looks, filled, mosaic_edges, tied_ground
+from geomosaic.mosaic.trim import HORIZON, Edges, Looks, filled, mosaic_edges
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import survey_pixel_m
@@ -57,7 +57,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 1006
+    version = 1013
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -202,9 +202,8 @@ class MosaicSeams(Stage):
             seeing = tuple(view for view in frames.views(HORIZON) if view.frame not in out)
             seeing = seeing if area is None else area.seen_by(seeing)
             adjusted: Adjusted = inputs["adjusted"]
-            sighted = adjusted.image_residuals
-            tied = None if sighted is None else tied_ground(sighted, seeing, scene)
-            looks = Looks(frames.poses, seeing, limits, adjusted.ground, area, tied)
+            tied = [status == "tied" for status in adjusted.status]
+            looks = Looks(frames.poses, tied, seeing, limits, adjusted.ground, area)
             edges = mosaic_edges(scene, looks)
             if edges.kept.is_empty:
                 return None
