@@ -108,9 +108,9 @@ class Edges:
 
 @dataclass(frozen=True)
 class Looks:
-    """How a survey's frames look at the ground: poses, which of them tie points hold, views of all they see up
-    to `HORIZON`, and the limits of what they see well. known: the ground before a surface was matched, the
-    same without one. area: what the mosaic is cut to."""
+    """How a survey's frames look at the ground: poses, which of them tie points hold, views of all they see
+    up to `HORIZON`, and the limits of what they see well. known: the ground before a surface was matched,
+    the same without one. area: what the mosaic is cut to."""
 
     poses: Poses
     tied: Sequence[bool]

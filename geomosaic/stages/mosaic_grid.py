@@ -16,6 +16,7 @@ from geomosaic.mosaic.area import Area, Outline, area_seen, read_outline
 from geomosaic.mosaic.grid import auto_gsd_m
 from geomosaic.mosaic.limits import Limits, limits_of
 from geomosaic.mosaic.views import FrameView, frame_views
+from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
 
@@ -64,6 +65,11 @@ class Seeing:
     cameras: Sequence[Camera]
     used: Sequence[bool]
     ground: GroundSurface
+
+    @property
+    def pixel_m(self) -> float:
+        """The frames' own ground pixel, see `survey_pixel_m`."""
+        return survey_pixel_m(self.poses, self.cameras, self.used, self.ground)
 
     def views(self, limits: Limits | None = None) -> tuple[FrameView, ...]:
         """Of all that they see, or of what they see within limits."""

@@ -27,7 +27,6 @@ from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.trim import HORIZON, Edges, Looks, filled, mosaic_edges
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
-from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_grid import EDGES, TRIM, Extent, Seeing, laid_extent, laid_pixel
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
@@ -57,7 +56,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 1013
+    version = 10
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -137,7 +136,7 @@ class MosaicSeams(Stage):
         frames = Seeing(survey, adjusted.poses, adjusted.cameras, used, inputs["ground"])
         ground_pixel_m = inputs["placement"].ground_pixel_m
         if not any(survey.located):
-            ground_pixel_m = survey_pixel_m(adjusted.poses, adjusted.cameras, used, inputs["ground"])
+            ground_pixel_m = frames.pixel_m
         pixel = laid_pixel(params.gsd_m, params.align_to, survey.map_crs, ground_pixel_m)
         if meaning := far_from_own(pixel[0], ground_pixel_m):
             own = f"the frames' own is {ground_pixel_m:.3g} m"

@@ -32,7 +32,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 7
+    version = 8
     inputs: ClassVar[dict[str, type]] = {"levelled_survey": Survey, "prior_ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"prior_placement": Placement}
     formerly: ClassVar[dict[str, str]] = {"prior_placement": "placement"}
