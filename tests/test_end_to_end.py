@@ -30,7 +30,7 @@ from geomosaic.simulate.survey import SimulatedSurvey
 
 PATCHES = [f"--set=quality.compare.{k}_px={v}" for k, v in (("patch", 48), ("step", 24), ("search", 32))]
 LAYERS = {"frames", "footprints", "nadir_points", "tie_points", "residuals", "seamlines",
-          "error_ellipses", "image_residuals", "control", "control_residuals", "moves"}  # fmt: skip
+          "error_ellipses", "image_residuals", "control", "control_residuals", "moves", "trimmed"}  # fmt: skip
 
 
 def told(survey: SimulatedSurvey) -> list[str]:

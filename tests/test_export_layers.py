@@ -154,7 +154,7 @@ def test_every_layer_has_its_crs_and_spatial_index(package):
     assert counts == {
         "frames": 6, "footprints": 6, "nadir_points": 6, "error_ellipses": 6, "tie_points": 6,
         "residuals": 6, "image_residuals": 0, "control": 0, "control_residuals": 0, "seamlines": 6,
-        "moves": 6, "layer_styles": 11,
+        "moves": 6, "trimmed": 0, "layer_styles": 12,
     }  # fmt: skip
     del names["layer_styles"]
     for name, layer in names.items():

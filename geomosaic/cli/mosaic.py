@@ -127,6 +127,13 @@ def mosaic(
     gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
     aoi: Aoi = None,
     align_to: AlignTo = None,
+    edges: Annotated[
+        str | None,
+        typer.Option(
+            help="trim what is seen aslant or coarsely, or on ground that is a guess, or keep it [trim]",
+            metavar="trim|keep",
+        ),
+    ] = None,
     adjust: Adjust = None,
     surface: Annotated[
         str,
@@ -183,7 +190,7 @@ def mosaic(
         "projection.ground": {"height_m": ground_height},
         "adjustment.solve": {"method": adjust},
         "mosaic.ground": {"ortho": ortho},
-        "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to},
+        "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to, "edges": edges},
         "quality.compare": {"reference": reference},
         "quality.surface": {"reference": surface_reference},
     }

@@ -39,7 +39,8 @@ def write_layers(
     scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
     vector in pixels; these three show at most 2,000 a frame and 200,000 in all, as their description says.
     control: where points were surveyed; control_residuals: lines to there from where the images put them,
-    true to scale. seamlines: where each frame gives the mosaic.
+    true to scale. seamlines: where each frame gives the mosaic. trimmed: what frames see and the
+    mosaic leaves out, a part a reason.
     Raises: `OSError` if the file can't be written.
     """
     adjusted_orientation = orientations(survey, placement.poses, adjusted)
@@ -53,6 +54,7 @@ def write_layers(
         layers.error_ellipses()
         add_residual_layers(package, survey, ties, adjusted, layers.gsd_m, adjusted_orientation.map_m)
         layers.seamlines()
+        layers.trimmed()
 
 
 class _Layers:
@@ -170,6 +172,18 @@ class _Layers:
             fields,
             looks.seamlines(),
         )
+
+    def trimmed(self) -> None:
+        """What the mosaic leaves out, and why."""
+        trimmed = self.mosaic.trimmed
+        parts = [] if trimmed is None else [p for p in trimmed.parts if p.polygons]
+        shapes = [shapely.MultiPolygon([(rings[0], list(rings[1:])) for rings in p.polygons]) for p in parts]
+        fields = {
+            "reason": np.array([p.reason for p in parts], dtype=str),
+            "area_m2": np.array([p.area_m2 for p in parts], dtype=float),
+        }
+        text = "What frames see and the mosaic leaves out"
+        self.package.add_layer("trimmed", text, "MultiPolygon", shapes, fields, looks.trimmed())
 
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames

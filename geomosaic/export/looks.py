@@ -124,6 +124,11 @@ def seamlines() -> Style:
     return Style(single(outline(_YELLOW, 0.4)), text="Each frame's part of the mosaic")
 
 
+def trimmed() -> Style:
+    """Where the mosaic ends though frames see more."""
+    return Style(single(outline(_GREY, 0.4)), text="Trimmed")
+
+
 def scene() -> Style:
     """Of strips: the whole."""
     return Style(single(outline(_YELLOW, 0.5)), text="The scene's outline")

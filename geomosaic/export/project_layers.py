@@ -27,6 +27,7 @@ _TITLES: Final[dict[str, tuple[str, bool]]] = {
     "tie_points": ("Tie points", False),
     "image_residuals": ("Residuals in images", False),
     "seamlines": ("Seamlines", True),
+    "trimmed": ("Trimmed", False),
     "seam_segments": ("Seams by misplacement", True),
     "ccd_strips": ("CCD strips", True),
     "scene": ("Scene", True),
@@ -38,7 +39,7 @@ _GROUPS: Final = {
     "Residuals": ("residuals", "tie_points", "image_residuals"),
     "Strips": ("seam_segments", "ccd_strips", "scene"),
 }
-_ON_MOSAIC: Final = ("seamlines",)
+_ON_MOSAIC: Final = ("seamlines", "trimmed")
 CONTOURS: Final = "terrain_contours.gpkg"
 _SOURCES: Final = "sources.tif"
 

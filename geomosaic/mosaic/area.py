@@ -43,16 +43,27 @@ class Area:
 
     polygons: each a tuple of closed rings (n, 2) of easting and northing, the outer one first; they don't
     overlap. A pixel is inside if its middle is. near: the share of the whole outline that it is; the rest
-    lies far from the frames.
+    lies far from the frames. asked: whether it was asked for; else it is what trimming left.
     """
 
     polygons: tuple[tuple[NDArray[np.float64], ...], ...]
     near: float = 1.0
+    asked: bool = True
 
     @cached_property
     def geometry(self) -> Any:
         """As one geometry of shapely's."""
         return shapely.MultiPolygon([shapely.Polygon(rings[0], rings[1:]) for rings in self.polygons])
+
+    def seen_by(self, views: Sequence[FrameView]) -> tuple[FrameView, ...]:
+        """The views of the frames that see something of it, their bounds within its own."""
+        bounds, found = np.array(self.geometry.bounds), []
+        shapely.prepare(self.geometry)
+        for view in views:
+            low, high = np.maximum(view.bounds_m[:2], bounds[:2]), np.minimum(view.bounds_m[2:], bounds[2:])
+            if (high > low).all() and shapely.intersects(self.geometry, shapely.box(*view.bounds_m)):
+                found.append(replace(view, bounds_m=np.concatenate([low, high])))
+        return tuple(found)
 
     def touched(self, grid: OutputGrid, windows: Sequence[Window]) -> list[Window]:
         """The windows in which something of it may lie, in their order."""
@@ -137,11 +148,16 @@ def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[A
         low, high = np.maximum(view.bounds_m[:2], bounds[:2]), np.minimum(view.bounds_m[2:], bounds[2:])
         if sees and (high > low).all():
             seeing.append(replace(view, bounds_m=np.concatenate([low, high])))
-    rings = [
+    return Area(rings_of(geometry), near), tuple(seeing)
+
+
+def rings_of(geometry: Any) -> tuple[tuple[NDArray[np.float64], ...], ...]:
+    """The closed rings (n, 2) of each polygon of a geometry of shapely's, the outer one first."""
+    return tuple(
         tuple(np.asarray(r.coords, dtype=np.float64) for r in (p.exterior, *p.interiors))
         for p in shapely.get_parts(geometry)
-    ]
-    return Area(tuple(rings), near), tuple(seeing)
+        if p.geom_type == "Polygon"
+    )
 
 
 def _on_map(outline: Outline, crs: str, bounds_m: Sequence[float]) -> tuple[Any, float]:

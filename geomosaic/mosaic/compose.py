@@ -116,7 +116,7 @@ def compose(
     ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]
     name = blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"
     area, reach_px = ownership.area, feather_m / grid.gsd_m
-    labels = SeamLabels(grid, WINDOW_PX, cut=area is not None)
+    labels = SeamLabels(grid, WINDOW_PX, cut=area is not None and area.asked)
     names = [frame.name for frame in survey.frames]
     blending = Blending(
         name,
@@ -169,6 +169,7 @@ def compose(
         frames_used=tuple(sorted(gave_pixels)),
         holes=labels.holes(),
         resampling=resampling,
+        trimmed=ownership.trimmed,
     )
 
 

@@ -75,6 +75,34 @@ class Holes:
 
 
 @dataclass(frozen=True)
+class TrimmedPart:
+    """Land that was trimmed for one reason: its area, and its polygons, each a tuple of closed rings (n, 2)
+    of easting and northing, the outer one first."""
+
+    reason: str
+    area_m2: float
+    polygons: tuple[tuple[Floats, ...], ...]
+
+
+@dataclass(frozen=True)
+class Trimmed:
+    """What the mosaic leaves out of the land that frames see, seen_m2, by reason."""
+
+    seen_m2: float
+    parts: tuple[TrimmedPart, ...] = ()
+
+    @property
+    def area_m2(self) -> float:
+        """Of all reasons together."""
+        return sum(part.area_m2 for part in self.parts)
+
+    @property
+    def share(self) -> float:
+        """Of the land that frames see."""
+        return self.area_m2 / self.seen_m2 if self.seen_m2 else 0.0
+
+
+@dataclass(frozen=True)
 class Mosaic:
     """The composed mosaic, as a COG with an internal mask.
 
@@ -93,3 +121,4 @@ class Mosaic:
     band_names: tuple[str, ...] = ()
     holes: Holes = Holes()
     resampling: str = "cubic"
+    trimmed: Trimmed | None = None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.hidden import Hidden
-from geomosaic.mosaic.model import OutputGrid
+from geomosaic.mosaic.model import OutputGrid, Trimmed
 from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window, distances_m, ground_of, margin_px
 from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Window
@@ -83,7 +83,8 @@ class Ownership:
     used (n,): which of the survey's frames may give pixels: what an owner doesn't see, another one gives.
     owner (rows, cols): index into `Survey.frames`, plus 1; 0 where no frame sees the ground. area: what the
     mosaic is cut to, if anything; cells far from it have no owner. hidden: what frames can't see of the
-    ground for what stands on it.
+    ground for what stands on it. trimmed: what of the frames' land the mosaic leaves out, None where all is
+    kept.
     """
 
     grid: OutputGrid
@@ -92,6 +93,7 @@ class Ownership:
     owner: NDArray[np.int32]
     area: Area | None = None
     hidden: tuple[Hidden, ...] = ()
+    trimmed: Trimmed | None = None
 
     def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
         """The owners of all cells that a window touches, and one more on every side: row and col of the
@@ -126,6 +128,11 @@ class FrameCells:
         """Their place among all cells."""
         height, width = self.margin_px.shape
         return slice(self.row, self.row + height), slice(self.col, self.col + width)
+
+    @property
+    def seen_well(self) -> Bools | None:
+        """Which of them the frame sees well enough to give them; None where it does all that it sees."""
+        return self.view.sees_well(self.cols_px, self.rows_px)
 
     def window(self, cell_px: int) -> Window:
         """The pixels that they cover."""
@@ -218,10 +225,11 @@ def _between(
 
 
 def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:
-    """Each cell goes to the frame that sees it and whose nadir point is nearest: it looks down most steeply.
+    """Each cell goes to the frame that sees it well and whose nadir point is nearest: it looks down most
+    steeply.
 
     Frames are looked at where they are the nearest, then once more where the nearest sees nothing.
-    Returns: the ownership, and the distance to that point in m, infinite where no frame sees the ground.
+    Returns: the ownership, and the distance to that point in m, infinite where no frame sees the ground well.
     """
     shape = -(-scene.grid.height_px // cell_px), -(-scene.grid.width_px // cell_px)
     nearest, owner = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.int32)
@@ -262,8 +270,10 @@ def _cells_of(scene: Scene, view: FrameView, cell_px: int, wanted: Bools) -> Fra
 
 
 def _shows(cells: FrameCells, cell_px: int) -> Bools:
-    """Which cells a frame sees, and nothing hides."""
-    hidden, sees = cells.hidden(cell_px), cells.margin_px > 0.0
+    """Which cells a frame sees, nothing hides, and it sees well."""
+    hidden, well, sees = cells.hidden(cell_px), cells.seen_well, cells.margin_px > 0.0
+    if well is not None:
+        sees &= well
     return sees if hidden is None else sees & ~hidden
 
 

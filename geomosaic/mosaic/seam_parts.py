@@ -192,7 +192,10 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> P
         high = standing(cells.relief_m, cell_px * scene.grid.gsd_m)
     top, left = band.row - cells.row, band.col - cells.col
     at = slice(top, top + band.own.shape[0]), slice(left, left + band.own.shape[1])
-    may = band.own | (band.near & (cells.margin_px[at] > _EDGE_PX))
+    near = band.near & (cells.margin_px[at] > _EDGE_PX)
+    if (well := cells.seen_well) is not None:
+        near &= well[at]
+    may = band.own | near
     if (hidden := cells.hidden(cell_px)) is not None:
         may &= ~hidden[at]
     down, across = (np.flatnonzero(may.any(axis=axis)) for axis in (1, 0))

@@ -44,7 +44,7 @@ _MOST_LISTED: Annotated[
 class SeamLabels:
     """Collects, window by window, which frame gives every n-th pixel; n keeps it small.
 
-    cut: whether the mosaic is cut to an area.
+    cut: whether the mosaic is cut to an area that was asked for.
     """
 
     def __init__(self, grid: OutputGrid, window_px: int, *, cut: bool = False) -> None:
@@ -55,14 +55,14 @@ class SeamLabels:
         self._labels: NDArray[np.int32] = np.zeros(
             (-(-grid.height_px // self.step_px), -(-grid.width_px // self.step_px)), dtype=np.int32
         )
-        self._wanted = np.zeros(self._labels.shape, dtype=bool)
+        self._wanted = np.full(self._labels.shape, not cut)
 
     def add(self, window: Window, labels: NDArray[np.int32], wanted: NDArray[np.bool_] | None) -> None:
         """Takes over a window's cells, see `Composed.cells`."""
         row, col = window.row // self.step_px, window.col // self.step_px
         at = slice(row, row + labels.shape[0]), slice(col, col + labels.shape[1])
         self._labels[at] = labels
-        self._wanted[at] = True if wanted is None else wanted
+        self._wanted[at] = True if wanted is None or not self._cut else wanted
 
     def seamlines(self) -> tuple[Seamline, ...]:
         """One for each frame that gives pixels, in the frames' order.

@@ -223,6 +223,8 @@ def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground
         margin = _reduction(view.camera.width_px, view.camera.height_px)
         seen = (cols > margin) & (cols < view.camera.width_px - margin)
         seen &= (rows > margin) & (rows < view.camera.height_px - margin)
+        if (well := view.sees_well(cols, rows)) is not None:
+            seen &= well
         j, i = np.nonzero(seen)
         place.append(np.column_stack([j + first[1], i + first[0]]))
         frame.append(np.full(len(i), view.frame))

@@ -14,8 +14,8 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.ownership import Ownership
+from geomosaic.mosaic.trim import OFF_PX, looked_at, whole_of
 from geomosaic.projection.ground import WALLED, GroundSurface
-from geomosaic.projection.warp import ground_window
 from geomosaic.surface.terrain import TERRAIN
 
 Floats = NDArray[np.float64]
@@ -30,15 +30,6 @@ SHARE: Annotated[
         CHOSEN,
     ),
 ] = 0.99
-OFF_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which land must lie elsewhere to count as off: a map is called wrong beyond it; in any town rims "
-        "of roofs are unsure by one or two",
-        CHOSEN,
-    ),
-] = 3.0
 _MOST_PLACES: Annotated[
     int,
     Because(
@@ -109,17 +100,13 @@ def places_of(
 ) -> tuple[Floats, Floats]:
     """Places (k, 3) of the work frame, m, all over what frames give, and the tangents (k,) of the angles at
     which their frames look at them: a place moves by its height's error times that."""
-    grid, owner = ownership.grid, ownership.owner
-    step = int(np.ceil(np.sqrt(owner.size / _MOST_PLACES)))
-    owner = owner[::step, ::step]
-    side_m = step * ownership.cell_px * grid.gsd_m
-    window = ground_window(
-        grid.crs, work_frame, ground, grid.west_m, grid.north_m, side_m, owner.shape[1], owner.shape[0]
-    )
-    given = owner > 0
-    at_m = window.points_m()[given]
-    sight = at_m - poses.positions_m[owner[given] - 1]
-    return at_m, np.linalg.norm(sight[:, :2], axis=1) / np.maximum(-sight[:, 2], 1e-6)
+    step = int(np.ceil(np.sqrt(ownership.owner.size / _MOST_PLACES)))
+    at_m, tangent = looked_at(ownership, poses, work_frame, ground, step)
+    given = np.isfinite(tangent)
+    if ownership.area is not None:
+        grid = ownership.grid
+        given &= ownership.area.cells(grid, whole_of(grid), ownership.cell_px)[::step, ::step]
+    return at_m[given], tangent[given]
 
 
 def _kept_by_99(beyond: Callable[[float], Floats], some: NDArray[np.bool_]) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.residual_pattern import ResidualPattern
 from geomosaic.constants import CHOSEN, Because
-from geomosaic.quality.ground_doubt import OFF_PX, LandDoubt
+from geomosaic.mosaic.trim import OFF_PX
+from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
 
 GRADES = ("good", "doubtful", "bad")

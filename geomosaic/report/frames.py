@@ -109,6 +109,7 @@ def render_report(
         surface_css=part("surface.css"),
         surface_script=part("surface_profile.js"),
         judged=judged,
+        trimmed_rows=parts.trimmed_rows(mosaic.trimmed),
         composition_rows=parts.composition_rows(summary.get("metrics", {})),
         comparison=comparison,
         comparison_rows=comparison_rows(comparison) if comparison else [],

@@ -19,6 +19,7 @@ from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.errors import CancelledError, GeomosaicError
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.grid import coarser, output_grid, without_flung
+from geomosaic.mosaic.limits import limits_of
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.views import frame_views
 from geomosaic.placement.model import Placement
@@ -62,7 +63,9 @@ def given_image(
     used = [bool(np.isfinite(p).all()) for p in placement.poses.positions_m]
     own_m, names = placement.ground_pixel_m, [f.name for f in survey.frames]
     cameras = [survey.camera_of(i) for i in range(len(names))]
-    views = frame_views(survey.work_frame, survey.map_crs, placement.poses, cameras, used, ground)
+    limits = limits_of(placement.poses, cameras, used, ground, own_m)
+    lies = survey.work_frame, survey.map_crs, placement.poses, cameras, used, ground
+    views = frame_views(*lies, limits) or frame_views(*lies)
     try:
         grid = output_grid(survey.map_crs, without_flung(views, own_m)[0], own_m, names)
         unseen = [Unseen(frame, spares(frame)) for frame in survey.frames]

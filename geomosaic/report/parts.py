@@ -12,6 +12,7 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.camera.interior import Camera
 from geomosaic.export.orientation import Orientations
 from geomosaic.matching.model import TiePoints
+from geomosaic.mosaic.model import Trimmed
 from geomosaic.placement.model import Placement
 from geomosaic.quality.control import ControlFigures, control_figures
 from geomosaic.quality.misalignment import PairMisalignments
@@ -177,6 +178,14 @@ def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tupl
 
 def _parameter(value: float, unit: str) -> str:
     return short(value, unit, 6)
+
+
+def trimmed_rows(trimmed: Trimmed | None) -> list[tuple[str, str, str]]:
+    """What the mosaic leaves out of the land that frames see: why, its area and share."""
+    if trimmed is None or not trimmed.parts:
+        return []
+    of = [(part.reason, part.area_m2) for part in trimmed.parts]
+    return [(why, f"{short(area_m2 / 1e4)} ha", percent(area_m2 / trimmed.seen_m2)) for why, area_m2 in of]
 
 
 def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

@@ -26,7 +26,7 @@ class ExportLayers(Stage):
     id = "export.layers"
     display_name = "Write layers and positions"
     group = "Export"
-    version = 7
+    version = 8
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,

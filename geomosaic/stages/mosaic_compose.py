@@ -35,7 +35,7 @@ class MosaicCompose(Stage):
     id = "mosaic.compose"
     display_name = "Compose the mosaic"
     group = "Mosaic"
-    version = 17
+    version = 18
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,

@@ -11,13 +11,12 @@ import shapely
 from geomosaic.mosaic.estimate import before_composing, estimate
 from geomosaic.mosaic.frames import decoded_bytes
 from geomosaic.mosaic.grid import output_grid, stretching
-from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.views import seen_part
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.model import Placement
-from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
-from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
+from geomosaic.stages.mosaic_grid import Seeing, laid_extent, laid_pixel
 from geomosaic.stages.mosaic_seams import MosaicSeams
 from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.stages.surface_dense import SurfaceDense
@@ -34,7 +33,7 @@ class MosaicEstimate(Stage):
     id = "mosaic.estimate"
     display_name = "Estimate the mosaic"
     group = "Mosaic"
-    version = 1
+    version = 2
     cached = False
     looks_ahead = True
     inputs: ClassVar[dict[str, type]] = {
@@ -53,18 +52,18 @@ class MosaicEstimate(Stage):
         if not any(survey.located):
             context.inform("no frame has a position: how large the mosaic will be only the images can show")
             return {}
-        views = frame_views(
-            survey.work_frame, survey.map_crs, placement.poses, cameras, survey.located, ground
-        )
         own_m = placement.ground_pixel_m
         gsd_m, origin_m = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
-        extent = laid_extent(seams.aoi, survey.map_crs, views)
+        seeing = Seeing(survey, placement.poses, cameras, survey.located, ground)
+        limits = seeing.limits(seams.edges, max(gsd_m, own_m))
+        extent = laid_extent(seams.aoi, survey.map_crs, seeing.views())
         views = extent.views
+        if limits is not None:
+            well = seeing.views(limits)
+            views = (well if extent.area is None else extent.area.seen_by(well)) or views
         grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels, origin_m)
-        outlines = [footprint(v.pose, v.camera, ground)[:, :2] for v in views]
-        seen = shapely.union_all(
-            [shapely.convex_hull(shapely.MultiPoint(o[np.isfinite(o).all(axis=1)])) for o in outlines]
-        )
+        outlines = [seen_part(v.pose, v.camera, ground, limits).points_m[:, :2] for v in views]
+        seen = shapely.union_all([shapely.convex_hull(shapely.MultiPoint(o)) for o in outlines])
         seen_m2 = float(seen.area)
         if extent.area is not None:
             seen_m2 = min(seen_m2, float(extent.area.geometry.area))

@@ -23,7 +23,7 @@ class MosaicGiven(Stage):
     id = "mosaic.given"
     display_name = "Compose by positions alone"
     group = "Mosaic"
-    version = 2
+    version = 3
     beside: ClassVar[bool] = True
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {

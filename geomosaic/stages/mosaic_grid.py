@@ -5,12 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
+import numpy as np
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.mosaic.alignment import read_alignment
 from geomosaic.mosaic.area import Area, Outline, area_seen, read_outline
 from geomosaic.mosaic.grid import auto_gsd_m
-from geomosaic.mosaic.views import FrameView
+from geomosaic.mosaic.limits import Limits, limits_of
+from geomosaic.mosaic.views import FrameView, frame_views
+from geomosaic.projection.footprint import survey_pixel_m
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
+
+TRIM: Final = "trim"
+EDGES: Final = (TRIM, "keep")
 
 
 @dataclass(frozen=True)
@@ -43,3 +54,32 @@ def laid_pixel(
         alignment.check_crs(crs)
         return alignment.gsd_m, alignment.origin_m
     return (auto_gsd_m(ground_pixel_m) if gsd_m == "auto" else gsd_m), (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Seeing:
+    """The frames of a survey that may give pixels, where each lies, and on what ground."""
+
+    survey: Survey
+    poses: Poses
+    cameras: Sequence[Camera]
+    used: Sequence[bool]
+    ground: GroundSurface
+
+    @property
+    def pixel_m(self) -> float:
+        """The frames' own ground pixel, see `survey_pixel_m`."""
+        return survey_pixel_m(self.poses, self.cameras, self.used, self.ground)
+
+    def views(self, limits: Limits | None = None) -> tuple[FrameView, ...]:
+        """Of all that they see, or of what they see within limits."""
+        lies = self.survey.work_frame, self.survey.map_crs
+        return frame_views(*lies, self.poses, self.cameras, self.used, self.ground, limits)
+
+    def limits(self, edges: str, pixel_m: float) -> Limits | None:
+        """Up to where they see well, by the mosaic's pixel or the frames' own, the larger one; None where all
+        is to be kept, or nothing is seen well."""
+        if edges != TRIM or not np.isfinite(pixel_m):
+            return None
+        limits = limits_of(self.poses, self.cameras, self.used, self.ground, pixel_m)
+        return limits if self.views(limits) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -12,9 +12,10 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.mosaic.alignment import read_alignment
-from geomosaic.mosaic.area import elsewhere, read_outline
+from geomosaic.mosaic.area import Area, elsewhere, read_outline
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
 from geomosaic.mosaic.hidden import Hidden
+from geomosaic.mosaic.limits import Limits
 from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.mosaic.plugins import SEAMS_GROUP
 from geomosaic.mosaic.scene import Scene
@@ -23,16 +24,30 @@ from geomosaic.mosaic.seam_figures import seam_figures
 from geomosaic.mosaic.seam_parts import Glimpse, bands, giving, glimpsed
 from geomosaic.mosaic.shadows import hidden_parts, shaded, shadow, side_px_of
 from geomosaic.mosaic.tones import Tones
-from geomosaic.mosaic.views import frame_views
+from geomosaic.mosaic.trim import HORIZON, Edges, Looks, filled, mosaic_edges
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.mosaic_grid import laid_extent, laid_pixel
+from geomosaic.stages.mosaic_grid import EDGES, TRIM, Extent, Seeing, laid_extent, laid_pixel
+from geomosaic.stages.reporting import reported_trimmed, trimmed_text
 from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
 _SEEN = 0.98  # of an area; what is less isn't cells cut at its edge
 _MENDED = "polygons that cross themselves were mended; is the mosaic's edge the one that was meant?"
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """The scene that the mosaic is made of, what was asked for, the area that it is cut to, where it ends,
+    the frames left out for lying too far away, and those that see some of it well."""
+
+    scene: Scene
+    extent: Extent
+    area: Area | None
+    edges: Edges | None
+    flung: frozenset[int]
+    well: frozenset[int] = frozenset()
 
 
 class MosaicSeams(Stage):
@@ -41,7 +56,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 9
+    version = 10
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -78,6 +93,12 @@ class MosaicSeams(Stage):
             "line between two of these, cut where both differ least in colour",
             choices=SEAMS,
         )
+        edges: str = param(
+            TRIM,
+            help="trim: the mosaic ends where it is seen too far off the vertical or too coarsely, or where "
+            "the ground is extrapolated too far; keep: all that frames see",
+            choices=EDGES,
+        )
         max_gigapixels: float = param(
             MAX_GIGAPIXELS,
             help="largest mosaic; a larger one is refused before the frames are matched",
@@ -101,49 +122,127 @@ class MosaicSeams(Stage):
         """The seam may be another distribution's."""
         return [(SEAMS_GROUP, params.seam)]
 
+    @classmethod
+    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """What was trimmed, and why."""
+        told = summary.get("trimmed")
+        return [("edges", trimmed_text(told))] if isinstance(told, dict) and told["parts"] else []
+
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Settles the grid by the adjusted frames, and who gives what of it."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
-        ground, names = inputs["ground"], [f.name for f in survey.frames]
         used = [s != "rejected" for s in adjusted.status]
-        views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
-        for i in sorted({i for i, use in enumerate(used) if use} - {v.frame for v in views}):
-            context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
+        frames = Seeing(survey, adjusted.poses, adjusted.cameras, used, inputs["ground"])
         ground_pixel_m = inputs["placement"].ground_pixel_m
         if not any(survey.located):
-            ground_pixel_m = float(np.median([v.gsd_m for v in views])) if views else np.nan
-        gsd_m, origin_m = laid_pixel(params.gsd_m, params.align_to, survey.map_crs, ground_pixel_m)
-        if meaning := far_from_own(gsd_m, ground_pixel_m):
+            ground_pixel_m = frames.pixel_m
+        pixel = laid_pixel(params.gsd_m, params.align_to, survey.map_crs, ground_pixel_m)
+        if meaning := far_from_own(pixel[0], ground_pixel_m):
             own = f"the frames' own is {ground_pixel_m:.3g} m"
-            context.warn("gsd-far", "", f"the mosaic's pixel is {gsd_m:.3g} m, {own}: {meaning}")
-        extent = laid_extent(params.aoi, survey.map_crs, views)
-        if extent.outline is not None and extent.outline.mended:
-            context.warn("aoi-mended", "", f"{extent.outline.file.name}: {_MENDED}")
-        seeing, flung = without_flung(extent.views, gsd_m, params.max_gigapixels)
-        for view in flung:
-            used[view.frame] = False
-            moved = adjusted.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
-            away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
-            context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
-        grid = output_grid(survey.map_crs, seeing, gsd_m, names, params.max_gigapixels, origin_m)
-        scene, hidden = self._shaded(Scene(survey.work_frame, ground, grid, seeing), context)
+            context.warn("gsd-far", "", f"the mosaic's pixel is {pixel[0]:.3g} m, {own}: {meaning}")
+        limits = frames.limits(params.edges, max(pixel[0], ground_pixel_m))
+        laid = self._laid(frames, limits, pixel, params, inputs, context)
+        if laid is None:
+            text = "no frame sees it well: what frames see far off the vertical, or coarsely, is kept"
+            context.warn("edges-kept", "", text)
+            laid = self._laid(frames, None, pixel, params, inputs, context)
+            assert laid is not None
+        self._tell_left_out(context, frames, laid)
+        if laid.extent.outline is not None and laid.extent.outline.mended:
+            context.warn("aoi-mended", "", f"{laid.extent.outline.file.name}: {_MENDED}")
+        used = np.isin(np.arange(len(used)), [v.frame for v in laid.scene.views]).tolist()
+        scene, hidden = self._shaded(laid.scene, context)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
         ownership = replace(ownership, hidden=hidden)
-        if extent.area is not None and extent.outline is not None:
-            ownership = within(ownership, extent.area)
+        if laid.edges is not None:
+            ownership = filled(ownership, nearest_m, scene, laid.edges.filling)
+            ownership = replace(ownership, trimmed=laid.edges.trimmed)
+            context.report("trimmed", reported_trimmed(laid.edges.trimmed))
+        if laid.extent.area is not None:
+            self._tell_of_area(context, laid.extent, survey.map_crs, ownership)
+        if laid.area is not None:
+            ownership = within(ownership, laid.area)
             nearest_m[ownership.owner == 0] = -np.inf  # nothing is looked at there
-            if not ownership.owner.any():
-                raise elsewhere(extent.outline, survey.map_crs, views)
-            seen = extent.area.seen(grid, ownership.owner > 0, ownership.cell_px)
-            context.metric("seams.area_seen", seen)
-            if seen < _SEEN:
-                beyond = f"{100.0 * (1.0 - seen):.0f} % of the area lies beyond what the frames see"
-                context.warn("aoi-beyond", "", f"{extent.outline.file.name}: {beyond}")
         if params.seam != NEAREST_NADIR:
             tones, cut = inputs.get("tones"), SEAMS[params.seam]
             ownership = self._cut(cut, params.seam, scene, ownership, nearest_m, survey, tones, context)
         return {"ownership": ownership}
+
+    @staticmethod
+    def _laid(
+        frames: Seeing,
+        limits: Limits | None,
+        pixel: tuple[float, tuple[float, float]],
+        params: Params,
+        inputs: Mapping[str, Any],
+        context: Context,
+    ) -> _Laid | None:
+        """The scene whose grid holds what is kept; None where nothing is seen within the limits."""
+        survey, names = frames.survey, [f.name for f in frames.survey.frames]
+        (gsd_m, origin_m), crs = pixel, survey.map_crs
+        extent = laid_extent(params.aoi, crs, frames.views())
+        area, views, edges, well = extent.area, extent.views, None, frozenset[int]()
+        if limits is not None:
+            views = frames.views(limits)
+            well = frozenset(view.frame for view in views)
+            views = views if area is None else area.seen_by(views)
+            if not views:
+                return None
+        views, flung = without_flung(views, gsd_m, params.max_gigapixels)
+        for view in flung:
+            moved = frames.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
+            away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
+            context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
+        grid = output_grid(crs, views, gsd_m, names, params.max_gigapixels, origin_m)
+        scene = Scene(survey.work_frame, frames.ground, grid, views)
+        if limits is not None:
+            out = {view.frame for view in flung}
+            seeing = tuple(view for view in frames.views(HORIZON) if view.frame not in out)
+            seeing = seeing if area is None else area.seen_by(seeing)
+            adjusted: Adjusted = inputs["adjusted"]
+            tied = [status == "tied" for status in adjusted.status]
+            looks = Looks(frames.poses, tied, seeing, limits, adjusted.ground, area)
+            edges = mosaic_edges(scene, looks)
+            if edges.kept.is_empty:
+                return None
+            if not edges.lost.is_empty:
+                area, views = edges.area(area), edges.views(views, seeing)
+                grid = output_grid(crs, views, gsd_m, names, params.max_gigapixels, origin_m)
+                scene = replace(scene, grid=grid, views=views)
+        return _Laid(scene, extent, area, edges, frozenset(view.frame for view in flung), well)
+
+    @staticmethod
+    def _tell_left_out(context: Context, frames: Seeing, laid: _Laid) -> None:
+        """Which frames give nothing, once."""
+        names = [f.name for f in frames.survey.frames]
+        gives = laid.flung | {view.frame for view in laid.scene.views}
+        if laid.edges is None:
+            seen = {view.frame for view in frames.views()}
+            for i in sorted({i for i, use in enumerate(frames.used) if use} - seen):
+                context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
+            return
+        left = [i for i, use in enumerate(frames.used) if use and i not in gives]
+        for code, text, some in (
+            ("looks-aside", "too far off the vertical to give pixels", set(left) - laid.well),
+            ("looks-beyond", "only at land that is trimmed and give no pixels", laid.well.intersection(left)),
+        ):
+            if some:
+                number = f"{len(some)} frames look" if len(some) > 1 else "1 frame looks"
+                context.warn(code, "", f"{number} {text} ({', '.join(names[i] for i in sorted(some))})")
+
+    @staticmethod
+    def _tell_of_area(context: Context, extent: Extent, crs: str, ownership: Ownership) -> None:
+        """How much of the area that the mosaic is cut to is seen. Raises: as `elsewhere`."""
+        assert extent.area is not None
+        assert extent.outline is not None
+        if not within(ownership, extent.area).owner.any():
+            raise elsewhere(extent.outline, crs, extent.views)
+        seen = extent.area.seen(ownership.grid, ownership.owner > 0, ownership.cell_px)
+        context.metric("seams.area_seen", seen)
+        if seen < _SEEN:
+            beyond = f"{100.0 * (1.0 - seen):.0f} % of the area lies beyond what the frames see well"
+            context.warn("aoi-beyond", "", f"{extent.outline.file.name}: {beyond}")
 
     @staticmethod
     def _shaded(scene: Scene, context: Context) -> tuple[Scene, tuple[Hidden, ...]]:

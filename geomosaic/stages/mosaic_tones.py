@@ -11,9 +11,9 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import InputError
 from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
-from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.mosaic_grid import TRIM, Seeing
 from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
@@ -26,7 +26,7 @@ class MosaicTones(Stage):
     id = "mosaic.tones"
     display_name = "Even the tones"
     group = "Mosaic"
-    version = 7
+    version = 8
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
     outputs: ClassVar[dict[str, type]] = {"tones": Tones}
 
@@ -57,7 +57,8 @@ class MosaicTones(Stage):
         if not alike or params.even == "never" or (params.even == "auto" and not images):
             return {"tones": none}
         used = [s != "rejected" for s in adjusted.status]
-        views = frame_views(survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, ground)
+        frames_on_map = Seeing(survey, adjusted.poses, adjusted.cameras, used, ground)
+        views = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
         if len(views) < 2:
             return {"tones": none}
         places = lattice(views, survey.map_crs, survey.work_frame, ground)

@@ -16,7 +16,7 @@ from geomosaic.placement.heights import believable_heights_m, frame_heights_m, w
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
-from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
+from geomosaic.projection.footprint import footprint, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.solved_tables import pose_columns
 from geomosaic.stages.reporting import record_locations, record_outlines
@@ -82,13 +82,12 @@ class PlacementPos(Stage):
         reach_m = float(np.median(misplacement_m(poses, cameras, ground)[located])) if located.any() else 0.0
         if located.all():
             _warn_of_control_outside(context, survey, outlines, reach_m)
-        pixels = [ground_sampling_distance_m(poses[i], cameras[i], ground) for i in range(len(names))]
         placement = Placement(
             poses=poses,
             sequence=tuple(range(len(names))),
             lines=lines,
             pairs=overlapping_pairs(outlines, reach_m, params.neighbours),
-            ground_pixel_m=float(np.nanmedian(pixels)),
+            ground_pixel_m=survey_pixel_m(poses, cameras, [True] * len(names), ground),
             formula=params.formula,
         )
         record_locations(context, survey.work_frame, names, poses, ["placed"] * len(names))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -18,6 +18,7 @@ from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.mosaic.estimate import Estimate, room
+from geomosaic.mosaic.model import Trimmed
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import footprint
@@ -199,3 +200,18 @@ def report_estimate(context: Context, estimate: Estimate) -> None:
             file=context.run_folder,
             mend="free some, choose another output folder or a coarser --gsd",
         )
+
+
+def reported_trimmed(trimmed: Trimmed) -> dict[str, Any]:
+    """What run.json says of it."""
+    parts = {part.reason: part.area_m2 for part in trimmed.parts}
+    return {"seen_m2": trimmed.seen_m2, "area_m2": trimmed.area_m2, "share": trimmed.share, "parts": parts}
+
+
+def trimmed_text(told: Mapping[str, Any]) -> str:
+    """The same in words."""
+    shares = {why: 100.0 * area_m2 / told["seen_m2"] for why, area_m2 in told["parts"].items()}
+    each = ", ".join(f"{share:.2g} % {why}" for why, share in shares.items())
+    return (
+        f"{100.0 * told['share']:.2g} % of the land that frames see is trimmed: {each}; --edges keep keeps it"
+    )

@@ -12,9 +12,11 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
+from geomosaic.mosaic.limits import limits_of
+from geomosaic.mosaic.views import seen_part
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
-from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
+from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.doubts import doubts
@@ -35,7 +37,7 @@ class SurfaceDense(Stage):
     id = "surface.dense"
     display_name = "Match the surface"
     group = "Surface"
-    version = 15
+    version = 16
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
@@ -63,7 +65,17 @@ class SurfaceDense(Stage):
         used = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
         gsd_m = {i: ground_sampling_distance_m(adjusted.poses[i], adjusted.cameras[i], base) for i in used}
         used = [i for i in used if np.isfinite(gsd_m[i])]
-        outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], base)[:, :2] for i in used]
+        of_all = [status != "rejected" for status in adjusted.status]
+        pixel_m = survey_pixel_m(adjusted.poses, adjusted.cameras, of_all, base)
+        limits = limits_of(adjusted.poses, adjusted.cameras, of_all, base, pixel_m)
+        parts = {i: seen_part(adjusted.poses[i], adjusted.cameras[i], base, limits) for i in used}
+        used = [i for i in used if len(parts[i].points_m)] or used
+        outlines = [
+            footprint(adjusted.poses[i], adjusted.cameras[i], base)[:, :2]
+            if parts[i].quality is None
+            else parts[i].points_m[:, :2]
+            for i in used
+        ]
         seen = np.vstack([np.zeros((0, 2)), *outlines])
         seen = seen[np.isfinite(seen).all(axis=1)]
         if not len(seen):

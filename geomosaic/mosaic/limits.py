@@ -1,0 +1,81 @@
+"""Up to where a frame gives pixels: how far off the vertical, and how coarsely it sees the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import Because
+from geomosaic.projection.footprint import FEW, sightings
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+OFF_VERTICAL_DEG: Annotated[
+    float,
+    Because(
+        "degrees",
+        "off the vertical, beyond which a frame gives no pixels: there an error of the ground's height moves "
+        "the map by 1.7 times as much, and a house covers 1.7 times its height",
+        "chosen; the tangent of the angle",
+    ),
+] = 60.0
+COARSER: Annotated[
+    float,
+    Because(
+        "times the mosaic's pixel",
+        "beyond which a frame sees the ground too coarsely to give pixels: 15 of 16 of them would be "
+        "invented",
+        "chosen; the square",
+    ),
+] = 4.0
+_FAR_INSIDE: Annotated[
+    float,
+    Because("times the limit", "beyond which it no longer matters how good a place is seen", "definition"),
+] = 2.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The largest tangent of the angle off the vertical, and a pixel's longest side on the ground in m."""
+
+    tangent: float
+    pixel_m: float
+
+    @property
+    def own_m(self) -> float:
+        """The pixel that the limits were set by."""
+        return self.pixel_m / COARSER
+
+    def quality(self, tangent: Floats, pixel_m: Floats) -> Floats32:
+        """How well places are seen: 1 at the limit, less beyond it, 0 at the horizon. What lies beyond the
+        lens is left to the lens."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_angle = np.where(np.isnan(tangent), np.inf, self.tangent / np.abs(tangent))
+            found = np.fmin(by_angle, self.pixel_m / pixel_m)
+        found[np.isinf(tangent)] = 0.0
+        return np.asarray(np.clip(found, 0.0, _FAR_INSIDE), dtype=np.float32)
+
+
+def limits_of(
+    poses: Poses, cameras: Sequence[Camera], used: Sequence[bool], ground: GroundSurface, pixel_m: float
+) -> Limits:
+    """The limits of a survey; the angle's is lifted where hardly a frame's middle is seen within it.
+
+    Args: pixel_m: of the mosaic, or of the frames where that is larger.
+    """
+    most = float(np.tan(np.radians(OFF_VERTICAL_DEG)))
+    middles = [
+        float(sightings(poses[i], c, ground, np.array([[c.width_px / 2.0, c.height_px / 2.0]]))[1][0])
+        for i, c in enumerate(cameras)
+        if used[i]
+    ]
+    steep = np.nan_to_num(middles, nan=np.inf) <= most
+    oblique = steep.sum() <= FEW * len(middles)
+    return Limits(np.inf if oblique else most, COARSER * pixel_m)

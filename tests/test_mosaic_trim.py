@@ -1,0 +1,183 @@
+"""Where the mosaic ends: what is seen aslant, coarsely, or on ground that is a guess is left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from mosaic_scenes import CAMERA
+from small_surveys import mosaic, small_survey, summary
+from test_mosaic_grid import given_for, seams
+
+from geomosaic.camera.rotation import Rotation
+from geomosaic.mosaic.compose import compose
+from geomosaic.mosaic.limits import Limits
+from geomosaic.mosaic.trim import REASONS, looked_at
+from geomosaic.mosaic.views import frame_views
+from geomosaic.projection.footprint import sightings, survey_pixel_m
+
+ASLANT, COARSE, GUESSED = REASONS.values()
+
+
+def turned(given: dict[str, Any], off_vertical_deg: dict[int, float]) -> dict[str, Any]:
+    """Some of the frames look aside, to the north."""
+    poses = given["adjusted"].poses
+    rotations = poses.rotations.copy()
+    for i, deg in off_vertical_deg.items():
+        rotations[i] = Rotation.from_yaw_pitch_roll(0.0, np.radians(deg), 0.0).matrix
+    poses = replace(poses, rotations=rotations)
+    return {**given, "adjusted": replace(given["adjusted"], poses=poses)}
+
+
+def reasons(ownership: Any) -> dict[str, float]:
+    return {part.reason: part.area_m2 for part in ownership.trimmed.parts}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return given_for(tmp_path_factory.mktemp("flown"), per_line=4)
+
+
+def test_a_pixel_is_as_long_as_it_is_along_the_view() -> None:
+    """On flat ground of 50 m below: h / f at the nadir, h / (f cos²) along the view of the middle."""
+    from mosaic_scenes import HOME
+
+    from geomosaic.camera.exterior import Pose
+    from geomosaic.camera.interior import Camera
+    from geomosaic.projection.ground import flat_ground
+
+    camera = Camera("plain", 240, 180, 200.0, 120.0, 90.0)
+    pose = Pose(np.array([0.0, 0.0, 50.0]), Rotation.from_yaw_pitch_roll(0.3, np.radians(60.0), 0.0))
+    at_px = np.array([[120.0, 90.0]])
+    point, tangent, pixel_m = sightings(pose, camera, flat_ground(HOME, 400.0, 400.0), at_px)
+    assert tangent == pytest.approx([np.sqrt(3.0)], rel=1e-3)
+    assert pixel_m == pytest.approx([50.0 / 200.0 / 0.25], rel=2e-3)
+    assert np.hypot(*point[0, :2]) == pytest.approx(50.0 * np.sqrt(3.0), rel=1e-3)
+
+
+def test_two_frames_at_the_horizon_make_the_mosaic_no_larger(tmp_path: Path, flown: dict[str, Any]) -> None:
+    few = {**flown, "adjusted": replace(flown["adjusted"], status=("tied",) * 6 + ("rejected",) * 2)}
+    without = seams(tmp_path / "without", few)[0].grid
+    aside = turned(flown, {6: 80.0, 7: 95.0})
+    owned, notes = seams(tmp_path / "with", aside)
+    assert (owned.grid.width_px, owned.grid.height_px) == (without.width_px, without.height_px)
+    assert not owned.used[6:].any() and owned.used[:6].all()
+    told = [w for w in notes.warnings if w["code"] == "looks-aside"]
+    assert len(told) == 1
+    assert "2 frames look too far off the vertical" in told[0]["text"] and "frame 06" in told[0]["text"]
+    assert set(reasons(owned)) <= {ASLANT, COARSE} and owned.trimmed.share > 0.5
+    kept = seams(tmp_path / "keep", turned(flown, {6: 80.0}), edges="keep")[0]
+    assert kept.grid.height_px > 3 * without.height_px
+    assert kept.trimmed is None and kept.area is None
+
+
+def test_an_oblique_frame_gives_what_it_sees_within_the_limits(tmp_path: Path, flown: dict[str, Any]) -> None:
+    given = turned(flown, {3: 50.0})
+    owned, _ = seams(tmp_path, given)
+    assert (owned.owner == 4).any()
+    _, tangent = looked_at(owned, given["adjusted"].poses, given["survey"].work_frame, given["ground"])
+    inside = owned.area.cells(
+        owned.grid, whole_window(owned), owned.cell_px
+    )  # those beyond are what blends look at
+    assert np.nanmax(tangent[inside]) < np.tan(np.radians(61.0))
+    assert set(reasons(owned)) == {ASLANT}
+
+
+def whole_window(owned: Any) -> Any:
+    from geomosaic.mosaic.trim import whole_of
+
+    return whole_of(owned.grid)
+
+
+def test_a_nadir_survey_is_left_as_it_is(tmp_path: Path, flown: dict[str, Any]) -> None:
+    trimmed, kept = (seams(tmp_path / how, flown, edges=how)[0] for how in ("trim", "keep"))
+    assert trimmed.grid == kept.grid and trimmed.area is None
+    assert np.array_equal(trimmed.owner, kept.owner)
+    assert trimmed.trimmed.parts == ()
+
+
+def test_a_survey_that_is_oblique_as_a_whole_keeps_its_mosaic(tmp_path: Path, flown: dict[str, Any]) -> None:
+    oblique = turned(flown, dict.fromkeys(range(8), 66.0))
+    owned, _ = seams(tmp_path, oblique)
+    assert owned.used.all() and (owned.owner > 0).any()
+    assert ASLANT not in reasons(owned)
+
+
+def test_land_inside_that_no_frame_sees_well_is_no_hole(tmp_path: Path, flown: dict[str, Any]) -> None:
+    """A gap of the ground's heights, known well outside, has a mountain's deviation; it stays."""
+    ground, n = flown["ground"], 81
+    sd_m = np.full((n, n), 0.01)
+    sd_m[30:50, 30:50] = 100.0
+    known = replace(
+        ground, kind="dem", east_0_m=-80.0, north_0_m=-80.0, spacing_m=2.0, up_m=np.zeros((n, n)), sd_m=sd_m
+    )
+    given = {**flown, "ground": known, "adjusted": replace(flown["adjusted"], ground=known)}
+    owned, _ = seams(tmp_path, given)
+    assert owned.trimmed.parts == ()
+
+
+def test_beyond_what_was_flown_over_guessed_ground_is_trimmed(tmp_path: Path, flown: dict[str, Any]) -> None:
+    """A frame that looks 45 degrees aside shows land beyond a level frame's reach, good to 5 m only."""
+    ground = replace(flown["ground"], sd_m=np.full_like(flown["ground"].up_m, 5.0))
+    given = turned({**flown, "ground": ground}, {7: 40.0})
+    given["adjusted"] = replace(given["adjusted"], ground=ground)
+    owned, _ = seams(tmp_path, given)
+    assert reasons(owned)[GUESSED] > 100.0
+    sure = replace(ground, sd_m=np.full_like(ground.up_m, 0.01))
+    given |= {"ground": sure, "adjusted": replace(given["adjusted"], ground=sure)}
+    assert GUESSED not in reasons(seams(tmp_path / "sure", given)[0])
+
+
+def test_pixels_end_where_the_mosaic_does(tmp_path: Path, flown: dict[str, Any]) -> None:
+    given = turned(flown, {3: 62.0})
+    owned, _ = seams(tmp_path, given)
+    survey, adjusted, raster = given["survey"], given["adjusted"], tmp_path / "mosaic.tif"
+    made = compose(
+        survey, adjusted.poses, adjusted.cameras, owned.used.tolist(), given["ground"], owned.grid, raster,
+        ownership=owned,
+    )  # fmt: skip
+    with rasterio.open(raster) as image:
+        valid = image.dataset_mask() > 0
+    assert valid.any() and not (valid & ~owned.area.mask(owned.grid, whole_window(owned))).any()
+    assert made.holes.number == 0
+    assert made.trimmed == owned.trimmed
+
+
+def test_the_pixel_is_that_of_frames_that_look_down(flown: dict[str, Any]) -> None:
+    ground, cameras = flown["ground"], (CAMERA,) * 8
+    down = survey_pixel_m(flown["adjusted"].poses, cameras, (True,) * 8, ground)
+    poses = turned(flown, dict.fromkeys(range(3, 8), 60.0))["adjusted"].poses
+    assert survey_pixel_m(poses, cameras, (True,) * 8, ground) == pytest.approx(down, rel=0.03)
+
+
+def test_bounds_are_those_of_what_is_seen_well(flown: dict[str, Any]) -> None:
+    given = turned(flown, {0: 70.0})
+    survey, adjusted = given["survey"], given["adjusted"]
+    limits = Limits(np.tan(np.radians(60.0)), 1.0)
+    used = [True] + [False] * 7
+    (view,) = frame_views(
+        survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, given["ground"], limits
+    )
+    reach_m = view.bounds_m[3] - view.nadir_m[1]
+    assert reach_m == pytest.approx(50.0 * np.tan(np.radians(60.0)), rel=0.06)
+
+
+def test_frames_at_the_horizon_pass_through_the_whole_command(tmp_path: Path) -> None:
+    survey = small_survey(tmp_path / "s", horizon_frames=2, oblique_frames=1)
+    told = ["--pos", survey.pos, "--camera", survey.camera, "--gsd", "0.1"]
+    assert mosaic(survey.frames, tmp_path / "run", *told) == 0
+    found = summary(tmp_path / "run")
+    plain = small_survey(tmp_path / "plain")
+    told = ["--pos", plain.pos, "--camera", plain.camera, "--gsd", "0.1"]
+    assert mosaic(plain.frames, tmp_path / "plain run", *told) == 0
+    usual = summary(tmp_path / "plain run")
+    for side in ("width", "height"):
+        assert found["mosaic"][side] < 1.6 * usual["mosaic"][side]
+    assert found["trimmed"]["share"] > 0.0 and usual["trimmed"]["share"] < 0.02
+    assert "Edges" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    estimate = found["metrics"]["estimate"]
+    assert estimate["width_px"] < 2.0 * usual["mosaic"]["width"]
