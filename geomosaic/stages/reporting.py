@@ -211,7 +211,7 @@ def reported_trimmed(trimmed: Trimmed) -> dict[str, Any]:
 def trimmed_text(told: Mapping[str, Any]) -> str:
     """The same in words."""
     shares = {why: 100.0 * area_m2 / told["seen_m2"] for why, area_m2 in told["parts"].items()}
-    each = ", ".join(f"{share:.2g} % {why}" for why, share in shares.items())
+    each = ", ".join(f"{share:.1f} % {why}" for why, share in shares.items() if share >= 0.05)
     return (
-        f"{100.0 * told['share']:.2g} % of the land that frames see is trimmed: {each}; --edges keep keeps it"
+        f"{100.0 * told['share']:.1f} % of the land that frames see is trimmed: {each}; --edges keep keeps it"
     )
