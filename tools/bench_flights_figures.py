@@ -51,7 +51,7 @@ def figures_of(run: Path, check_points: Path | None) -> dict[str, Any]:
         "check": adjustment.get("check"),
         "mosaic": mosaic,
         "megapixels": mosaic["width"] * mosaic["height"] / 1e6,
-        "trimmed_share": metrics.get("mosaic", {}).get("trimmed_share"),
+        "trimmed_share": (summary.get("trimmed") or {}).get("share"),
         "stages_s": summary["timings_s"],
         "stages_mb": summary["memory_mb"],
     }
