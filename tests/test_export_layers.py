@@ -326,5 +326,5 @@ def test_no_ties_at_all_still_gives_every_layer(package, tmp_path):
     alone = replace(adjusted, residuals_m=())
     write_layers(tmp_path / "l.gpkg", survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=()))
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
-    assert dataset.GetLayerCount() == 12
+    assert dataset.GetLayerCount() == 13
     assert dataset.GetLayer("tie_points").GetFeatureCount() == 0

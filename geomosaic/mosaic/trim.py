@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum, auto
 from typing import Annotated, Final
 
 import cv2
@@ -63,13 +64,21 @@ _HORIZON_DEG: Annotated[
     ),
 ] = 85.0
 HORIZON: Final = Limits(float(np.tan(np.radians(_HORIZON_DEG))), np.inf)
-_ASLANT, _COARSE, _GUESSED = 1, 2, 3
+
+
+class _Why(IntEnum):
+    """Why a cell is trimmed."""
+
+    ASLANT = auto()
+    COARSE = auto()
+    GUESSED = auto()
+
+
 REASONS: Final = {
-    _ASLANT: "seen too far off the vertical",
-    _COARSE: "seen too coarsely",
-    _GUESSED: "ground extrapolated too far",
+    _Why.ASLANT: "seen too far off the vertical",
+    _Why.COARSE: "seen too coarsely",
+    _Why.GUESSED: "ground extrapolated too far",
 }
-"""Why land is trimmed."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +148,7 @@ def mosaic_edges(scene: Scene, looks: Looks) -> Edges:
     guessed = shown & (_off_px(well, scene, looks) > OFF_PX)
     guessed &= ~_flown_over(scene, looks)
     if not guessed[shown].all():
-        why[guessed] = _GUESSED
+        why[guessed] = _Why.GUESSED
     inside = ~_outer(why > 0, outside)
     filling = np.unique(seen.owner[inside & (why > 0) & (well.owner == 0)]) - 1
     why[inside] = 0
@@ -220,7 +229,7 @@ def _why(seen: Ownership, scene: Scene, looks: Looks) -> Bytes:
     """Of cells that frames see badly, why, 0 where none sees anything."""
     _, tangent, step = _looked_at(seen, scene, looks)
     aslant = _at_all(tangent, step, seen) > looks.limits.tangent
-    return np.where(seen.owner > 0, np.where(aslant, _ASLANT, _COARSE), 0).astype(np.uint8)
+    return np.where(seen.owner > 0, np.where(aslant, _Why.ASLANT, _Why.COARSE), 0).astype(np.uint8)
 
 
 def _off_px(well: Ownership, scene: Scene, looks: Looks) -> Floats:
@@ -243,7 +252,7 @@ def _outer(lost: Bools, unseen: Bools) -> Bools:
     return np.asarray(lost & (part == part[0, 0])[1:-1, 1:-1])
 
 
-def _beyond(scene: Scene, looks: Looks) -> dict[int, shapely.Geometry]:
+def _beyond(scene: Scene, looks: Looks) -> dict[_Why, shapely.Geometry]:
     """What frames see outside the scene's grid, by reason."""
     grid = scene.grid
     inner = shapely.box(grid.west_m, grid.south_m, grid.east_m, grid.north_m)
@@ -256,7 +265,10 @@ def _beyond(scene: Scene, looks: Looks) -> dict[int, shapely.Geometry]:
     wide = OutputGrid(grid.crs, float(low[0]), float(high[1]), side_m, int(size[0]), int(size[1]))
     whole = replace(scene, grid=wide, views=looks.views)
     why = _why(nearest_nadir(whole, [True] * len(looks.poses), 1)[0], whole, looks)
-    found = {code: shapely.difference(_polygons(wide, 1, why == code), inner) for code in (_ASLANT, _COARSE)}
+    found = {
+        code: shapely.difference(_polygons(wide, 1, why == code), inner)
+        for code in (_Why.ASLANT, _Why.COARSE)
+    }
     if looks.area is not None:
         found = {code: shapely.intersection(of, looks.area.geometry) for code, of in found.items()}
     return found
