@@ -60,9 +60,14 @@ _MOST_NOISE: Annotated[
 _LEAST_NOISE: Annotated[
     float, Because("grey levels", "deviation of rounding to whole levels", "1 / sqrt(12)")
 ] = 12.0**-0.5
-_SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-_NOISE_PER_MEAN = math.sqrt(math.pi / 2.0) / 6.0
-"""Standard deviation of noise over the mean size of its second differences."""
+_NOISE_PER_MEAN: Annotated[
+    float,
+    Because(
+        "1",
+        "standard deviation of noise over the mean size of its second differences",
+        "Immerkaer 1996, equation 8",
+    ),
+] = math.sqrt(math.pi / 2.0) / 6.0
 
 
 def raised(
@@ -127,7 +132,8 @@ def _least_noise_sd(image: Bytes, valid: Bytes | None) -> float:
 
 def _second_differences(image: Bytes, valid: Bytes | None) -> tuple[Floats32, NDArray[np.bool_]]:
     """Their size (rows, cols), 0 beside invalid pixels, and where it is known."""
-    size = np.abs(cv2.filter2D(image.astype(np.float32), -1, _SECOND_DIFFERENCES))
+    second = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    size = np.abs(cv2.filter2D(image.astype(np.float32), -1, second))
     inside = np.ones(image.shape, np.bool_) if valid is None else away_from_invalid(valid) > 0
     return (size * inside).astype(np.float32), inside
 

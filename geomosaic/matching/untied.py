@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Annotated
 
+from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.match import PairMatch
 
 Pair = tuple[int, int]
-MOSTLY = 0.5
-"""Share of a frame's tiles that are faint, from which the frame is called faint."""
+MOSTLY: Annotated[
+    float, Because("share of a frame's tiles", "faint ones, from which the frame is called faint", CHOSEN)
+] = 0.5
 
 
 def untied_reasons(
