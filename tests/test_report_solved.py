@@ -196,7 +196,8 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
     assert "cameras" not in {a.get("id") for _, a in page.tags}, "told once"
     assert not re.search(r"\bnan\b", html)
     row = next(r for r in re.findall(r"<tr data-row=.*?</tr>", html) if f"00{ALONE}.jpg" in r)
-    assert row.count("2.12\u00a0m") == 1, "placed: 1.5 m in each axis, as its POS says"
+    own_m = float(np.hypot(*solved.adjusted.poses.positions_sd_m[ALONE, :2]))
+    assert row.count(f"{own_m:.2f}\u00a0m") == 1, "placed: both axes of its prediction"
 
 
 def test_methods_without_a_covariance_still_say_on_what_ground(tmp_path):

@@ -90,13 +90,24 @@ class Area:
         whole = Window(window.col, window.row, shape[1] * step_px, shape[0] * step_px)
         (west, south, east, north), side_m = _bounds(grid, whole), step_px * grid.gsd_m
         spare = west - side_m, south - side_m, east + side_m, north + side_m
-        near = _polygonal(shapely.clip_by_rect(self.geometry, *spare))
+        near = _polygonal(_clipped(self.geometry, spare))
         if near.is_empty:
             return np.zeros(shape, dtype=bool)
         burnt = rasterize(
             [near], shape, transform=Affine(side_m, 0.0, west, 0.0, -side_m, north), all_touched=touched
         )
         return np.asarray(burnt > 0)
+
+
+def _clipped(geometry: Any, bounds_m: tuple[float, float, float, float]) -> Any:
+    """What of a valid geometry lies within west, south, east and north.
+
+    GEOS's quick clipping fails where a ring touches the rectangle at a corner alone; the exact one does not.
+    """
+    try:
+        return shapely.clip_by_rect(geometry, *bounds_m)
+    except shapely.errors.GEOSException:
+        return shapely.intersection(geometry, shapely.box(*bounds_m))
 
 
 @dataclass(frozen=True)
