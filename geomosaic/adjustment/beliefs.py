@@ -20,6 +20,7 @@ from geomosaic.adjustment.swing import (
     RATE_SD_RAD_PER_S,
     TERMS,
     UPWARDS,
+    VIBRATION_TERMS,
     recorded_share,
 )
 from geomosaic.adjustment.terrain import Terrain
@@ -208,11 +209,12 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
         return None
     recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
     known = np.isfinite(recorded)
-    rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, TERMS
+    most = VIBRATION_TERMS if settings.vibrating else TERMS
+    rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, most
     if not settings.turning:
         rate_sd, terms = GUST_M_PER_S / flying_height_m(block), 1
     elif _zero_unknown(block, settings):
-        rate_sd, terms = _ZERO_SD_RAD_PER_S, TERMS if known.any() else 1
+        rate_sd, terms = _ZERO_SD_RAD_PER_S, most if known.any() else 1
     sd = np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
     guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
     sd[known, 1:] = guessed[:, None]

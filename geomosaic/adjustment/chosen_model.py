@@ -14,7 +14,7 @@ from geomosaic.adjustment.bundle_model import READOUT, Begun, Bundle
 from geomosaic.adjustment.collinearity import INTERIOR
 from geomosaic.adjustment.left_out import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
-from geomosaic.adjustment.residual_pattern import residual_patterns
+from geomosaic.adjustment.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.tracks import Tracks
 from geomosaic.adjustment.trust import median_px
 from geomosaic.camera.interior import Camera
@@ -124,6 +124,7 @@ _TEXTS = {
     "fisheye": "a fisheye lens",
     "readout": "rows read one after the other, their time solved for",
     "turning": "each frame swinging in its own way while its rows are read one after the other",
+    "vibrating": "each frame vibrating while its rows are read one after the other",
     "untold_turns": "without the turns that the tags report",
 }
 _SHOWN_BY = {
@@ -156,7 +157,8 @@ def chosen_model(
     now = Model(block, settings, left_out.begun, same=True)
     taken: tuple[str, ...] = ()
     worse: set[str] = set()
-    candidates = dict(_candidates(now, taken))
+    vibrating = left_by_vibration(_image_residuals(tracks, first), block.cameras) < BETTER
+    candidates = dict(_candidates(now, taken, vibrating))
     more = left_out.judged("models", {_GIVEN: now} | candidates)
     its = more.pop(_GIVEN)
     now_px = its.median_px
@@ -177,7 +179,7 @@ def chosen_model(
         best = next(name for name in better if not least.beats(more[name]))
         taken, its, now_px = (*taken, best), more[best], left[best]
         now = replace(candidates[best], before=its.solved or now.before)
-        candidates = {n: model for n, model in _candidates(now, taken) if n not in worse}
+        candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in worse}
         more = left_out.judged(f"models-{len(taken)}", candidates) if candidates else {}
     if now_px > max(GOOD_PX, _EXPLAINED * left_px[_GIVEN]):
         now, taken = Model(block, settings, first), ()
@@ -242,7 +244,7 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
         out.append(Warn("model-chosen", "", text))
     turns = block.poses.turns
     incomplete = turns is not None and bool(np.isfinite(turns.recorded_until_s).any())
-    if choice is not None and "turning" in choice.taken and not incomplete:
+    if choice is not None and {"turning", "vibrating"} & set(choice.taken) and not incomplete:
         why = "no gyroscope reports how" if block.poses.turns is None else "not as the gyroscope reports"
         text = f"frames turn while their rows are read, and {why}: their shapes are estimated"
         out.append(Warn("shutter-doubtful", "", text))
@@ -253,8 +255,8 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     return out
 
 
-def _candidates(now: Model, taken: tuple[str, ...]) -> Iterator[tuple[str, Model]]:
-    """What can be added to a model, the simplest first."""
+def _candidates(now: Model, taken: tuple[str, ...], vibrating: bool) -> Iterator[tuple[str, Model]]:
+    """What can be added to a model, the simplest first; vibrating: whether residuals look like it."""
     block, settings = now.block, now.settings
     turns, moving = block.poses.turns, _moving(block)
     rolling, read_settings = with_readout(block, settings)
@@ -273,9 +275,12 @@ def _candidates(now: Model, taken: tuple[str, ...]) -> Iterator[tuple[str, Model
         yield "readout", model(rolling, read_settings)
     if not makers and "fisheye" not in taken:
         yield "fisheye", model(replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
+    solved = settings.rolling_shutter or (moving and not read)
     if not settings.turning:
-        solved = settings.rolling_shutter or (moving and not read)
         yield "turning", model(rolling, replace(settings, turning=True, rolling_shutter=solved))
+    if vibrating and not settings.vibrating:
+        shaken = replace(settings, turning=True, vibrating=True, rolling_shutter=solved)
+        yield "vibrating", model(rolling, shaken)
 
 
 def _moving(block: Block) -> bool:
@@ -290,5 +295,9 @@ def _as_fisheye(camera: Camera) -> Camera:
 
 def _pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:
     """What residuals have in common by their place in the image, of the worst camera."""
-    image = ImageResiduals(tracks.frame, tracks.image_px, solved.residual_px, solved.weight)
-    return max((p.systematic_px for p in residual_patterns(image, block.cameras)), default=0.0)
+    patterns = residual_patterns(_image_residuals(tracks, solved), block.cameras)
+    return max((p.systematic_px for p in patterns), default=0.0)
+
+
+def _image_residuals(tracks: Tracks, solved: Bundle) -> ImageResiduals:
+    return ImageResiduals(tracks.frame, tracks.image_px, solved.residual_px, solved.weight)

@@ -92,6 +92,7 @@ def _read_at_once(block: Block, settings: Settings) -> tuple[Block, Settings]:
         self_calibration=False,
         rolling_shutter=False,
         turning=False,
+        vibrating=False,
         boresight=False,
         lever_arm=False,
         gps_lag=False,

@@ -104,10 +104,11 @@ class Settings:
     epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
     rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
     boresight, lever_arm, gps_lag, rolling_shutter, turning: whether a bundle solves for them, see `Mounting`,
-    `Camera` and `Priors`; rate_sd_rad_per_s: of what turning solves for, if that is known. free_lens: a
-    maker's lens counts for nothing but where to begin. model: `auto` adds to all that what the evidence
-    speaks for, see `chosen_model`; `given` doesn't. self_calibration: whether a bundle solves for what frames
-    share (lens, shutter, mounting), or keeps it as given.
+    `Camera` and `Priors`; vibrating: turns of several periods while a frame is read; rate_sd_rad_per_s: of
+    what turning solves for, if that is known. free_lens: a maker's lens counts for nothing but where to
+    begin. model: `auto` adds to all that what the evidence speaks for, see `chosen_model`; `given` doesn't.
+    self_calibration: whether a bundle solves for what frames share (lens, shutter, mounting), or keeps it as
+    given.
     """
 
     epsilon_px: float = 10.0
@@ -119,6 +120,7 @@ class Settings:
     gps_lag: bool = False
     rolling_shutter: bool = False
     turning: bool = False
+    vibrating: bool = False
     rate_sd_rad_per_s: float | None = None
     free_lens: bool = False
     model: str = "auto"

@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ImageResiduals
+from geomosaic.adjustment.swing import TERMS, VIBRATION_TERMS
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
 
@@ -75,6 +78,32 @@ def residual_patterns(image: ImageResiduals, cameras: Sequence[Camera]) -> tuple
         _pattern(name, cell, image, heard & np.array([n == name for n in names])[image.frame])
         for name in dict.fromkeys(names)
     )
+
+
+def left_by_vibration(image: ImageResiduals, cameras: Sequence[Camera]) -> float:
+    """Residuals of a smooth function of the row as fine as vibration's, as a share of those of one as coarse
+    as turning's, fitted frame by frame; 1 where nothing vibrates.
+
+    The ratio of two residual standard deviations, each by its own redundancy (nested regressions; Draper and
+    Smith, Applied Regression Analysis, 3rd ed. 1998, section 6.1). Args: cameras: of each frame.
+    """
+    used = (image.weight > _HEARD) & np.isfinite(image.residual_px).all(axis=1)
+    squares, redundancy = np.zeros(2), np.zeros(2)
+    for frame in np.unique(image.frame[used]):
+        own = used & (image.frame == frame)
+        count = int(own.sum())
+        if count <= 2 * VIBRATION_TERMS:
+            continue
+        rows = 2.0 * image.image_px[own, 1] / cameras[frame].height_px - 1.0
+        for k, terms in enumerate((TERMS, VIBRATION_TERMS)):
+            design = legendre.legvander(rows, terms)
+            left = image.residual_px[own] - design @ least_squares(design, image.residual_px[own])
+            squares[k] += float((left**2).sum())
+            redundancy[k] += count - terms - 1
+    if not squares.all():
+        return 1.0
+    coarse, fine = squares / redundancy
+    return float(np.sqrt(fine / coarse))
 
 
 def _pattern(
