@@ -179,6 +179,7 @@ def chosen_model(
         best = next(name for name in better if not least.beats(more[name]))
         taken, its, now_px = (*taken, best), more[best], left[best]
         now = replace(candidates[best], before=its.solved or now.before)
+        vibrating = vibrating or its.vibration < BETTER
         candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in worse}
         more = left_out.judged(f"models-{len(taken)}", candidates) if candidates else {}
     if now_px > max(GOOD_PX, _EXPLAINED * left_px[_GIVEN]):
@@ -236,10 +237,11 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
         name = choice.taken[-1]
         out.append(Warn("model-chosen", "", f"{_TEXTS[name]}: {_SHOWN_BY[name]}"))
     if choice is not None and judged:
+        its = [name for name in judged if name != "turning" or "vibrating" not in judged]
         before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(judged)))
         text = (
             f"lens and shutter as given leave {before:.2g} px at tie points left out of the solve; taken "
-            f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in judged)}"
+            f"instead, with {after:.2g} px: {', '.join(_TEXTS[name] for name in its)}"
         )
         out.append(Warn("model-chosen", "", text))
     turns = block.poses.turns

@@ -25,7 +25,6 @@ from geomosaic.placement.prior import (
     position_assumed,
 )
 from geomosaic.survey.model import Warn
-from geomosaic.survey.strays import UPRIGHT
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -37,6 +36,9 @@ _POSITION_LIES: Annotated[
         CHOSEN,
     ),
 ] = 6.0
+_UPRIGHT_DEG: Annotated[
+    float, Because("degrees", "tilt up to which a survey or a frame of it looks down", CHOSEN)
+] = 20.0
 HALF_TURN_DEG: Annotated[
     float,
     Because("degrees", "about half a turn: less than halfway to the next quarter", CHOSEN),
@@ -87,7 +89,7 @@ def strayed_frames(block: Block, poses: Poses, heard: Floats) -> dict[int, Warn]
     far, limit = _off_m(block, poses)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
     usual = float(np.median(tilt))
-    aside = (tilt > usual + UPRIGHT.value) & (usual <= UPRIGHT.value) & (far > limit)
+    aside = (tilt > usual + _UPRIGHT_DEG) & (usual <= _UPRIGHT_DEG) & (far > limit)
     found = {
         int(i): Warn(
             "frame-contradicted",

@@ -14,8 +14,11 @@ from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.bundle_model import READOUT, Begun, with_interior
 from geomosaic.adjustment.chosen_ground import flying_height_m
 from geomosaic.adjustment.collinearity import INTERIOR, interior_of
-from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.model import Block, ImageResiduals, Settings
+from geomosaic.adjustment.residual_pattern import left_by_vibration
+from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.adjustment.tracks import Tracks, asked_tracks, chosen_tracks, frame_by_frame, nearest_to_rays
+from geomosaic.adjustment.trust import median_px
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.errors import NotSolvableError
@@ -118,11 +121,12 @@ class Model:
 @dataclass(frozen=True)
 class Judged:
     """A model's solution (None where there is none), and the residual of each track left out of it, (t,);
-    place (t,): number of the place where it lies."""
+    place (t,): number of the place where it lies; vibration: `left_by_vibration` of the left-out tracks."""
 
     solved: Begun | None
     each_px: Floats
     place: Ints
+    vibration: float = 1.0
 
     @property
     def median_px(self) -> float:
@@ -205,7 +209,9 @@ def _judged(tracks: Tracks, judges: Tracks, place: Ints, model: Model) -> Judged
         )  # fmt: skip
     except NotSolvableError:
         return Judged(None, np.full(judges.points, np.inf), place)
-    return Judged(solved.of_points(solved.points_m), left_out_px(judges, block, solved), place)
+    image = left_out_residuals(judges, block, solved)
+    vibration = left_by_vibration(image, block.cameras)
+    return Judged(solved.of_points(solved.points_m), left_out_px(judges, image), place, vibration)
 
 
 def _begun_lens(given: Camera, found: Camera) -> Camera:
@@ -217,16 +223,24 @@ def _begun_lens(given: Camera, found: Camera) -> Camera:
     return with_interior(given, numbers)
 
 
-def left_out_px(tracks: Tracks, block: Block, solved: Begun) -> Floats:
-    """Deviations (t,) of tracks that a solution has not seen, their points put nearest to their rays."""
+def left_out_px(tracks: Tracks, image: ImageResiduals) -> Floats:
+    """Deviations (t,) of tracks, by what a solution leaves of them."""
+    length = np.linalg.norm(image.residual_px, axis=1)
+    squares = np.bincount(tracks.point, np.nan_to_num(length, nan=_NOT_SEEN_PX) ** 2, tracks.points)
+    return np.asarray(np.sqrt(squares / np.maximum(2.0 * tracks.lengths - 3.0, 1.0)))
+
+
+def left_out_residuals(tracks: Tracks, block: Block, solved: Begun) -> ImageResiduals:
+    """Of tracks that took no part in a solution, their points put nearest to their rays."""
     number = {c.name: k for k, c in enumerate(solved.cameras)}
     cameras = [solved.cameras[number[c.name]] for c in block.cameras]
     centre = np.median(solved.points_m, axis=0)
     near = np.broadcast_to(centre, (tracks.points, 3))
     points = nearest_to_rays(tracks, solved.poses, cameras, near)
-    seen = np.empty_like(tracks.image_px)
+    computed_px = np.empty_like(tracks.image_px)
     for i, mine in frame_by_frame(tracks.frame):
-        seen[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
-    length = np.linalg.norm(tracks.image_px - seen, axis=1)
-    squares = np.bincount(tracks.point, np.nan_to_num(length, nan=_NOT_SEEN_PX) ** 2, tracks.points)
-    return np.asarray(np.sqrt(squares / np.maximum(2.0 * tracks.lengths - 3.0, 1.0)))
+        computed_px[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
+    residual_px = tracks.image_px - computed_px
+    length = np.linalg.norm(residual_px, axis=1)
+    weight = cauchy_weight(length / max(median_px(length), _EXACT_PX))
+    return ImageResiduals(tracks.frame, tracks.image_px, residual_px, weight)

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.beliefs import WIDE_FOCAL, priors_of
 from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.chosen_ground import flying_height_m
-from geomosaic.adjustment.left_out import BETTER, LEFT_OUT, Judged, left_out_px, places
+from geomosaic.adjustment.left_out import (
+    BETTER,
+    LEFT_OUT,
+    Judged,
+    left_out_px,
+    left_out_residuals,
+    places,
+)
 from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.solution import points_on_ground
@@ -199,7 +206,7 @@ def _tried(trial: _Trial) -> Judged:
             return nothing
         priors = priors_of(block, trial.settings, block.lenses, points)
         solved = solve_bundle(kept, block.lens_of, priors, start, rough=True)
-        left_px = left_out_px(trial.judges, block, solved)
+        left_px = left_out_px(trial.judges, left_out_residuals(trial.judges, block, solved))
     except (NotSolvableError, np.linalg.LinAlgError):
         return nothing
     return Judged(solved.of_points(solved.points_m), left_px, trial.place)

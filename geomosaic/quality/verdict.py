@@ -54,7 +54,7 @@ CRITERIA: Mapping[str, Criterion] = {
         3.0,
         "px",
         "the ground jumps at the seams",
-        "see the other figures; on relief give an elevation model (--dem)",
+        "see the other figures; on relief take --surface dense, or give an elevation model (--dem)",
         "the median of all places, as for the image deviation",
     ),
     "worst tenth of the seams": Criterion(
@@ -62,7 +62,8 @@ CRITERIA: Mapping[str, Criterion] = {
         np.inf,
         "px",
         "the ground jumps at some seams: things that stand above it, or single frames out of place",
-        "look at the seams in the report; an elevation model (--dem) helps with what stands above ground",
+        "look at the seams in the report; --surface dense or an elevation model (--dem) helps with what "
+        "stands above ground",
         "houses without a surface model jump by more, while the map around them is right",
     ),
     "ground unknown": Criterion(

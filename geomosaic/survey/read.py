@@ -291,7 +291,7 @@ def _strays(
     observed = observe(rest, table, [o.name for o in (*found.left_out, *(o for _, o in out))])
     if strict:
         check_extent(rest, observed.positions)
-    return out + misplaced(rest, observed.positions, observed.attitudes)
+    return out + misplaced(rest, observed.positions)
 
 
 def _check_alike(headers: Sequence[FrameHeader]) -> None:

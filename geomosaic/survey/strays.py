@@ -22,7 +22,7 @@ from geomosaic.survey.cameras import unreported
 from geomosaic.survey.damage import Look
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
-from geomosaic.survey.model import Attitude, LeftOut, Position, Warn
+from geomosaic.survey.model import LeftOut, Position, Warn
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.observations import TOO_FAR_M, away_m
 from geomosaic.survey.plausible import Limit
@@ -60,13 +60,6 @@ _FEW_LOW: Annotated[
         CHOSEN,
     ),
 ] = 0.1
-TILTED: Final = Limit(
-    35.0,
-    "degrees beyond the usual tilt",
-    "walls instead of roofs; makers' oblique passes beside nadir lines look 45 degrees aside",
-    "DJI Pilot, oblique collection: 45",
-)
-UPRIGHT: Final = Limit(20.0, "degrees", "the usual tilt of a survey that looks down", CHOSEN)
 APART: Final = Limit(
     2.0,
     "extents of both flights together",
@@ -111,7 +104,6 @@ _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-copy": "copies of other frames",
     "frame-take-off": "taken far below all others at the flight's beginning or end",
-    "frame-oblique": "look aside or to the horizon while most look down",
     "frame-far-away": "farther away than any survey reaches",
     "frame-other-place": "of another flight, far from the largest: mosaic it by itself",
     "frame-blurred": "far blurrier than the frames beside them, which are sharp",
@@ -218,10 +210,8 @@ def _alike(one: Look | None, other: Look | None) -> bool:
     return size > 0.0 and float((a * b).sum()) > COPY.value * size
 
 
-def misplaced(
-    headers: Sequence[FrameHeader], positions: Sequence[Position], attitudes: Sequence[Attitude]
-) -> list[Stray]:
-    """Frames of another flight, taken during take-off or landing, or looking aside; in order of capture."""
+def misplaced(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> list[Stray]:
+    """Frames of another flight, or taken during take-off or landing; in order of capture."""
     lonlat = np.array([[p.lon_deg, p.lat_deg] for p in positions])
     known = np.array([p.known for p in positions])
     out: dict[int, Stray] = {}
@@ -239,21 +229,7 @@ def misplaced(
     for k in np.flatnonzero(_low_at_ends(above)):
         text = f"was taken {above[k]:.0f} m above the ground, the others at {np.nanmedian(above):.0f} m"
         out[int(rest[k])] = _out("frame-take-off", headers[rest[k]], text)
-    tilt = np.array([_tilt_deg(attitudes[i]) for i in rest])
-    usual = float(np.nanmedian(tilt)) if np.isfinite(tilt).any() else np.nan
-    if usual <= UPRIGHT.value:
-        for k in np.flatnonzero(tilt > usual + TILTED.value):
-            text = f"looks {tilt[k]:.0f} degrees aside of straight down"
-            out.setdefault(int(rest[k]), _out("frame-oblique", headers[rest[k]], text))
     return [out[i] for i in sorted(out)]
-
-
-def _tilt_deg(attitude: Attitude) -> float:
-    """Between the view and straight down; NaN where it isn't the camera's own."""
-    if attitude.pitch_deg is None or attitude.roll_deg is None or attitude.source == "dji-flight":
-        return np.nan
-    pitch, roll = np.radians([attitude.pitch_deg, attitude.roll_deg])
-    return float(np.degrees(np.arccos(np.clip(np.cos(pitch) * np.cos(roll), -1.0, 1.0))))
 
 
 def _heights_above_ground_m(positions: Sequence[Position]) -> Floats:
