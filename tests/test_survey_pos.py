@@ -42,6 +42,17 @@ def test_named_columns_in_any_order_with_units(tmp_path: Path) -> None:
     assert codes(file) == {"pos-attitude-convention"}
 
 
+@pytest.mark.parametrize(
+    "names", ["lat,lon,gps_height", "gps_lat,gps_lon,gps_alt", "GPSLatitude,GPSLongitude,GPSAltitude"]
+)
+def test_columns_of_a_gps_log(tmp_path: Path, names: str) -> None:
+    """Their height has no stated datum."""
+    file = pos(tmp_path, f"image_name,{names}\nIMG_1403,54.5121362,-2.7520125,344.17\n")
+    row = file.rows[0]
+    assert (row.lat_deg, row.lon_deg, row.height_ellipsoidal_m) == (54.5121362, -2.7520125, 344.17)
+    assert codes(file) == {"height-datum-assumed"} and not file.datum_stated
+
+
 @pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", b""])
 @pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
 def test_marks_separators_comments_and_blank_lines(tmp_path: Path, mark: bytes, separator: str) -> None:

@@ -24,8 +24,8 @@ ALIASES: Final[Aliases] = {
         "frame", "image", "image_name", "imagename", "img", "file", "filename", "file_name", "name", "label",
         "photo", "photo_name", "picture", "sourcefile",
     ),
-    "lon": ("lon", "long", "lng", "longitude", "gps_longitude", "gpslongitude"),
-    "lat": ("lat", "latitude", "gps_latitude", "gpslatitude"),
+    "lon": ("lon", "long", "lng", "longitude", "gps_longitude", "gpslongitude", "gps_lon", "gps_long"),
+    "lat": ("lat", "latitude", "gps_latitude", "gpslatitude", "gps_lat"),
     "x": ("x", "e", "east", "easting", "x_east", "x_longitude"),
     "y": ("y", "n", "north", "northing", "y_north", "y_latitude"),
     "height_ellipsoidal": (
@@ -36,7 +36,7 @@ ALIASES: Final[Aliases] = {
     ),
     "height": (
         "height", "altitude", "alt", "z", "h", "elevation", "elev", "gps_altitude", "gpsaltitude",
-        "z_altitude", "absolute_altitude", "absolutealtitude",
+        "gps_height", "gps_alt", "gps_elevation", "z_altitude", "absolute_altitude", "absolutealtitude",
     ),
     "height_above_ground": (
         "height_above_ground", "agl", "alt_agl", "altitude_agl", "relative_altitude", "relativealtitude",
