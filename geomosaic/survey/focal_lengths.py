@@ -91,8 +91,9 @@ _ONE_LENGTH: Annotated[
     set[str],
     Because(
         "model",
-        "of zoom cameras that write one focal length at every zoom: it says nothing of a frame",
-        "SIYI's data sheet: ZR10, 4.7 to 47 mm; its frames say 47 mm where they see 55 degrees",
+        "of zoom cameras whose tag is the long end of the lens at any zoom: taken as true, it makes the "
+        "focal length up to nine times too long",
+        "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm; tag of 47 mm: frames of one flight",
     ),
 ] = {"zr10"}
 _ACTION_MAKES: Annotated[
@@ -100,16 +101,17 @@ _ACTION_MAKES: Annotated[
     Because(
         "make",
         "of action cameras, which have several fields of view and no tag of the mode",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift",
+        f"OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: {CHOSEN}",
     ),
-] = {"gopro", "xiaoyi", "yi technology", "sjcam", "drift"}
+] = {"gopro", "xiaoyi", "sjcam", "drift"}
 _WIDE_MODE_MM: Annotated[
     float,
     Because(
         "mm, 35 mm equivalent",
-        "to which an action camera's frame is of its wide mode, whose lens is a fisheye; 17 mm is GoPro's "
-        "linear mode, straightened in the camera",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 15 mm, Hero 2 wide 16 mm",
+        "to which an action camera's frame is of its wide mode, whose lens is a fisheye; longer ones are of "
+        "modes that the camera crops or straightens",
+        "OpenSfM, opensfm/data/camera_calibration.yaml, GoPro: wide 15 (Hero 3) and 16 mm (Hero 2), medium "
+        "20 and 23 mm; Hero 8 without distortion, 0.477 of 36 mm: 17 mm",
     ),
 ] = 16.0
 _ACTION: Annotated[
@@ -117,8 +119,9 @@ _ACTION: Annotated[
     Because(
         "focal length over longer side",
         "of their wide modes, where no tag gives it",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Hero 8 0.477, Drift 0.47; "
-        "GoPro's field of view of the Hero 5, 122.6 degrees: 0.467 of an equidistant lens",
+        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Drift 0.47; gyroflow's "
+        "lens_profiles: Hero 11 wide 0.444; GoPro, HERO5 Black Field of View: 122.6 degrees, which is 0.467 "
+        "of an equidistant lens",
     ),
 ] = 0.47
 ALIKE: Annotated[
