@@ -262,7 +262,14 @@ def test_a_lens_that_nothing_reports_is_assumed(width: int, height: int) -> None
         ((640, 512), {"make": "DJI", "model": "XT2", "focal_length_mm": 13.0, "pixels_per_mm": 10.8}, 764.7),
         ((336, 256), {"make": "FLIR", "model": "Vue Pro R", "focal_length_mm": 13.0}, 764.7),
         ((1280, 1024), {"make": "DJI", "model": "M3T", "focal_length_mm": 9.1}, 1516.7),
+        (
+            (640, 512),
+            {"make": "Teledyne FLIR", "model": "BOSON 640 8.7MM LWIR", "focal_length_mm": 8.7},
+            725.0,
+        ),
         ((1640, 1232), {"make": "RaspberryPi", "model": "RP_imx219"}, 1357.1),
+        ((4608, 2592), {"make": "Raspberry Pi", "model": "imx708_wide"}, 1964.3),
+        ((4608, 2592), {"make": "Raspberry Pi", "model": "imx708"}, 3385.7),
     ],
 )
 def test_sensors_of_published_pitch(size: tuple[int, int], exif: dict[str, object], expected: float) -> None:

@@ -24,12 +24,13 @@ SENSOR_WIDTHS_MM: Annotated[
         "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
         "wrong one makes the focal length wrong by as much",
         "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
-        "35.9; where the rest are from is not known",
+        "35.9; M3E: Theta-Limited/DroneModels; L2D-20c: OpenSfM, opensfm/data/sensor_data.json; S.O.D.A.: "
+        "its EXIF, 5472 px at 416.7 px/mm",
     ),
 ] = {
     "fc300c": 6.17, "fc300s": 6.17, "fc300x": 6.17, "fc330": 6.17, "fc220": 6.17, "fc350": 6.17,
     "fc550": 17.3, "fc6310": 13.2, "fc6310r": 13.2, "fc6310s": 13.2, "fc6510": 13.2, "fc6520": 17.3,
-    "l1d-20c": 13.2, "fc3411": 13.2, "l2d-20c": 17.3, "m3e": 17.3, "zenmusep1": 35.9, "s.o.d.a.": 12.75,
+    "l1d-20c": 13.2, "fc3411": 13.2, "l2d-20c": 17.5, "m3e": 17.46, "zenmusep1": 35.9, "s.o.d.a.": 13.13,
     "dsc-wx220": 6.17, "ilce-6000": 23.5, "ilce-7rm2": 35.9, "e-p1": 17.3, "e-p2": 17.3, "e-pl1": 17.3,
 }  # fmt: skip
 
@@ -60,8 +61,10 @@ SENSORS: Annotated[
         "pixel pitch of sensors by a part of EXIF's make and model, the first that fits: thermal cameras "
         "report no focal plane or that of their visual camera, boards report no lens; a wrong pitch makes "
         "the focal length wrong by as much",
-        "data sheets: DJI (XT2, H20T, H30T, M2EA, M30T, Mavic 3T), FLIR (XT, Vue Pro, Duo Pro R, Vue TZ20), "
-        "Raspberry Pi (camera modules 1 to 3 and HQ)",
+        "Theta-Limited/DroneModels: H20T, M2EA, Boson 12 um; XT, XT2 (Tau 2) 17 um. QGroundControl, "
+        "CameraMetaData.json: Duo Pro R 17 um. DJI, quoted by others: diagonal field H20T 40.6, H30T 45.2 "
+        "degrees, M3T 40 mm equivalent. Assumed: M30T as M3T, Vue TZ20 as Boson, other FLIR of these shapes "
+        "as Tau 2. Raspberry Pi, camera_hardware.adoc: modules 1 to 3, 3 wide, HQ",
     ),
 ] = {
     "zh30t": Sensor((1280,), 12.0, 24.0, _UNCOOLED),
@@ -71,10 +74,12 @@ SENSORS: Annotated[
     "m3t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
     "xt2": Sensor((640, 336), 17.0, None, _UNCOOLED),
     "tz20": Sensor((640,), 12.0, None, _UNCOOLED),
+    "boson": Sensor((640, 320), 12.0, None, _UNCOOLED),
     "flir": Sensor((640, 336), 17.0, None, _UNCOOLED),
     "vue pro": Sensor((640, 336), 17.0, None, _UNCOOLED),
     "ov5647": Sensor((2592,), 1.4, 3.6),
     "imx219": Sensor((3280,), 1.12, 3.04),
+    "imx708_wide": Sensor((4608,), 1.4, 2.75),
     "imx708": Sensor((4608,), 1.4, 4.74),
     "imx477": Sensor((4056,), 1.55),
 }
@@ -86,8 +91,9 @@ _ONE_LENGTH: Annotated[
     set[str],
     Because(
         "model",
-        "of zoom cameras that write one focal length at every zoom: it says nothing of a frame",
-        "SIYI's data sheet: ZR10, 4.7 to 47 mm; its frames say 47 mm where they see 55 degrees",
+        "of zoom cameras whose tag is the long end of the lens at any zoom: taken as true, it makes the "
+        "focal length up to nine times too long",
+        "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm; tag of 47 mm: frames of one flight",
     ),
 ] = {"zr10"}
 _ACTION_MAKES: Annotated[
@@ -95,16 +101,17 @@ _ACTION_MAKES: Annotated[
     Because(
         "make",
         "of action cameras, which have several fields of view and no tag of the mode",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift",
+        f"OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: {CHOSEN}",
     ),
-] = {"gopro", "xiaoyi", "yi technology", "sjcam", "drift"}
+] = {"gopro", "xiaoyi", "sjcam", "drift"}
 _WIDE_MODE_MM: Annotated[
     float,
     Because(
         "mm, 35 mm equivalent",
-        "to which an action camera's frame is of its wide mode, whose lens is a fisheye; 17 mm is GoPro's "
-        "linear mode, straightened in the camera",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 15 mm, Hero 2 wide 16 mm",
+        "to which an action camera's frame is of its wide mode, whose lens is a fisheye; longer ones are of "
+        "modes that the camera crops or straightens",
+        "OpenSfM, opensfm/data/camera_calibration.yaml, GoPro: wide 15 (Hero 3) and 16 mm (Hero 2), medium "
+        "20 and 23 mm; Hero 8 without distortion, 0.477 of 36 mm: 17 mm",
     ),
 ] = 16.0
 _ACTION: Annotated[
@@ -112,8 +119,9 @@ _ACTION: Annotated[
     Because(
         "focal length over longer side",
         "of their wide modes, where no tag gives it",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Hero 8 0.477, Drift 0.47; "
-        "GoPro's field of view of the Hero 5, 122.6 degrees: 0.467 of an equidistant lens",
+        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Drift 0.47; gyroflow's "
+        "lens_profiles: Hero 11 wide 0.444; GoPro, HERO5 Black Field of View: 122.6 degrees, which is 0.467 "
+        "of an equidistant lens",
     ),
 ] = 0.47
 ALIKE: Annotated[
