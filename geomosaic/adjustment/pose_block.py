@@ -22,6 +22,7 @@ from geomosaic.adjustment.chosen_model import (
     with_readout,
 )
 from geomosaic.adjustment.common_error import common_error, with_common_error
+from geomosaic.adjustment.common_heading import with_common_heading
 from geomosaic.adjustment.common_rate import with_common_rate
 from geomosaic.adjustment.control import spread_of
 from geomosaic.adjustment.control_marks import with_marks_of_whole_images
@@ -129,7 +130,7 @@ class _Work:
 
     misalignments_m: of the pairs as they were given; tracks: all tie points, few: of them, to find the model
     by; rolling: whether rows were said to be read one after the other; spread: who makes what can be made
-    side by side.
+    side by side; notes: warnings of the start.
     """
 
     given: Block
@@ -142,6 +143,7 @@ class _Work:
     found: Solution
     spread: Spread
     choice: ModelChoice | None = None
+    notes: tuple[Warn, ...] = ()
 
     @property
     def rough(self) -> bool:
@@ -213,7 +215,7 @@ def _begun(
     tracks, few = all_and_few
     net = offset_net(given)
     start = start or start_poses(given, net)
-    block = placed_by_images(given, start)
+    block, notes = with_common_heading(placed_by_images(given, start), start)
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:
         start = _read_at_once(block, settings, few, start)
@@ -221,7 +223,8 @@ def _begun(
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     del net  # where every tie point lies, twice
     found = solution(block, settings, few, start, rough=few is not tracks)
-    return _Work(given, misalignments_m, tracks, few, rolling, block, settings, found, spread)
+    work = _Work(given, misalignments_m, tracks, few, rolling, block, settings, found, spread)
+    return replace(work, notes=tuple(notes))
 
 
 def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
@@ -368,6 +371,7 @@ def _outcome(work: _Work) -> Adjusted:
         cameras=tuple(bundle.cameras[k] for k in block.lens_of),
         ground=found.ground,
         warnings=(
+            *work.notes,
             *lying_tags(
                 block, with_common_error(bundle.poses, common_m2), strayed, bundle.factors.horizontal
             ),

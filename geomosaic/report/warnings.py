@@ -18,7 +18,7 @@ _ROUTINE: Final = frozenset(
     (
         "attitude-of-aircraft", "bands-left-out", "camera-assumed", "camera-scaled",
         "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-take-off",
-        "frame-turned", "geoid-assumed", "height-above-take-off", "height-by-neighbours",
+        "frame-turned", "geoid-assumed", "headings-off", "height-above-take-off", "height-by-neighbours",
         "height-datum-assumed", "height-datum-unknown", "height-estimated", "image-edited", "model-chosen",
         "order-by-name",
         "pos-attitude-convention", "pos-columns-ignored", "pos-header-assumed", "readout-by-model",
