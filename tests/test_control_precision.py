@@ -9,7 +9,8 @@ import pytest
 from adjustment_blocks import Flown, fly
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, GroundControl, Settings
+from geomosaic.adjustment.model import Adjusted, GroundControl, HeightReference, Settings
+from geomosaic.geodesy.local import LocalFrame
 
 PLAN = np.array(
     [[-15.0, -10.0], [95.0, -10.0], [95.0, 100.0], [-15.0, 100.0], [40.0, 45.0], [40.0, -5.0], [90.0, 45.0],
@@ -17,9 +18,11 @@ PLAN = np.array(
 )  # fmt: skip
 
 
-def surveyed(flown: Flown, noise_m: float, *, points: int = 8, stated_m: float = 0.05) -> list[GroundControl]:
+def surveyed(
+    flown: Flown, noise_m: float, *, points: int = 8, stated_m: float = 0.05, at_m: np.ndarray = PLAN
+) -> list[GroundControl]:
     out = []
-    for k, plan in enumerate(PLAN[:points]):
+    for k, plan in enumerate(at_m[:points]):
         at = np.append(plan, 0.0)
         seen = tuple(flown.seen(at, 0.5))
         given = at + flown.rng.normal(0.0, noise_m, 3)
@@ -75,6 +78,25 @@ def test_good_control_is_as_stated_whatever_the_positions() -> None:
     assert "control-imprecise" not in [w.code for w in adjusted.warnings]
     away = adjusted.poses.positions_m - flown.truth.positions_m
     assert np.abs(away.mean(axis=0)).max() < 0.4
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_control_corrects_heights_without_datum_that_are_off_in_common(seed: int) -> None:
+    """By 6 m, two of their deviations: left as they are they lean the block, and the focal length makes up."""
+    flown = fly(seed, 2, 8, points=500, position_sd_m=np.array([2.0, 2.0, 3.0]))
+    true_m = flown.truth.positions_m
+    given_m = true_m + [1.5, -2.0, 6.0] + flown.rng.normal(0.0, 0.8, true_m.shape)
+    work_frame = LocalFrame(9.0, 48.0, 300.0)
+    heights_m = work_frame.geodetic_from_enu(given_m)[:, 2]
+    block = replace(
+        flown.block,
+        poses=replace(flown.block.poses, positions_m=given_m),
+        heights=HeightReference(work_frame, heights_m, np.full(len(true_m), 3.0), 46.0),
+    )
+    one_end = true_m[np.argsort(true_m[:, 1])[:10], :2] + [4.0, 6.0]
+    adjusted = solved(replace(flown, block=block), surveyed(flown, 0.03, points=10, at_m=one_end))
+    away_m = np.abs((adjusted.poses.positions_m - true_m).mean(axis=0))
+    assert away_m[2] < 1.5 and away_m[:2].max() < 0.7, away_m
 
 
 def test_four_points_show_no_precision() -> None:

@@ -18,7 +18,7 @@ from geomosaic.adjustment.robust import credible, lie_weight, student_weight
 from geomosaic.adjustment.tracks import Tracks, part_of
 from geomosaic.adjustment.trust import MEDIAN_ONE, common_similarity, common_slope, median_px
 from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
-from geomosaic.estimation.linear import inverse_each
+from geomosaic.estimation.linear import inverse_each, least_squares
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 
@@ -40,6 +40,9 @@ _COARSER: Annotated[
         "chi-squared distribution: 26.2 of 12 degrees of freedom, root of the ratio 1.48",
     ),
 ] = 1.5
+_BEND: Annotated[
+    int, Because("numbers", "of a polynomial of the second degree: level, slope, bend", "by its definition")
+] = 6
 _ROUNDS: Annotated[int, Because("rounds", "of re-weighting, which then stands to a hundredth", CHOSEN)] = 12
 
 
@@ -67,7 +70,8 @@ def control_component(
 
     Where fewer than five points are seen in two frames, the stated deviations stand, and the image
     coordinates count by their median miss. What all points miss in common (a shift, turn and scale; a height
-    that may slope) says nothing of their precision: a block that does not yet lie on control would widen it.
+    that may slope and bend) says nothing of their precision: a block that does not yet lie on control would
+    widen it.
     """
     misses = _misses(tracks, camera_of, priors, state)
     if misses is None:
@@ -182,8 +186,31 @@ def _misses(tracks: Tracks, camera_of: Ints, priors: Priors, state: State) -> _M
         slope = common_slope(at_m[known, :2], off_m[known, 2], sd_m[known, 2], may_rad)
         off_m[known, 2] -= slope
         common_up = 3.0 if np.ptp(slope) > 0.0 else 1.0
+        bend = _bend(at_m[known, :2], off_m[known, 2], sd_m[known, 2])
+        if bend is not None:
+            off_m[known, 2] -= bend
+            common_up = float(_BEND)
     off_m[~known, 2] = 0.0
     return _Misses(point, off_m, own_sd_m, (4.0, common_up), scale_px)
+
+
+def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
+    """The polynomial of the second degree in what height misses (k,) have in common, which a bent block
+    leaves at precise points; None where fewer than two points more than its numbers are there, or where it
+    explains no more than its numbers would by chance (Schwarz 1978)."""
+    if len(at_m) < _BEND + 2:
+        return None
+    x, y = ((at_m - at_m.mean(axis=0)) / max(float(np.ptp(at_m, axis=0).max()), 1e-9)).T
+    design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+    found = np.zeros(len(x))
+    weight = 1.0 / sd_m
+    for _ in range(_ROUNDS):
+        found = design @ least_squares(design * weight[:, None], miss_m * weight, rcond=1e-6)
+        length = np.abs(miss_m - found) / sd_m
+        weight = np.sqrt(lie_weight(length / max(float(np.median(length)) / MEDIAN_ONE, 1e-9))) / sd_m
+    squares = [float(((its * weight) ** 2).sum()) for its in (miss_m, miss_m - found)]
+    gain = len(x) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
+    return np.asarray(found) if gain > 3.0 * np.log(len(x)) else None
 
 
 def _root(excess: Callable[[float], float]) -> float:

@@ -22,12 +22,14 @@ from geomosaic.adjustment.chosen_ground import (
     surface_and_relief,
 )
 from geomosaic.adjustment.clearance import clearances_m, too_near
+from geomosaic.adjustment.common_error import common_error
 from geomosaic.adjustment.control import control_residuals, with_control
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.tracks import Tracks, nearest_to_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
@@ -43,6 +45,13 @@ _DATUM_IN_DOUBT: Annotated[
         CHOSEN,
     ),
 ] = 3.0
+
+_OFFSET_ROUNDS: Annotated[
+    int, Because("solves", "after which the common offset of positions is known beside control", CHOSEN)
+] = 3
+_OFFSET_STANDS: Annotated[
+    float, Because("share of a position's deviation", "by which it may still change", CHOSEN)
+] = 0.02
 
 
 @dataclass(frozen=True)
@@ -148,19 +157,22 @@ def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], gro
     return points
 
 
-def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, bool]:
-    """Median of control minus what the poses make of it, (3,); and whether that is another datum: three
-    points or more agree on what the deviations of the positions and the points' own scatter can't explain."""
+def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, Floats, bool]:
+    """Median of control minus what the poses make of it, (3,); its deviation, (3,); and whether that is
+    another datum: three points or more agree on what the deviations of the positions and the points' own
+    scatter can't explain."""
     used = replace(block, control=tuple(c for c in block.control if not c.check))
     off = np.array([c.residual_m for c in control_residuals(used, poses, cameras, block.ground)])
     if not len(off):
-        return np.zeros(3), False
+        return np.zeros(3), np.full(3, np.inf), False
     shift = np.median(off, axis=0)
     scatter_m = NORMAL_PER_MAD * np.median(np.abs(off - shift), axis=0)
+    own_m = np.median([c.sd_m for c in used.control], axis=0)
     of_shift_m = np.sqrt(np.pi / 2.0 / len(off)) * scatter_m  # a median's, of normal errors
     sd_m = np.hypot(np.median(block.poses.positions_sd_m, axis=0), of_shift_m)
     beyond = np.abs(shift) > _DATUM_IN_DOUBT * sd_m
-    return shift, bool(len(off) >= 3 and beyond.any())
+    of_shift_m = np.hypot(of_shift_m, own_m / np.sqrt(len(off)))
+    return shift, of_shift_m, bool(len(off) >= 3 and beyond.any())
 
 
 def _held_by_control(
@@ -175,20 +187,42 @@ def _held_by_control(
 ) -> tuple[Priors, Bundle]:
     """The solution with control points, begun from the free one shifted onto them.
 
-    So each point is judged against the others, not against positions that may be off in common (a height
-    of another datum), and these are shifted along where control says so.
+    So each point is judged against the others, not against positions that may be off in common, and these
+    are shifted along: wholly where they are of another datum, else by the share of the shift that their
+    common error explains (`common_error`). Else the common error of many positions outweighs control, and
+    the block leans and bends.
     """
     lenses, poses = (free.cameras, free.poses) if free else (priors.cameras, start)
-    shift, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in block.lens_of))
-    start = replace(poses, positions_m=poses.positions_m + shift)
-    if datum:
-        priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + shift))
+    shift, sd_m, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in block.lens_of))
+    start, share = replace(poses, positions_m=poses.positions_m + shift), np.ones(3)
     if free is not None:
         points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
+        if not datum:
+            common_m2 = common_error(replace(block, control=()), poses, block.ground, free.factors)
+            share = common_m2 / (common_m2 + sd_m**2)
         free = replace(free, points_m=points, unrest=None, level_m=free.level_m + float(shift[2]))
-    return priors, solve_bundle(
-        *(seen, block.lens_of, priors, start), again=free, rough=rough, lens_held=lens_held
-    )
+    elif not datum:
+        share = np.zeros(3)
+    solved, off_m = free, share * shift
+    for _ in range(_OFFSET_ROUNDS):
+        priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + off_m))
+        solved = solve_bundle(
+            *(seen, block.lens_of, priors, start), again=solved, rough=rough, lens_held=lens_held
+        )
+        start = solved.poses
+        off_m = -share * _common_miss_m(priors.poses, start)
+        if (np.abs(off_m) < _OFFSET_STANDS * np.median(priors.poses.positions_sd_m, axis=0)).all():
+            break
+    assert solved is not None
+    return priors, solved
+
+
+def _common_miss_m(given: Poses, found: Poses) -> Floats:
+    """Median of given minus found positions (3,), of frames whose position was observed; 0 of none."""
+    known = ~position_assumed(given)
+    if not known.any():
+        return np.zeros(3)
+    return np.asarray(np.median(given.positions_m[known] - found.positions_m[known], axis=0))
 
 
 def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:

@@ -210,8 +210,10 @@ def reported_trimmed(trimmed: Trimmed) -> dict[str, Any]:
 
 def trimmed_text(told: Mapping[str, Any]) -> str:
     """The same in words."""
-    shares = {why: 100.0 * area_m2 / told["seen_m2"] for why, area_m2 in told["parts"].items()}
-    each = ", ".join(f"{share:.1f} % {why}" for why, share in shares.items() if share >= 0.05)
-    return (
-        f"{100.0 * told['share']:.1f} % of the land that frames see is trimmed: {each}; --edges keep keeps it"
-    )
+    each = ", ".join(f"{_hectares(area_m2)} {why}" for why, area_m2 in told["parts"].items())
+    mapped = _hectares(told["seen_m2"] - told["area_m2"])
+    return f"{mapped} are mapped; trimmed: {each}; --edges keep keeps it"
+
+
+def _hectares(area_m2: float) -> str:
+    return f"{area_m2 / 1e4:,.{0 if area_m2 >= 1e5 else 2}f} ha"
