@@ -13,7 +13,7 @@ from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.adjustment.control import control_residuals
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, GroundControl, Settings
+from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundControl, Settings
 from geomosaic.adjustment.turned import as_taken
 from geomosaic.matching.model import TiePoints
 from geomosaic.quality.control import control_figures
@@ -59,10 +59,27 @@ def rms(values: np.ndarray) -> np.ndarray:
 
 def test_figures_by_hand() -> None:
     """East 3, -1; north 4, 0; up -2, 6: lengths 5 and 1, their 0.9 quantile 1 + 0.9 * 4."""
-    f = control_figures(np.array([[3.0, 4.0, -2.0], [-1.0, 0.0, 6.0]]))
+    points = [
+        ControlResidual("a", True, 2, np.array([3.0, 4.0, -2.0]), np.ones(3)),
+        ControlResidual("b", True, 2, np.array([-1.0, 0.0, 6.0]), np.ones(3)),
+    ]
+    f = control_figures(points)
     assert (f.n, f.rmse_east_m, f.rmse_north_m) == (2, pytest.approx(5**0.5), pytest.approx(8**0.5))
     assert (f.rmse_up_m, f.rmse_horizontal_m) == (pytest.approx(20**0.5), pytest.approx(13**0.5))
     assert (f.ce90_m, f.le90_m) == (pytest.approx(4.6), pytest.approx(5.6))
+
+
+def test_points_known_in_plan_alone_have_no_say_in_height() -> None:
+    known = ControlResidual("a", True, 2, np.array([0.0, 0.0, 0.2]), np.ones(3))
+    plan = ControlResidual("b", True, 2, np.array([1.0, 0.0, 40.0]), np.array([1.0, 1.0, 2e5]))
+    both, alone = control_figures([known, plan]), control_figures([plan])
+    assert (both.n, both.n_height, both.rmse_up_m, both.le90_m) == (
+        2,
+        1,
+        pytest.approx(0.2),
+        pytest.approx(0.2),
+    )
+    assert (alone.n_height, alone.rmse_up_m, alone.le90_m, alone.ce90_m) == (0, None, None, 1.0)
 
 
 def test_residual_is_surveyed_minus_found() -> None:

@@ -101,7 +101,7 @@ def _errors_at(run: Path, summary: dict[str, Any], path: Path) -> dict[str, Any]
     if not found:
         return {"n": 0, "failed": "no check point lies in a tied frame"}
     if not is_local(summary["mosaic"]["crs"]):
-        return asdict(control_figures(np.stack([r.residual_m for r in found.values()])))
+        return asdict(control_figures(list(found.values())))
     if len(found) < 3:
         return {"n": len(found), "failed": "a similarity wants 3 check points in tied frames"}
     surveyed = [p for p in points if p.name in found]

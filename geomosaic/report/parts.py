@@ -141,7 +141,7 @@ def control_tables(adjusted: Adjusted) -> list[tuple[str, ControlFigures, list[C
         points = [c for c in adjusted.control if c.check == check]
         if points:
             points.sort(key=lambda c: -float(np.linalg.norm(c.residual_m)))
-            out.append((title, control_figures(np.stack([c.residual_m for c in points])), points))
+            out.append((title, control_figures(points), points))
     return out
 
 

@@ -158,9 +158,9 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
 def _report_control(context: Context, adjusted: Adjusted) -> None:
     """Figures of control and of check points apart."""
     for kind, check in (("control", False), ("check", True)):
-        off_m = [c.residual_m for c in adjusted.control if c.check == check]
-        if off_m:
-            context.metric(f"adjustment.{kind}", asdict(control_figures(np.stack(off_m))))
+        points = [c for c in adjusted.control if c.check == check]
+        if points:
+            context.metric(f"adjustment.{kind}", asdict(control_figures(points)))
 
 
 def _report_shared(context: Context, adjusted: Adjusted) -> None:
