@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.beliefs import WIDE_FOCAL, priors_of
 from geomosaic.adjustment.bundle import solve_bundle
 from geomosaic.adjustment.chosen_ground import flying_height_m
+from geomosaic.adjustment.chosen_model import contradicts, with_readout
 from geomosaic.adjustment.left_out import (
     BETTER,
     LEFT_OUT,
@@ -103,7 +104,8 @@ def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
     Each start is solved on up to ten well-overlapping frames, with its focal length free. Another start is
     taken where it predicts the left-out tie points surely better than the given one (`Judged.beats`): over
     flat land all starts predict alike, and the given one stays. Its deviation stays wide. A reported focal
-    length becomes unsure where the same few frames contradict it.
+    length becomes unsure where the same few frames contradict it, positions don't speak against another one,
+    and a rolling shutter explains no more.
     """
     starts = {c.name: _begun(block, settings, spread, c) for c in block.lenses}
     if all(starts[c.name] == c for c in block.lenses):
@@ -155,7 +157,10 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     if not unsure(camera):
         free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
         as_given, freed = _judged(f"lens-{camera.name}", trial, [camera, free], spread)
-        if freed.solved is None or not freed.beats(as_given):
+        rolling = _rolling(trial, camera, spread)
+        if freed.solved is None or not all(freed.beats(its) for its in (as_given, *rolling)):
+            return camera
+        if contradicts(freed.solved, as_given.solved):
             return camera
         if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
             return camera
@@ -193,6 +198,17 @@ def _judged(name: str, trial: _Trial, lenses: Sequence[Camera], spread: Spread) 
     trials = [replace(trial, block=replace(trial.block, cameras=(lens,) * frames)) for lens in still]
     keys = [f"{c.kind} {c.focal_length_px:.1f} {c.focal_length_sd_px:.1f}" for c in still]
     return spread.map(name, _tried, trials, keys)
+
+
+def _rolling(trial: _Trial, camera: Camera, spread: Spread) -> list[Judged]:
+    """What the lens as given leaves where its rows are read one after the other, if the block moves: another
+    focal length takes up some of what a shutter does."""
+    if trial.block.poses.velocities_m_per_s is None:
+        return []
+    block = replace(trial.block, cameras=(camera,) * len(trial.block.names))
+    block, settings = with_readout(block, trial.settings)
+    rolling = replace(trial, block=block, settings=settings)
+    return list(spread.map(f"lens-rolling-{camera.name}", _tried, [rolling], ["rolling"]))
 
 
 def _tried(trial: _Trial) -> Judged:
