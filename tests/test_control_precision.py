@@ -99,6 +99,17 @@ def test_control_corrects_heights_without_datum_that_are_off_in_common(seed: int
     assert away_m[2] < 1.5 and away_m[:2].max() < 0.7, away_m
 
 
+def test_precise_positions_keep_their_accuracy_beside_coarse_control() -> None:
+    """RTK positions of 0.02 m, stated as 0.1 m, beside control of 2 m: it shifts nothing, and the map is as sure
+    as they are."""
+    flown = fly(1, points=300, position_sd_m=np.array([0.02, 0.02, 0.03]))
+    poses = replace(flown.block.poses, positions_sd_m=np.full((len(flown.block.poses), 3), 0.1))
+    adjusted = solved(replace(flown, block=replace(flown.block, poses=poses)), surveyed(flown, 2.0))
+    away_m = adjusted.poses.positions_m - flown.truth.positions_m
+    assert np.abs(away_m[:, :2].mean(axis=0)).max() < 0.05
+    assert adjusted.poses.positions_sd_m[:, :2].max() < 0.2
+
+
 def test_four_points_show_no_precision() -> None:
     flown = fly(7, points=300)
     adjusted = solved(flown, surveyed(flown, 2.0, points=4))

@@ -44,7 +44,7 @@ def test_the_images_say_by_themselves_that_frames_vibrate() -> None:
     assert [w.code for w in adjusted.warnings if "vibrating" in w.text] == ["model-chosen"]
 
 
-def test_residuals_of_vibration_are_told_from_noise_and_slow_turns() -> None:
+def test_residuals_of_vibration_differ_from_noise_and_slow_turns() -> None:
     camera = Camera("a", 800, 600, 700.0, 400.0, 300.0)
     rng = np.random.default_rng(7)
     frame = np.repeat(np.arange(5), 400)

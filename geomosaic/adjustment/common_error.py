@@ -23,6 +23,7 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 _GEOIDS: Annotated[
     tuple[int, int],
     Because("EPSG", "whose undulation sea level's is, the first whose grid is installed", "EGM2008, EGM96"),
@@ -110,14 +111,19 @@ def _undulation_m(lon_deg: float, lat_deg: float) -> float:
 
 
 def common_error(
-    block: Block, poses: Poses, ground: GroundSurface, factors: Factors | None = None, *, moved: bool = False
+    block: Block,
+    poses: Poses,
+    ground: GroundSurface,
+    factors: Factors | None = None,
+    *,
+    moved: Bools | bool = False,
 ) -> Floats:
     """Variances (3,), east, north and up in m², of what all positions may be off by in common, besides what
     the solution's covariance says.
 
     Args: poses, ground: as found. factors: the variance components, of methods that estimate them and use
-        control points; without them the deviations in plan are taken to hold all. moved: whether the
-        positions were shifted onto control, so that it alone says where the block lies.
+        control points; without them the deviations in plan are taken to hold all. moved (3,): along
+        which axes positions were shifted onto control, so that it alone says where the block lies.
     """
     in_height = _in_height(block, poses, ground)
     if factors is None:

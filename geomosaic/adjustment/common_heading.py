@@ -21,7 +21,7 @@ _LEAST_FRAMES: Annotated[
     int,
     Because(
         "frames with position and heading",
-        "of a part: of fewer a wrong position may turn it, and is not told from a wrong heading",
+        "of a part: with fewer, one wrong position turns it as wrong headings would",
         CHOSEN,
     ),
 ] = 4
@@ -36,7 +36,8 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
     contradict the headings; the median of the frames' turns is common where it is beyond each frame's limit
     and the frames' own scatter.
     """
-    known = ~(heading_assumed(block.poses) | position_assumed(block.poses))
+    observed = ~heading_assumed(block.poses)
+    known = observed & ~position_assumed(block.poses)
     limit = heading_limits_rad(block.poses)
     turned = np.einsum("nij,nkj->nik", start.rotations, block.poses.rotations)
     angle = np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1])
@@ -51,9 +52,9 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
         scatter = NORMAL_PER_MAD * float(np.median(np.abs(apart - np.median(apart))))
         if abs(off) <= max(float(np.median(limit[mine])), 2.0 * scatter):
             continue
-        common[mine] = off
+        common[part] = np.where(observed[part], off, 0.0)
         text = (
-            f"the headings of {len(mine)} frames are {abs(np.degrees(off)):.0f} degrees too "
+            f"the headings of {int(observed[part].sum())} frames are {abs(np.degrees(off)):.0f} degrees too "
             f"{'small' if off < 0.0 else 'large'} in common, as their positions show; corrected"
         )
         warnings.append(Warn("headings-off", "", text))

@@ -223,8 +223,9 @@ def _begun(
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     del net  # where every tie point lies, twice
     found = solution(block, settings, few, start, rough=few is not tracks)
-    work = _Work(given, misalignments_m, tracks, few, rolling, block, settings, found, spread)
-    return replace(work, notes=tuple(notes))
+    return _Work(
+        *(given, misalignments_m, tracks, few, rolling, block, settings, found, spread), notes=tuple(notes)
+    )
 
 
 def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
@@ -357,7 +358,7 @@ _STEPS: dict[str, Callable[[_Work], _Work]] = {
 def _outcome(work: _Work) -> Adjusted:
     block, given, found = work.block, work.given, work.found
     bundle, seen = found.of_ties, found.seen
-    moved = not np.array_equal(found.priors.poses.positions_m, block.poses.positions_m)
+    moved = (found.priors.poses.positions_m != block.poses.positions_m).any(axis=0)
     common_m2 = common_error(block, bundle.poses, found.ground, bundle.factors, moved=moved)
     moves = (bundle.poses.positions_m - given.poses.positions_m)[:, :2]
     shared = shared_unknowns(bundle, found.priors)

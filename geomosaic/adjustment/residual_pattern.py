@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.adjustment.swing import TERMS, VIBRATION_TERMS
+from geomosaic.adjustment.tracks import frame_by_frame
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.estimation.linear import least_squares
@@ -89,15 +90,15 @@ def left_by_vibration(image: ImageResiduals, cameras: Sequence[Camera]) -> float
     """
     used = (image.weight > _HEARD) & np.isfinite(image.residual_px).all(axis=1)
     squares, redundancy = np.zeros(2), np.zeros(2)
-    for frame in np.unique(image.frame[used]):
-        own = used & (image.frame == frame)
-        count = int(own.sum())
+    row_px, residual_px = image.image_px[used, 1], image.residual_px[used]
+    for frame, own in frame_by_frame(image.frame[used]):
+        count = len(row_px[own])
         if count <= 2 * VIBRATION_TERMS:
             continue
-        rows = 2.0 * image.image_px[own, 1] / cameras[frame].height_px - 1.0
+        rows = 2.0 * row_px[own] / cameras[frame].height_px - 1.0
         for k, terms in enumerate((TERMS, VIBRATION_TERMS)):
             design = legendre.legvander(rows, terms)
-            left = image.residual_px[own] - design @ least_squares(design, image.residual_px[own])
+            left = residual_px[own] - design @ least_squares(design, residual_px[own])
             squares[k] += float((left**2).sum())
             redundancy[k] += count - terms - 1
     if not squares.all():

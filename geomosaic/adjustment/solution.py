@@ -187,10 +187,10 @@ def _held_by_control(
 ) -> tuple[Priors, Bundle]:
     """The solution with control points, begun from the free one shifted onto them.
 
-    So each point is judged against the others, not against positions that may be off in common, and these
-    are shifted along: wholly where they are of another datum, else by the share of the shift that their
-    common error explains (`common_error`). Else the common error of many positions outweighs control, and
-    the block leans and bends.
+    So each point is judged against the others, not against positions that may be off in common. These are
+    shifted along: wholly where they are of another datum, else along the axes in which their common error
+    (`common_error`) is larger than the shift's, by the share of the shift that it explains. Else the common
+    error of many positions outweighs control, and the block leans and bends.
     """
     lenses, poses = (free.cameras, free.poses) if free else (priors.cameras, start)
     shift, sd_m, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in block.lens_of))
@@ -199,7 +199,7 @@ def _held_by_control(
         points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
         if not datum:
             common_m2 = common_error(replace(block, control=()), poses, block.ground, free.factors)
-            share = common_m2 / (common_m2 + sd_m**2)
+            share = np.where(common_m2 > sd_m**2, common_m2 / (common_m2 + sd_m**2), 0.0)
         free = replace(free, points_m=points, unrest=None, level_m=free.level_m + float(shift[2]))
     elif not datum:
         share = np.zeros(3)

@@ -208,10 +208,10 @@ def reported_trimmed(trimmed: Trimmed) -> dict[str, Any]:
     return {"seen_m2": trimmed.seen_m2, "area_m2": trimmed.area_m2, "share": trimmed.share, "parts": parts}
 
 
-def trimmed_text(told: Mapping[str, Any]) -> str:
+def trimmed_text(reported: Mapping[str, Any]) -> str:
     """The same in words."""
-    each = ", ".join(f"{_hectares(area_m2)} {why}" for why, area_m2 in told["parts"].items())
-    mapped = _hectares(told["seen_m2"] - told["area_m2"])
+    each = ", ".join(f"{_hectares(area_m2)} {why}" for why, area_m2 in reported["parts"].items())
+    mapped = _hectares(reported["seen_m2"] - reported["area_m2"])
     return f"{mapped} are mapped; trimmed: {each}; --edges keep keeps it"
 
 
