@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from adjustment_blocks import fly
 
-from geomosaic.adjustment.control import ground_control
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.pose_block import pose_block
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.terms.control_points import ground_control
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic, OutputGrid

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.adjustment import offsets
-from geomosaic.adjustment.chain import chain, fit_similarity
-from geomosaic.adjustment.least_squares import least_squares
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.misalignment import OffsetNet, fullest_bin_mean
 from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.paper import offsets
+from geomosaic.adjustment.paper.chain import chain, fit_similarity
+from geomosaic.adjustment.paper.least_squares import least_squares
+from geomosaic.adjustment.paper.misalignment import OffsetNet, fullest_bin_mean
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.beliefs import priors_of
-from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.chosen_ground import levelled, lies_flat
+from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat
+from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.pose_block import pose_block
-from geomosaic.adjustment.solution import points_on_ground
-from geomosaic.adjustment.surface import tie_surface
-from geomosaic.adjustment.tracks import join_tracks
+from geomosaic.adjustment.problem.priors import priors_of
+from geomosaic.adjustment.problem.tracks import join_tracks
+from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn

@@ -11,25 +11,25 @@ from adjustment_blocks import fly, hills, level
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.adjustment import collinearity
-from geomosaic.adjustment.beliefs import interior_deviations, priors_of
-from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_equations import in_own_rows, seen_px, strayed_principal_points
-from geomosaic.adjustment.bundle_model import Priors, State, stepped
-from geomosaic.adjustment.collinearity import (
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.problem.bundle_model import Priors, State, stepped
+from geomosaic.adjustment.problem.priors import interior_deviations, priors_of
+from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
+from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.procedure.blunder_detection import doubtful_positions, strayed_lenses
+from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.adjustment.solver.bundle_equations import in_own_rows, seen_px, strayed_principal_points
+from geomosaic.adjustment.terms import collinearity
+from geomosaic.adjustment.terms.collinearity import (
     image_from_ground,
     interior_of,
     kinds_of,
     project,
     readout_of,
 )
-from geomosaic.adjustment.doubts import doubtful_positions, strayed_lenses
-from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.adjustment.solution import points_on_ground
-from geomosaic.adjustment.swing import with_drift, with_swing
-from geomosaic.adjustment.tracks import Tracks, join_tracks
+from geomosaic.adjustment.terms.mounting import MOUNTING
+from geomosaic.adjustment.terms.rolling_shutter_rotation import with_drift, with_swing
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z, exp_turn, log_turn

@@ -13,9 +13,9 @@ from adjustment_blocks import fly, hills
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_model import Bundle, Priors
-from geomosaic.adjustment.tracks import Tracks, join_tracks
+from geomosaic.adjustment.problem.bundle_model import Bundle, Priors
+from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
+from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
 from geomosaic.projection.footprint import ground_from_images

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly, hills
 
-from geomosaic.adjustment.beliefs import priors_of
-from geomosaic.adjustment.bundle_equations import cost_of, normals_of
-from geomosaic.adjustment.bundle_model import Factors, Priors, State
-from geomosaic.adjustment.collinearity import interior_of
-from geomosaic.adjustment.component_steps import ahead
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.mounting import MOUNTING
-from geomosaic.adjustment.normal import reduce_normals
-from geomosaic.adjustment.point_by_point import settled_points, wandering
-from geomosaic.adjustment.solution import points_on_ground
-from geomosaic.adjustment.tracks import Tracks, join_tracks
+from geomosaic.adjustment.problem.bundle_model import Factors, Priors, State
+from geomosaic.adjustment.problem.priors import priors_of
+from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
+from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.solver.bundle_equations import cost_of, normals_of
+from geomosaic.adjustment.solver.normal_equations import reduce_normals
+from geomosaic.adjustment.solver.single_points import settled_points, wandering
+from geomosaic.adjustment.solver.variance_component_newton import ahead
+from geomosaic.adjustment.terms.collinearity import interior_of
+from geomosaic.adjustment.terms.mounting import MOUNTING
 
 FACTORS = Factors(image_px=0.3)
 

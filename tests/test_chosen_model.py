@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly, hills
 
-from geomosaic.adjustment.chain import fit_similarity
-from geomosaic.adjustment.left_out import Judged, LeftOut, Model
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.paper.chain import fit_similarity
+from geomosaic.adjustment.procedure.cross_validation import Judged, LeftOut, Model
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.pipeline.artefacts import encode

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly, hills
 
-from geomosaic.adjustment.clearance import clearances_m, too_near
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.pose_block import pose_block
-from geomosaic.adjustment.tracks import Tracks
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.solver.clearance import clearances_m, too_near
 from geomosaic.matching.model import TiePair, TiePoints
 
 

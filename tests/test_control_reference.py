@@ -8,9 +8,9 @@ from adjustment_blocks import Flown, fly, hills
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.control_marks import with_marks_of_whole_images
 from geomosaic.adjustment.model import Block, GroundControl, Settings
-from geomosaic.adjustment.pose_block import pose_block
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.procedure.control_marks import with_marks_of_whole_images
 from geomosaic.camera.rotation import about_x, about_z
 from geomosaic.estimation.similarity import Similarity3D
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from adjustment_blocks import fly, hills
 
-from geomosaic.adjustment.control import control_residuals
-from geomosaic.adjustment.fallback import with_fallbacks
 from geomosaic.adjustment.model import Adjusted, Block, GroundControl, Settings
-from geomosaic.adjustment.pose_block import pose_block
-from geomosaic.adjustment.usable_input import usable
+from geomosaic.adjustment.problem.usable_input import usable
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.procedure.fallback import with_fallbacks
+from geomosaic.adjustment.terms.control_points import control_residuals
 from geomosaic.errors import NotSolvableError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))

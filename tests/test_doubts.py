@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from adjustment_blocks import fly
 
-from geomosaic.adjustment.doubts import lying_tags, strayed_frames
+from geomosaic.adjustment.procedure.blunder_detection import lying_tags, strayed_frames
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 

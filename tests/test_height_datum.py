@@ -11,10 +11,10 @@ from adjustment_blocks import fly
 from geoids import egm96_of, undulation_m
 from survey_files import survey_folder
 
-from geomosaic.adjustment.bundle_model import Factors
-from geomosaic.adjustment.common_error import common_error, height_reference, with_common_error
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, GroundControl, HeightReference, Settings
+from geomosaic.adjustment.problem.bundle_model import Factors
+from geomosaic.adjustment.procedure.common_offsets import common_error, height_reference, with_common_error
 from geomosaic.camera.exterior import Poses
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints

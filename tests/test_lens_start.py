@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly, hills, level
 
-from geomosaic.adjustment.lens_start import lens_notes, with_lens_starts
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.procedure.lens_start import lens_notes, with_lens_starts
 from geomosaic.camera.interior import Camera
 from geomosaic.spread import AtOnce
 

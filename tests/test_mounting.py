@@ -10,7 +10,7 @@ from adjustment_blocks import fly
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.mounting import MOUNTING, mounting_derivatives, pose_miss
+from geomosaic.adjustment.terms.mounting import MOUNTING, mounting_derivatives, pose_miss
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, exp_turn
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly
 
-from geomosaic.adjustment import pose_block as solving
 from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.procedure import bundle_method as solving
 from geomosaic.camera.rotation import Rotation
 
 ASIDE = {7: 50.0, 10: -48.0}

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation as Turn
 from small_surveys import geomosaic, mosaic, small_survey, summary
 from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
-from geomosaic.adjustment.rig import RigPoses, band_poses, register_bands
+from geomosaic.adjustment.procedure.rig import RigPoses, band_poses, register_bands
 from geomosaic.mosaic.bands import stack_bands
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.pipeline.finished import load_artefact

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly
 
-from geomosaic.adjustment.laying import Beliefs, Fixes, laid
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.outcome import unplaced_parts
-from geomosaic.adjustment.start import start_poses
+from geomosaic.adjustment.paper.misalignment import offset_net
+from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, laid
+from geomosaic.adjustment.procedure.initialisation import start_poses
+from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.matching.relative import averaged, joints_of

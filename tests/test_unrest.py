@@ -7,11 +7,11 @@ import pytest
 from adjustment_blocks import fly
 from test_chosen_model import _bent_m
 
-from geomosaic.adjustment import bundle_steps
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.tracks import Tracks
-from geomosaic.adjustment.unrest import unrest
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.solver import bundle_steps
+from geomosaic.adjustment.solver.local_image_variance import unrest
 
 
 def residuals(views: np.ndarray, sd_px: np.ndarray, seed: int) -> tuple[Tracks, np.ndarray]:

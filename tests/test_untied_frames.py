@@ -10,7 +10,7 @@ from adjustment_blocks import Flown, fly
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import GroundControl, Settings
-from geomosaic.adjustment.untied_frames import moved_with_neighbours
+from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.matching.model import TiePoints

@@ -14,7 +14,7 @@ from mosaic_scenes import CRS, GSD_M, HOME, make_survey
 from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual, ImageResiduals
-from geomosaic.adjustment.residual_pattern import CELLS, residual_patterns
+from geomosaic.adjustment.procedure.residual_pattern import CELLS, residual_patterns
 from geomosaic.camera.interior import Camera
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.grid import output_grid

@@ -9,7 +9,7 @@ from adjustment_blocks import fly, hills
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import ImageResiduals, Settings
-from geomosaic.adjustment.residual_pattern import left_by_vibration
+from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 

@@ -7,10 +7,10 @@ import pytest
 from adjustment_blocks import fly, hills, level
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.doubts import lying_tags
-from geomosaic.adjustment.height_drift import height_drift
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
+from geomosaic.adjustment.procedure.blunder_detection import lying_tags
+from geomosaic.adjustment.procedure.height_drift import height_drift
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z, exp_turn
 from geomosaic.matching.turned import Seen, flown_courses_rad, headings_fit, reheaded, turn_costs_m

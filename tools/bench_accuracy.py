@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geomosaic.adjustment.misalignment import fullest_bin_mean
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.paper.misalignment import fullest_bin_mean
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.finished import load_artefact
 from geomosaic.placement.graph import connected_parts

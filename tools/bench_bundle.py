@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.adjustment.collinearity import interior_of, project
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.terms.collinearity import interior_of, project
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.adjustment.control import control_residuals, ground_control
 from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.adjustment.terms.control_points import control_residuals, ground_control
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import is_local

@@ -55,9 +55,9 @@ from cramer_rao import (
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from geomosaic.adjustment.beliefs import interior_deviations
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.problem.priors import interior_deviations
 from geomosaic.camera.exterior import Poses
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.footprint import ground_from_image

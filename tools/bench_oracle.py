@@ -41,14 +41,14 @@ from bench_monte_carlo import FRAMES, Case, draw
 from cramer_rao import Draw
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.bundle import solve_bundle
-from geomosaic.adjustment.bundle_equations import pose_sd
-from geomosaic.adjustment.bundle_model import Bundle, Priors, State
-from geomosaic.adjustment.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.tracks import Tracks
-from geomosaic.adjustment.trust import trust_in_tags
+from geomosaic.adjustment.problem.bundle_model import Bundle, Priors, State
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.adjustment.solver.bundle_equations import pose_sd
+from geomosaic.adjustment.solver.prior_reweighting import trust_in_tags
+from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.projection.footprint import ground_from_images

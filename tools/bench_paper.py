@@ -32,8 +32,8 @@ from rasterio.windows import Window
 from scipy.stats import t as student
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.misalignment import fullest_bin_mean
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.paper.misalignment import fullest_bin_mean
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation

@@ -27,11 +27,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.chosen_model import with_readout
-from geomosaic.adjustment.left_out import Judged
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.pose_block import pose_block
-from geomosaic.adjustment.tracks import Tracks, chosen_tracks, frame_by_frame, join_tracks, nearest_to_rays
+from geomosaic.adjustment.problem.tracks import (
+    Tracks,
+    chosen_tracks,
+    frame_by_frame,
+    join_tracks,
+    nearest_to_rays,
+)
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.procedure.cross_validation import Judged
+from geomosaic.adjustment.procedure.model_selection import with_readout
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import time
 import traceback
 import warnings
@@ -14,11 +15,13 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 from degenerate_blocks import draw
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.pose_block import pose_block
+from geomosaic.adjustment.procedure.bundle_method import pose_block
 
 
 def problems(adjusted: Adjusted, frames: int) -> list[str]:

@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment import offsets
-from geomosaic.adjustment.chain import chain
-from geomosaic.adjustment.least_squares import least_squares
-from geomosaic.adjustment.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
-from geomosaic.adjustment.outcome import settled
-from geomosaic.adjustment.pose_block import pose_block
+from geomosaic.adjustment.paper import offsets
+from geomosaic.adjustment.paper.chain import chain
+from geomosaic.adjustment.paper.least_squares import least_squares
+from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.procedure.bundle_method import pose_block
+from geomosaic.adjustment.procedure.outcome import settled
 from geomosaic.camera.rotation import about_z
 from geomosaic.spread import Spread
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.adjustment.tracks import frame_by_frame
+from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.camera.interior import Camera
 from geomosaic.export.sfm import SfmBlock, lens_terms
 

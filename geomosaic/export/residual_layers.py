@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.tracks import frame_by_frame
+from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
 from geomosaic.export.geopackage import GeoPackage

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.tracks import (
+from geomosaic.adjustment.problem.tracks import (
     Tracks,
     chosen_tracks,
     frame_by_frame,

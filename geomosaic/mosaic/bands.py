@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from rasterio.windows import Window as RasterWindow
 
-from geomosaic.adjustment.rig import RigPoses, band_poses
+from geomosaic.adjustment.procedure.rig import RigPoses, band_poses
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.doors.raster import OWN, open_raster

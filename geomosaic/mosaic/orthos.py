@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.rig import RigPoses
+from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.bands import BandOfRig, band_names, other_bands, stack_bands

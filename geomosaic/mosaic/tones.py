@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
-from geomosaic.adjustment.robust import cauchy_weight
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import scaled

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.residual_pattern import ResidualPattern
+from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.mosaic.trim import OFF_PX
 from geomosaic.quality.ground_doubt import LandDoubt

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from geomosaic.adjustment.doubts import HALF_TURN_DEG, headings_off_deg
+from geomosaic.adjustment.procedure.blunder_detection import HALF_TURN_DEG, headings_off_deg
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import CHOSEN, Because
 from geomosaic.matching.turned import headings_fit

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from geomosaic.adjustment.residual_pattern import CELLS, ResidualPattern
+from geomosaic.adjustment.procedure.residual_pattern import CELLS, ResidualPattern
 from geomosaic.quality.verdict import Evidence, Verdict
 from geomosaic.report.numbers import map_metres, short
 from geomosaic.report.page import Judged, markup

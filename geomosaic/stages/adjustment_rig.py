@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.rig import RigPoses, register_bands
+from geomosaic.adjustment.procedure.rig import RigPoses, register_bands
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.survey.model import Survey
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.rig import RigPoses
+from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, Literal
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.rig import RigPoses
+from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.mosaic.bands import compose_bands

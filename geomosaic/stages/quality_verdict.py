@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.residual_pattern import residual_patterns
+from geomosaic.adjustment.procedure.residual_pattern import residual_patterns
 from geomosaic.export.on_map import work_from_map
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic

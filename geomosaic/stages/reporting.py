@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.misalignment import offset_net
 from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame

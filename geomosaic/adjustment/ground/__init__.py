@@ -1,0 +1,1 @@
+"""The ground that goes with a solved block."""

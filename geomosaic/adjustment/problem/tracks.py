@@ -1,0 +1,131 @@
+"""Tie points joined over many frames: one ground point, seen from two or more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.solver.observation_groups import Sightings
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.estimation.linear import solve_each
+from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import join
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_PARALLEL: Annotated[
+    float,
+    Because(
+        "rad²",
+        "weight of a point's given place beside its rays, half a degree squared: with less, points of rays "
+        "that are all but parallel run away along them; with more, far points are drawn to where they were "
+        "given",
+        CHOSEN,
+    ),
+] = float(np.radians(0.5) ** 2)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """m image observations of p ground points, sorted by point.
+
+    frame, point: (m,) indices. image_px: (m, 2). Every point is seen in at least two frames, and no
+    frame sees a point twice.
+    """
+
+    frame: Ints
+    point: Ints
+    image_px: Floats
+    _sightings: dict[tuple[int, int], Sightings] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def points(self) -> int:
+        """How many ground points there are."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    @cached_property
+    def lengths(self) -> Ints:
+        """In how many frames each point is seen, (p,)."""
+        return np.bincount(self.point, minlength=self.points)
+
+    def sightings(self, frames: int, points: int) -> Sightings:
+        """The observations in order of frames, of so many frames and points."""
+        key = frames, points
+        if key not in self._sightings:
+            self._sightings[key] = Sightings.of(self.frame, self.point, frames, points)
+        return self._sightings[key]
+
+
+def join_tracks(ties: TiePoints) -> Tracks:
+    """Connected keypoints become tracks; a track that meets a frame twice is dropped as contradictory."""
+    joined = join(ties.pairs)
+    order = np.lexsort((joined.frame, joined.track))
+    good = order[joined.once[order]]
+    point = np.cumsum(np.diff(joined.track[good], prepend=joined.track[good[:1]]) != 0)
+    return Tracks(joined.frame[good].astype(np.intp), point, joined.image_px[good])
+
+
+def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
+    """Each frame that occurs among observations (m,), and which ones are its."""
+    order = np.argsort(frame, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1) if len(frame) else []:
+        yield int(frame[mine[0]]), mine
+
+
+def part_of(tracks: Tracks, which: Ints) -> Tracks:
+    """Some of the observations, with their points' numbers."""
+    return Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
+
+
+def chosen_tracks(tracks: Tracks, chosen: NDArray[np.bool_]) -> Tracks:
+    """Some of the tracks: chosen (p,)."""
+    keep = chosen[tracks.point]
+    number = np.cumsum(chosen) - 1
+    return Tracks(tracks.frame[keep], number[tracks.point[keep]], tracks.image_px[keep])
+
+
+def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Tracks:
+    """Those of `asked_tracks`."""
+    asked = asked_tracks(tracks, sizes_px, per_frame, cells)
+    return tracks if asked.all() else chosen_tracks(tracks, asked)
+
+
+def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> NDArray[np.bool_]:
+    """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
+
+    Each frame asks, cell by cell of a grid of cells x cells, for its longest tracks; a track stays if
+    any frame asks for it.
+
+    Args: sizes_px (frames, 2): width and height of each frame.
+    """
+    counts = np.bincount(tracks.frame, minlength=len(sizes_px))
+    if not len(tracks.frame) or counts.max() <= per_frame:
+        return np.ones(tracks.points, dtype=bool)
+    length = tracks.lengths[tracks.point]
+    at = np.clip((tracks.image_px / sizes_px[tracks.frame] * cells).astype(np.int64), 0, cells - 1)
+    cell = (tracks.frame * cells + at[:, 1]) * cells + at[:, 0]
+    order = np.lexsort((tracks.point, -length, cell))
+    rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
+    asked = order[rank < max(1, per_frame // cells**2)]
+    return np.isin(np.arange(tracks.points), tracks.point[asked])
+
+
+def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:
+    """Points (p, 3) with the least squared distances to their rays; where these are all but parallel (to
+    within half a degree), held along them by near_m (p, 3)."""
+    normal, side = np.zeros((tracks.points, 3, 3)) + _PARALLEL * np.eye(3), _PARALLEL * near_m
+    for i, mine in frame_by_frame(tracks.frame):
+        image_px, seen = tracks.image_px[mine], tracks.point[mine]
+        ray = poses[i].ray_from_image(cameras[i], image_px)
+        ray /= np.linalg.norm(ray, axis=1)[:, None]
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        normal[seen] += across
+        side[seen] += (across @ poses[i].centre_at(cameras[i], image_px)[:, :, None])[:, :, 0]
+    return solve_each(normal, side[:, :, None])[:, :, 0]

@@ -1,0 +1,1 @@
+"""The bundle method, step by step."""

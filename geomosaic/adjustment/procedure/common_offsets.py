@@ -1,0 +1,189 @@
+"""What all positions of a block may be off by in common, which no number of frames averages out."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from geomosaic.adjustment.model import Block, HeightReference
+from geomosaic.adjustment.problem.bundle_model import Factors
+from geomosaic.camera.exterior import Poses
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.errors import InputError
+from geomosaic.geodesy.heights import ellipsoidal_offset_m
+from geomosaic.geodesy.mapcrs import is_local
+from geomosaic.placement.prior import position_assumed
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.accuracy import POSITION
+from geomosaic.survey.model import Survey
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+_GEOIDS: Annotated[
+    tuple[int, int],
+    Because("EPSG", "whose undulation sea level's is, the first whose grid is installed", "EGM2008, EGM96"),
+] = (3855, 5773)
+_DRIFT_CLEARLY: Annotated[
+    float,
+    Because(
+        "deviations",
+        "of the scatter about it, beyond which heights drift: one flight in 400 by chance",
+        "normal distribution: 0.3 %",
+    ),
+] = 3.0
+_SEA_LEVEL_SD_M: Annotated[
+    float,
+    Because(
+        "m",
+        "of sea level about the ellipsoid where no geoid grid is installed: most receivers write heights "
+        "above it, and none says so",
+        "EGM96: root mean square of the geoid's heights 30.6 m, from -107 to 85 m",
+    ),
+] = 30.0
+_TAKE_OFF: Annotated[
+    float,
+    Because(
+        "flying heights",
+        "within which the ground comes out about height 0 where heights count from the take-off: it lies on "
+        "the same slope, not a whole flying height away; by the sea both are the same",
+        CHOSEN,
+    ),
+] = 0.5
+_LAND_M: Annotated[
+    float,
+    Because(
+        "m",
+        "of the land above the sea, which is what heights that count from the take-off leave out",
+        "ETOPO1's hypsographic curve: land lies 797 m high in the mean",
+    ),
+] = 800.0
+_MAY_BE_CHANCE: Annotated[
+    float,
+    Because(
+        "share of the stated variance",
+        "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
+        "may be a shift of all positions",
+        CHOSEN,
+    ),
+] = 0.5
+_COMMON_SD_M: Annotated[
+    float,
+    Because(
+        "m per axis",
+        "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
+        "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
+        "know",
+        "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
+        "%, the globe's mean, are 3.3 m per axis",
+    ),
+] = 2.5
+
+
+def height_reference(survey: Survey) -> HeightReference | None:
+    """What the survey's heights count from; None where a DEM holds them or all is in a local frame.
+
+    A source that doesn't state its vertical datum (EXIF, most POS files) may count from the ellipsoid or from
+    the sea: the deviation is then the geoid's undulation at the survey, or its size over the Earth where no
+    geoid grid is installed.
+    """
+    if survey.elevation is not None or is_local(survey.map_crs):
+        return None
+    positions = [f.position for f in survey.frames]
+    height_m = np.array([p.height_ellipsoidal_m for p in positions], dtype=np.float64)
+    unstated = np.array([not p.datum_stated for p in positions], dtype=bool)[np.isfinite(height_m)]
+    work_frame, datum_sd_m = survey.work_frame, None
+    if unstated.size and unstated.mean() > 0.5:
+        datum_sd_m = _undulation_m(work_frame.lon_deg, work_frame.lat_deg)
+    return HeightReference(work_frame, height_m, np.array([p.sd_vertical_m for p in positions]), datum_sd_m)
+
+
+def _undulation_m(lon_deg: float, lat_deg: float) -> float:
+    """How far sea level lies from the ellipsoid at a place."""
+    for code in _GEOIDS:
+        with suppress(InputError):
+            return abs(ellipsoidal_offset_m(CRS.from_epsg(code), lon_deg, lat_deg))
+    return _SEA_LEVEL_SD_M
+
+
+def common_error(
+    block: Block,
+    poses: Poses,
+    ground: GroundSurface,
+    factors: Factors | None = None,
+    *,
+    moved: Bools | bool = False,
+) -> Floats:
+    """Variances (3,), east, north and up in m², of what all positions may be off by in common, besides what
+    the solution's covariance says.
+
+    Args: poses, ground: as found. factors: the variance components, of methods that estimate them and use
+        control points; without them the deviations in plan are taken to hold all. moved (3,): along
+        which axes positions were shifted onto control, so that it alone says where the block lies.
+    """
+    in_height = _in_height(block, poses, ground)
+    if factors is None:
+        return np.array([0.0, 0.0, in_height])
+    of_positions = np.append(_in_plan(block.poses, factors.horizontal), in_height)
+    of_control = _of_control(block, factors)
+    anywhere = POSITION["none"].sd_horizontal_m ** 2
+    both = np.clip([np.where(moved, anywhere, of_positions), of_control], 0.0, anywhere)
+    together = 1.0 / (1.0 / np.maximum(both, 1e-12)).sum(axis=0)
+    return np.asarray(np.minimum.reduce([*both, together]))
+
+
+def _of_control(block: Block, factors: Factors) -> Floats:
+    """Of the median of the control points used, as far as their precision is worse than stated: the rest is
+    in the solution's covariance. Infinite where no point holds an axis."""
+    out = np.full(3, np.inf)
+    used = np.array([c.sd_m for c in block.control if not c.check and c.observations]).reshape(-1, 3)
+    for axis, factor in enumerate(factors.of_control):
+        sd_m = used[used[:, axis] < POSITION["none"].sd_vertical_m, axis]
+        if sd_m.size:
+            out[axis] = np.pi / 2.0 * (factor**2 - 1.0) * float(np.mean(sd_m**2)) / len(sd_m)
+    return out
+
+
+def _in_plan(given: Poses, horizontal: float) -> Floats:
+    """Residuals show how positions scatter about the block; a shift of all of them they don't show. Where
+    they scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is
+    stated may be such a shift, up to what a receiver's errors have in common over a flight."""
+    known = ~position_assumed(given)
+    if not known.any():
+        return np.zeros(2)
+    stated = np.median(given.positions_sd_m[known, :2], axis=0)
+    rest = stated**2 * max(1.0 - horizontal**2 / _MAY_BE_CHANCE, 0.0)
+    return np.minimum(rest, _COMMON_SD_M**2)
+
+
+def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
+    """Of heights whose datum is not stated: their receiver's deviation, which frames share, and that of what
+    they count from: the ellipsoid, the sea or, where the ground comes out about height 0, the take-off. And
+    heights that drift say no better where the block lies than they differ from it."""
+    reference = block.heights
+    if reference is None:
+        return 0.0
+    tied = np.isin(np.arange(len(block.names)), [i for pair in block.ties.frames for i in pair])
+    known = np.isfinite(reference.height_m) & (tied if tied.any() else True)
+    if not known.any():
+        return POSITION["none"].sd_vertical_m ** 2
+    stated_m = float(np.median(reference.sd_m[known]))
+    at_m, datum_m = poses.positions_m[known], 0.0
+    found_m = reference.work_frame.geodetic_from_enu(at_m)[:, 2]
+    if reference.datum_sd_m is not None:
+        above_m = float(np.median(at_m[:, 2] - ground.up_at(at_m[:, 0], at_m[:, 1])))
+        take_off = abs(float(np.median(found_m)) - above_m) < _TAKE_OFF * above_m
+        datum_m = float(np.hypot(stated_m, _LAND_M if take_off else reference.datum_sd_m))
+    off = reference.height_m[known] - found_m
+    spread_m = NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off))))
+    drift_m = spread_m if spread_m > _DRIFT_CLEARLY * stated_m or datum_m else 0.0
+    return datum_m**2 + drift_m**2
+
+
+def with_common_error(poses: Poses, variance_m2: Floats) -> Poses:
+    """The poses' deviations with `common_error` counted in full in every frame."""
+    return replace(poses, positions_sd_m=np.sqrt(poses.positions_sd_m**2 + variance_m2))

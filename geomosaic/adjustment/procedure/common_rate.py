@@ -1,0 +1,49 @@
+"""What frames' own rates of turning have in common beside reported ones: the zero of the gyroscope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+
+from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.problem.bundle_model import Bundle
+from geomosaic.adjustment.terms.rolling_shutter_rotation import with_swing
+from geomosaic.constants import CHOSEN, Because
+
+_LEAST_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "of which a median is no chance",
+        CHOSEN,
+    ),
+] = 5
+_OWN_SD_RAD_PER_S: Annotated[
+    float,
+    Because(
+        "rad/s",
+        "of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts",
+        CHOSEN,
+    ),
+] = 0.012
+
+
+def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[Block, Settings]:
+    """The block whose reported turns hold the median of the frames' own rates in camera axes too, and
+    settings by which these keep near it.
+
+    Each frame's own rate, free within what a gyroscope's zero may be off, costs a small block its shape.
+    """
+    if solved.swing is None or block.poses.turns is None:
+        return block, settings
+    readouts_s = np.array([c.readout_s for c in block.cameras])
+    known = solved.swing.any(axis=(1, 2)) & (readouts_s > 0.0)
+    if known.sum() < _LEAST_FRAMES:
+        return block, settings
+    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.swing[known, 0])
+    common = np.median(rates / readouts_s[known, None], axis=0)
+    shared = (block.poses.rotations @ common) * readouts_s[:, None]
+    poses = with_swing(block.poses, shared[:, None], readouts_s)
+    return replace(block, poses=poses), replace(settings, rate_sd_rad_per_s=_OWN_SD_RAD_PER_S)

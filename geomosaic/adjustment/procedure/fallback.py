@@ -1,0 +1,129 @@
+"""An adjustment that always ends: simpler models take over where one cannot be solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
+from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.procedure.initialisation import start_poses
+from geomosaic.adjustment.procedure.outcome import settled
+from geomosaic.camera.exterior import Poses
+from geomosaic.errors import NotSolvableError
+from geomosaic.survey.model import Warn
+
+Solve = Callable[[Block, Settings], Adjusted]
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A way to adjust a block: how it solves, and what the user is told when it takes over. The text's
+    `{why}` is the reason that the level before failed."""
+
+    solve: Solve
+    code: str
+    text: str
+
+
+def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
+    """The block adjusted by the richest model that can be solved.
+
+    In this order: the model as asked; the lens, shutter and mounting as given; the same with all rows read at
+    once; similarities of the plane; position and attitude alone. Each level that fails adds one warning.
+    An outcome that is not finite counts as a failure.
+    """
+    warnings: tuple[Warn, ...] = ()
+    why = ""
+    for level in _levels(solve):
+        if level.code:
+            warnings = (*warnings, Warn(level.code, "", level.text.format(why=why)))
+        try:
+            adjusted = level.solve(block, settings)
+            _check_finite(adjusted)
+        except (NotSolvableError, np.linalg.LinAlgError) as error:
+            why = str(error)
+            continue
+        return replace(adjusted, warnings=(*warnings, *adjusted.warnings))
+    return replace(_by_positions(block, settings), warnings=warnings)
+
+
+def _levels(solve: Solve) -> tuple[_Level, ...]:
+    held = (
+        "the lens, the shutter and the camera's mounting cannot be solved for ({why}) and are kept as given: "
+    )
+    return (
+        _Level(solve, "", ""),
+        _Level(
+            lambda block, settings: solve(block, replace(settings, self_calibration=False, model="given")),
+            "self-calibration-failed",
+            held + "the map is as true as they are; give a calibrated lens with --camera",
+        ),
+        _Level(
+            lambda block, settings: solve(*_read_at_once(block, settings)),
+            "self-calibration-failed",
+            "poses cannot be solved for with the shutter as given ({why}): all rows are taken as read at "
+            "once; ground may be displaced by what the camera moved meanwhile; give the lens with --camera",
+        ),
+        _Level(
+            _by_similarities,
+            "bundle-failed",
+            "the bundle adjustment cannot be solved ({why}): frames are shifted, turned and scaled over the "
+            "ground until they agree, without tilts or lens; more overlap or frames with positions help",
+        ),
+        _Level(
+            _by_positions,
+            "bundle-failed",
+            "the frames cannot be adjusted ({why}): each lies where its position and attitude put it, and "
+            "seams will not fit; more overlap or frames with positions help",
+        ),
+    )
+
+
+def _read_at_once(block: Block, settings: Settings) -> tuple[Block, Settings]:
+    """The block without rolling shutters, and settings that solve for poses alone."""
+    cameras = tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in block.cameras)
+    poses = replace(block.poses, velocities_m_per_s=None, turns=None)
+    alone = replace(
+        settings,
+        model="given",
+        self_calibration=False,
+        rolling_shutter=False,
+        turning=False,
+        vibrating=False,
+        boresight=False,
+        lever_arm=False,
+        gps_lag=False,
+    )
+    return replace(block, cameras=cameras, poses=poses), alone
+
+
+def _by_similarities(block: Block, settings: Settings) -> Adjusted:
+    """Where a bundle adjustment would begin."""
+    net = offset_net(block)
+    return _outcome(block, net, start_poses(block, net))
+
+
+def _by_positions(block: Block, settings: Settings) -> Adjusted:
+    """Poses as given."""
+    return _outcome(block, offset_net(block), block.poses)
+
+
+def _outcome(block: Block, net: OffsetNet, poses: Poses) -> Adjusted:
+    moves = (poses.positions_m - block.poses.positions_m)[:, :2]
+    return settled(block, poses, (Round(net.misalignments_m(np.zeros_like(moves)), moves),))
+
+
+def _check_finite(adjusted: Adjusted) -> None:
+    """Raises: `NotSolvableError` naming the frames whose poses are not finite, or for such a camera."""
+    poses = adjusted.poses
+    good = np.isfinite(poses.positions_m).all(axis=1) & np.isfinite(poses.rotations).all(axis=(1, 2))
+    good &= ~np.isnan(poses.positions_sd_m).any(axis=1) & ~np.isnan(poses.rotations_sd_rad).any(axis=1)
+    if not good.all():
+        raise NotSolvableError("poses are not finite", frames=np.flatnonzero(~good).tolist())
+    if not np.isfinite([[c.focal_length_px, *c.terms] for c in adjusted.cameras]).all():
+        raise NotSolvableError("a lens is not finite")
+    if not np.isfinite(adjusted.ground.up_m).any():
+        raise NotSolvableError("the ground is not finite")

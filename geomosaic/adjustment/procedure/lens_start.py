@@ -1,0 +1,268 @@
+"""Where an unsure lens begins: several starts, compared on a few frames before the whole block is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.ground.ground_choice import flying_height_m
+from geomosaic.adjustment.model import Block, Settings
+from geomosaic.adjustment.paper.misalignment import offset_net
+from geomosaic.adjustment.problem.priors import WIDE_FOCAL, priors_of
+from geomosaic.adjustment.problem.tracks import Tracks, chosen_tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.procedure.cross_validation import (
+    BETTER,
+    LEFT_OUT,
+    Judged,
+    left_out_px,
+    left_out_residuals,
+    places,
+)
+from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
+from geomosaic.adjustment.procedure.model_selection import contradicts, with_readout
+from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import NotSolvableError
+from geomosaic.matching.model import TiePoints
+from geomosaic.spread import Spread
+from geomosaic.survey.accuracy import FOCAL_LENGTH
+from geomosaic.survey.model import Warn
+
+Ints = NDArray[np.intp]
+
+_FRAMES: Annotated[
+    int,
+    Because(
+        "frames",
+        "of one camera that starts are compared on: fewer leave the focal length to chance, more take time "
+        "that the whole block takes anyway",
+        CHOSEN,
+    ),
+] = 10
+_PER_FRAME: Annotated[
+    int,
+    Because("image observations a frame", "asked for by each frame of them, as for models", CHOSEN),
+] = 192
+_CELLS: Annotated[
+    int, Because("cells a side", "of a frame over which they are spread: corners tell lenses apart", CHOSEN)
+] = 8
+_LEAST: Annotated[int, Because("tracks", "with fewer nothing is compared: ten would judge", CHOSEN)] = 50
+STARTS: Annotated[
+    tuple[tuple[str, float], ...],
+    Because(
+        "kind of lens, focal length over longer side",
+        "that are tried besides the given one, each within a fifth of all between: farther apart a solve "
+        "ends in another least value, closer ones end alike",
+        "28 to 60 mm on 36 mm and the wide modes of action cameras, fisheyes of 8 mm on APS-C and on four "
+        "thirds: 0.34 and 0.46",
+    ),
+] = (
+    ("brown", 0.5), ("brown", 0.67), ("brown", 0.9), ("brown", 1.2), ("brown", 1.6),
+    ("fisheye", 0.35), ("fisheye", 0.5), ("fisheye", 0.75), ("fisheye", 1.1), ("fisheye", 1.6),
+)  # fmt: skip
+
+
+_CONTRADICTED: Annotated[
+    float,
+    Because(
+        "deviations",
+        "from a reported focal length, beyond which one that a few frames show contradicts it: with less, "
+        "what else bends a block would be blamed on the lens",
+        CHOSEN,
+    ),
+] = 5.0
+_FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A lens to try: the block of a few frames that have it, tracks to solve by and others to judge by, each
+    in a place."""
+
+    block: Block
+    settings: Settings
+    solving: Tracks
+    judges: Tracks
+    place: Ints
+
+
+def unsure(camera: Camera) -> bool:
+    """Whether so little is known of a focal length that other starts are tried."""
+    return camera.focal_length_sd_px > WIDE_FOCAL * camera.focal_length_px
+
+
+def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
+    """The block whose unsure lenses begin where tie points left out of small solves are predicted best.
+
+    Each start is solved on up to ten well-overlapping frames, with its focal length free. Another start is
+    taken where it predicts the left-out tie points surely better than the given one (`Judged.beats`): over
+    flat land all starts predict alike, and the given one stays. Its deviation stays wide. A reported focal
+    length becomes unsure where the same few frames contradict it, positions don't speak against another one,
+    and a rolling shutter explains no more.
+    """
+    starts = {c.name: _begun(block, settings, spread, c) for c in block.lenses}
+    if all(starts[c.name] == c for c in block.lenses):
+        return block
+    return replace(block, cameras=tuple(starts[c.name] for c in block.cameras))
+
+
+def lens_notes(block: Block, cameras: Sequence[Camera]) -> tuple[list[str], list[Warn]]:
+    """What the images found of unsure lenses, and a warning for each reported focal length that they
+    contradict. Args: cameras: of each frame, adjusted."""
+    notes, warnings = [], []
+    found = {c.name: c for c in cameras}
+    for given in block.lenses:
+        focal_px = found[given.name].focal_length_px
+        if unsure(given):
+            kind = "a fisheye lens" if found[given.name].kind == "fisheye" else "a lens"
+            notes.append(f"{given.name}: {kind} of {focal_px:.0f} px by the images")
+        elif _far_off(given, focal_px):
+            text = (
+                f"{given.name}: the images contradict the reported focal length of "
+                f"{given.focal_length_px:.0f} px; solved anew, {focal_px:.0f} px; the map's scale rests on "
+                "positions: give the camera's interior orientation with --camera FILE"
+            )
+            warnings.append(Warn("focal-length-contradicted", "", text))
+    return notes, warnings
+
+
+def _far_off(camera: Camera, focal_px: float) -> bool:
+    """Whether a focal length is none that a camera can have, by what was reported of it."""
+    off, sd = abs(focal_px / camera.focal_length_px - 1.0), camera.focal_length_sd_px / camera.focal_length_px
+    return off > max(_CONTRADICTED * sd, WIDE_FOCAL)
+
+
+def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> Camera:
+    """The lens that a camera begins with."""
+    known = camera.distortion_sd or not camera.focal_length_sd_px
+    if known and not unsure(camera):
+        return camera
+    part = _part(block, _well_overlapping(block, camera))
+    sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
+    tracks = thin_tracks(join_tracks(part.ties), sizes, _PER_FRAME, _CELLS) if len(part.names) > 1 else None
+    if tracks is None or tracks.points < _LEAST:
+        return camera
+    out = np.random.default_rng(0).permutation(tracks.points) % LEFT_OUT == 0
+    judges = chosen_tracks(tracks, out)
+    at_m, judges = points_on_ground(part.poses, part.cameras, part.ground, judges)
+    still = replace(settings, rolling_shutter=False, turning=False)
+    trial = _Trial(part, still, chosen_tracks(tracks, ~out), judges, places(at_m, flying_height_m(part)))
+    if not unsure(camera):
+        free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
+        as_given, freed = _judged(f"lens-{camera.name}", trial, [camera, free], spread)
+        rolling = _rolling(trial, camera, spread)
+        if freed.solved is None or not all(freed.beats(its) for its in (as_given, *rolling)):
+            return camera
+        if contradicts(freed.solved, as_given.solved):
+            return camera
+        if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
+            return camera
+        camera = free
+    tried = [replace(c, focal_length_sd_px=WIDE_FOCAL * c.focal_length_px) for c in _starts(camera)]
+    given, *others = _judged(f"lens-start-{camera.name}", trial, tried, spread)
+    better = [judged for judged in others if judged.beats(given)]
+    if not better:
+        return camera
+    least_px = min(judged.median_px for judged in better)
+    best = next(judged for judged in better if BETTER * judged.median_px <= least_px)
+    assert best.solved is not None
+    lens = best.solved.cameras[0]
+    return replace(
+        camera,
+        kind=lens.kind,
+        focal_length_px=lens.focal_length_px,
+        k1=lens.k1,
+        k2=lens.k2,
+        k3=lens.k3,
+    )
+
+
+def _starts(camera: Camera) -> list[Camera]:
+    """The given lens, then others."""
+    longer = max(camera.width_px, camera.height_px)
+    blank = replace(camera, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+    return [camera, *(replace(blank, kind=kind, focal_length_px=share * longer) for kind, share in STARTS)]
+
+
+def _judged(name: str, trial: _Trial, lenses: Sequence[Camera], spread: Spread) -> list[Judged]:
+    """What each lens leaves, of cameras whose rows are read at once."""
+    still = [replace(lens, readout_s=0.0, readout_sd_s=0.0) for lens in lenses]
+    frames = len(trial.block.names)
+    trials = [replace(trial, block=replace(trial.block, cameras=(lens,) * frames)) for lens in still]
+    keys = [f"{c.kind} {c.focal_length_px:.1f} {c.focal_length_sd_px:.1f}" for c in still]
+    return spread.map(name, _tried, trials, keys)
+
+
+def _rolling(trial: _Trial, camera: Camera, spread: Spread) -> list[Judged]:
+    """What the lens as given leaves where its rows are read one after the other, if the block moves: another
+    focal length takes up some of what a shutter does."""
+    if trial.block.poses.velocities_m_per_s is None:
+        return []
+    block = replace(trial.block, cameras=(camera,) * len(trial.block.names))
+    block, settings = with_readout(block, trial.settings)
+    rolling = replace(trial, block=block, settings=settings)
+    return list(spread.map(f"lens-rolling-{camera.name}", _tried, [rolling], ["rolling"]))
+
+
+def _tried(trial: _Trial) -> Judged:
+    """A lens's own solve, begun as a block is, and what it leaves at the other tracks."""
+    nothing = Judged(None, np.full(trial.judges.points, np.inf), trial.place)
+    try:
+        start = start_poses(trial.block, offset_net(trial.block))
+        block = placed_by_images(trial.block, start)
+        points, kept = points_on_ground(start, block.cameras, block.ground, trial.solving)
+        if 2 * len(points) < trial.solving.points:
+            return nothing
+        priors = priors_of(block, trial.settings, block.lenses, points)
+        solved = solve_bundle(kept, block.lens_of, priors, start, rough=True)
+        left_px = left_out_px(trial.judges, left_out_residuals(trial.judges, block, solved))
+    except (NotSolvableError, np.linalg.LinAlgError):
+        return nothing
+    return Judged(solved.of_points(solved.points_m), left_px, trial.place)
+
+
+def _well_overlapping(block: Block, camera: Camera) -> list[int]:
+    """Up to _FRAMES frames of a camera, each the one with most tie points to those before."""
+    mine = {i for i, c in enumerate(block.cameras) if c.name == camera.name}
+    ties = np.zeros((len(block.names),) * 2)
+    for pair in block.ties.pairs:
+        if pair.left in mine and pair.right in mine:
+            ties[pair.left, pair.right] = ties[pair.right, pair.left] = len(pair)
+    chosen = [int(np.argmax(ties.sum(axis=0)))] if ties.any() else []
+    while chosen and len(chosen) < _FRAMES:
+        shared = ties[chosen].sum(axis=0)
+        shared[chosen] = 0.0
+        if not shared.any():
+            break
+        chosen.append(int(np.argmax(shared)))
+    return sorted(chosen)
+
+
+def _part(block: Block, frames: Sequence[int]) -> Block:
+    """Some frames of a block and the pairs between them, without control, read at once."""
+    number = {frame: k for k, frame in enumerate(frames)}
+    at, poses = np.array(frames, dtype=np.intp), block.poses
+    pairs = tuple(
+        replace(t, left=number[t.left], right=number[t.right])
+        for t in block.ties.pairs
+        if t.left in number and t.right in number
+    )
+    return Block(
+        names=tuple(block.names[i] for i in frames),
+        cameras=tuple(block.cameras[i] for i in frames),
+        poses=Poses(
+            poses.positions_m[at], poses.rotations[at], poses.positions_sd_m[at], poses.rotations_sd_rad[at]
+        ),
+        ground=block.ground,
+        ties=TiePoints(pairs),
+        sequence=tuple(range(len(frames))),
+        lines=tuple(block.lines[i] for i in frames),
+        ground_pixel_m=block.ground_pixel_m,
+    )

@@ -1,0 +1,1 @@
+"""Normal equations, steps, variance components, covariance."""

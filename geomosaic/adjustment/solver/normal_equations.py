@@ -1,0 +1,344 @@
+"""Normal equations of a bundle, reduced to poses and cameras by the Schur complement on the points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.sparse import bsr_matrix
+
+from geomosaic.adjustment.solver.nested_dissection import Dissected
+from geomosaic.adjustment.solver.observation_groups import Group, Sightings
+from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.constants import Because
+from geomosaic.estimation.linear import inverse_roots, solve_scaled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_LEAST_OF_POINTS: Annotated[
+    float,
+    Because(
+        "share of the diagonal",
+        "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera "
+        "has next to none along its ray, and its matrix no inverse; with more it would count, with less the "
+        "inverse has no digits",
+        "chosen; double precision has 16 digits, a square takes half of them",
+    ),
+] = 1e-12
+
+_LOWER = np.tril_indices(len("xyz"))
+_SQUARE: Annotated[
+    Ints,
+    Because(
+        "places in a lower triangle, row by row",
+        "where the numbers of a symmetric matrix (3, 3) stand",
+        "structure: np.tril_indices(3)",
+    ),
+] = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
+
+
+@dataclass(frozen=True)
+class Normals:
+    """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and
+    what all frames share: the ground's level and q unknowns of the mounting, which meet the poses alone.
+
+    The m observations' own blocks (point by pose) follow from `point_point` and `levers`, in the order of
+    the sightings.
+    """
+
+    sightings: Sightings
+    camera_of: Ints
+    pose: Floats
+    """(f, d, d)"""
+    interior: Floats
+    """(c, k, k)"""
+    points: Floats
+    """(p, 3, 3)"""
+    pose_interior: Floats
+    """(f, d, k), each frame with its own camera"""
+    point_point: Floats
+    """(6, m), what each sighting adds to its point's block: its lower triangle, row by row"""
+    levers: Levers
+    """(m) of the sightings"""
+    interior_point: Floats
+    """(c, p, k, 3)"""
+    pose_side: Floats
+    interior_side: Floats
+    point_side: Floats
+    level_point: Floats
+    """(p, 3), the ground's level by point: minus weight times the surface's normal"""
+    level: float
+    level_side: float
+    pose_mounting: Floats
+    """(f, d, q)"""
+    mounting: Floats
+    """(q, q)"""
+    mounting_side: Floats
+    """(q,)"""
+
+    def point_pose(self, sighting: int) -> Floats:
+        """Its block, (3, d)."""
+        it = slice(sighting, sighting + 1)
+        return self.levers.of(it).by_pose(self.point_point[_SQUARE, it])[..., 0]
+
+
+def build_normals(
+    sightings: Sightings,
+    camera_of: Ints,
+    counts: tuple[int, int],
+    linearised: Callable[[Ints], tuple[Floats, Floats, Levers, Floats, Floats]],
+    terms: int = 0,
+) -> Normals:
+    """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
+    mounting (none here) with them.
+
+    Derivatives are asked for some points at a time, so that no array of all of them is ever made.
+
+    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing,
+        beside which it drifts. linearised: of
+        some observations (n,) residuals (2, n) observed minus computed, weights (n,), levers, and derivatives
+        by interior (2, k, n) and point (2, 3, n) as `collinearity.project_by_levers` gives them.
+    """
+    (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
+    levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)))
+    point_point, d = np.empty((6, m)), levers.numbers
+    in_frame = np.zeros((f, d + k + 1, d + k + 1))
+    interior_point, points, point_side = np.empty((c, p, k, 3)), np.empty((p, 3, 3)), np.empty((p, 3))
+    for group in sightings.groups:
+        residual, weight, its, by_interior, by_point = linearised(sightings.order[group.span].astype(np.intp))
+        for kept, of_some in (
+            (levers.arms_m, its.arms_m),
+            (levers.terms, its.terms),
+            (levers.shares, its.shares),
+        ):
+            kept[:, group.span] = of_some
+        rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)
+        np.multiply(by_point, root, out=rows[:, -3:])
+        np.multiply(by_interior, root, out=rows[:, d:-4])
+        np.multiply(residual, root, out=rows[:, -4])
+        rows[:, :d] = its.by_pose(rows[:, -3:])
+        for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
+            across, down = rows[:, :-3, here:end]
+            in_frame[i] += across @ across.T + down @ down.T
+        by_rows = np.einsum("aim,ajm->ijm", rows[:, -3:], rows[:, d:])
+        point_point[:, group.span] = by_rows[:, -3:][_LOWER]
+        which = sightings.point[group.span] - group.points.start
+        summed = _summed(by_rows[:, k:].reshape(12, -1), which, group.size).reshape(-1, 3, 4)
+        points[group.points], point_side[group.points] = summed[..., 1:], summed[..., 0]
+        which = which + group.size * camera_of[sightings.frame[group.span]]
+        summed = _summed(by_rows[:, :k].reshape(3 * k, -1), which, c * group.size)
+        interior_point[:, group.points] = np.swapaxes(summed.reshape(c, group.size, 3, k), 2, 3)
+    of_camera = np.eye(c)[camera_of].T
+    return Normals(
+        sightings=sightings,
+        camera_of=camera_of,
+        pose=in_frame[:, :d, :d].copy(),
+        interior=np.tensordot(of_camera, in_frame[:, d:-1, d:-1], axes=1),
+        points=points,
+        pose_interior=in_frame[:, :d, d:-1],
+        point_point=point_point,
+        levers=levers,
+        interior_point=interior_point,
+        pose_side=in_frame[:, :d, -1].copy(),
+        interior_side=of_camera @ in_frame[:, d:-1, -1],
+        point_side=point_side,
+        level_point=np.zeros((p, 3)),
+        level=0.0,
+        level_side=0.0,
+        pose_mounting=np.zeros((f, d, 0)),
+        mounting=np.zeros((0, 0)),
+        mounting_side=np.zeros(0),
+    )
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The reduced system: poses (sparse), bordered by what frames share (dense), in this order: the numbers
+    of each camera (c of k), the ground's level (1), the mounting (q); s = c k + 1 + q in all."""
+
+    poses: bsr_matrix
+    border: Floats
+    """(d f, s)"""
+    shared: Floats
+    """(s, s)"""
+    pose_side: Floats
+    shared_side: Floats
+    points_inverse: Floats
+    normals: Normals
+
+    @cached_property
+    def _factors(self) -> Dissected:
+        return Dissected(self.poses, self.normals.sightings.dissection)
+
+    def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
+        """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
+        mounting (q,)."""
+        y = self._factors.solve(np.column_stack([self.border, self.pose_side]))
+        corner = self.shared - self.border.T @ y[:, :-1]
+        shared = solve_scaled(corner, (self.shared_side - self.border.T @ y[:, -1])[:, None])[:, 0]
+        pose = y[:, -1] - y[:, :-1] @ shared
+        n = self.normals
+        dp = pose.reshape(len(n.pose), -1)
+        dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
+        side = n.point_side - np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
+        for group in n.sightings.groups:
+            step = dp.T.take(n.sightings.frame[group.span], axis=-1)
+            moved_m = n.levers.of(group.span).as_points_m(step)
+            by_pose = np.einsum("ijm,jm->im", n.point_point[_SQUARE, group.span], moved_m)
+            which = n.sightings.point[group.span] - group.points.start
+            side[group.points] -= _summed(by_pose, which, group.size)
+        side -= level * n.level_point
+        points = np.einsum("pij,pj->pi", self.points_inverse, side)
+        return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
+
+    def length(self, pose: Floats, interior: Floats, points: Floats, level: float, mounting: Floats) -> float:
+        """Of a step as `solve` gives it, in deviations of the solved: nothing of frames, or that they share,
+        nor any sum of it, moves by more."""
+        shared = np.concatenate([interior.ravel(), [level], mounting])
+        square = float(self.pose_side @ pose.ravel() + self.shared_side @ shared)
+        return float(np.sqrt(max(square, 0.0)))
+
+    def covariance(self) -> tuple[Floats, Floats]:
+        """Covariances for unit weight, with all correlations: each frame's own (f, d, d), and the full matrix
+        of what frames share (s, s)."""
+        shared = self.shared_covariance()
+        by_shared = self._by_border.reshape(len(self.normals.pose), -1, len(shared))
+        return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared
+
+    def shared_covariance(self) -> Floats:
+        """The second part of `covariance` alone."""
+        return solve_scaled(self.shared - self.border.T @ self._by_border, np.eye(len(self.shared)))
+
+    @cached_property
+    def _by_border(self) -> Floats:
+        return self._factors.solve(self.border)
+
+    def considering(self, variance: Floats) -> Reduced:
+        """The system whose covariances hold what is not known of shared unknowns that were not solved for.
+
+        Their estimate is no better than it was before, whatever the images say, and the others are as
+        wrong as that makes them (Schmidt's consider filter): the information left for them once all others
+        are eliminated is their prior's alone.
+
+        Args: variance (s,) for unit weight; 0 for those that were solved for.
+        """
+        held, free = np.flatnonzero(variance > 0.0), np.flatnonzero(variance == 0.0)
+        through_poses = self.border.T @ self._by_border
+        corner = self.shared - through_poses
+        meet = corner[np.ix_(free, held)]
+        through_shared = meet.T @ solve_scaled(corner[np.ix_(free, free)], meet)
+        shared = self.shared.copy()
+        own = through_poses[np.ix_(held, held)] + through_shared
+        shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
+        return replace(self, shared=shared)
+
+    def responses(self, pull: Floats) -> Floats:
+        """By how much frames move, (f, d, r), for r pulls on them, (f, d, r), if all others follow."""
+        f, d, r = pull.shape
+        y = self._factors.solve(pull.reshape(f * d, r))
+        y += self._by_border @ (self.shared_covariance() @ (self.border.T @ y))
+        return y.reshape(f, d, r)
+
+    def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
+        """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.
+
+        Args: derivatives by_pose (f, 6, r), by_shared (s, r).
+        """
+        f, d = self.normals.pose_side.shape
+        by_pose = np.pad(by_pose, ((0, 0), (0, d - by_pose.shape[1]), (0, 0))).reshape(d * f, -1)
+        solved = self._factors.solve(np.column_stack([self.border, by_pose]))
+        y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
+        rest = by_shared - y.T @ by_pose
+        corner = self.shared - self.border.T @ y
+        return np.asarray(by_pose.T @ alone + rest.T @ solve_scaled(corner, rest))
+
+
+def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
+    """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
+    to the diagonal.
+
+    With V = L L' of a point and W its rows in the columns of the poses, W' V^-1 W is the square of L^-1 W:
+    what it takes away leaves no direction of the poses negative.
+    """
+    (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
+    s, (pose, interior) = n.sightings, (_damped(a, damping) for a in (n.pose, n.interior))
+    across, less_beside = np.zeros((len(s.left), d, d)), np.zeros((f, d, c * k + 2))
+    less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
+    for group in s.groups:
+        root = inverse_roots(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
+        points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
+        beside = root @ _beside_points(n, group.points)
+        flat = beside.reshape(3 * len(beside), -1)
+        less_shared += flat.T @ flat
+        _less_through_points(n, group, root, beside, (pose, across, less_beside))
+    columns, starts, order = s.matrix
+    blocks = np.concatenate([pose, -across, -np.swapaxes(across, 1, 2)])[order]
+    less_beside = less_beside.reshape(d * f, -1)
+    border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
+    for i in range(c):
+        rows = np.flatnonzero(n.camera_of == i)
+        index = (d * rows[:, None] + np.arange(d)).ravel()
+        border[index, k * i : k * i + k] += n.pose_interior[rows].reshape(-1, k)
+    corner = block_diag(*interior, n.level, _damped(n.mounting, damping))
+    corner[: c * k + 1, : c * k + 1] -= less_shared[:-1, :-1]
+    shared_side = np.concatenate([n.interior_side.ravel(), [n.level_side], n.mounting_side])
+    shared_side[: c * k + 1] -= less_shared[:-1, -1]
+    return Reduced(
+        poses=bsr_matrix((blocks, columns, starts), shape=(d * f, d * f)),
+        border=border,
+        shared=corner,
+        pose_side=n.pose_side.ravel() - less_beside[:, -1],
+        shared_side=shared_side,
+        points_inverse=points_inverse,
+        normals=n,
+    )
+
+
+def _beside_points(n: Normals, points: slice) -> Floats:
+    """What some points' rows have beside the poses: the cameras' numbers, the level, the right side,
+    (p, 3, c k + 2)."""
+    by_camera = n.interior_point[:, points].transpose(1, 3, 0, 2)
+    of_cameras = by_camera.reshape(*by_camera.shape[:2], -1)
+    return np.concatenate([of_cameras, n.level_point[points, :, None], n.point_side[points, :, None]], axis=2)
+
+
+def _less_through_points(
+    n: Normals, group: Group, root: Floats, beside: Floats, sums: tuple[Floats, Floats, Floats]
+) -> None:
+    """W V^-1 W' and W V^-1 times what lies beside, with W the poses' rows in the columns of some points and V
+    the points' own blocks: taken off each frame's (f, d, d), added to each pair's that shares points
+    (k, d, d), and to (f, d, r).
+
+    Args: root (p, 3, 3): of the inverse; beside (p, 3, r), multiplied with it.
+    """
+    own, across, others = sums
+    point = n.sightings.point[group.span] - group.points.start
+    roots = np.ascontiguousarray(np.moveaxis(root, 0, -1)).take(point, axis=-1)
+    by_point = np.einsum("ikm,kjm->ijm", roots, n.point_point[_SQUARE, group.span])
+    scaled = n.levers.of(group.span).by_pose(by_point).transpose(2, 0, 1)
+    scaled, d = np.ascontiguousarray(scaled).reshape(len(point), -1), own.shape[1]
+    for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
+        mine = scaled[here:end].reshape(-1, d)
+        own[i] -= mine.T @ mine
+        others[i] += mine.T @ beside[point[here:end]].reshape(len(mine), -1)
+    one, other = (scaled.take(a, axis=0).reshape(-1, d) for a in (group.one, group.other))
+    for i, (here, end) in zip(group.pairs, pairwise(3 * group.shared), strict=True):
+        across[i] += one[here:end].T @ other[here:end]
+
+
+def _summed(values: Floats, which: Ints, count: int) -> Floats:
+    """Values (r, n) added up by which (n,) they belong to, (count, r)."""
+    return np.stack([np.bincount(which, row, count) for row in values], axis=1)
+
+
+def _damped(blocks: Floats, damping: float) -> Floats:
+    out = blocks.copy()
+    i = np.arange(blocks.shape[-1])
+    out[..., i, i] *= 1.0 + damping
+    return out

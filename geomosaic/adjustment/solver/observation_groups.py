@@ -1,0 +1,142 @@
+"""Which frames see which points, a group of points after the other, and what follows from that alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.solver.nested_dissection import Dissection
+from geomosaic.constants import CHOSEN, Because
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Numbers = NDArray[np.int32]
+AT_ONCE: Annotated[
+    int,
+    Because(
+        "image observations",
+        "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
+        "processor's cache; fewer mean more calls, more go through the memory",
+        CHOSEN,
+    ),
+] = 8192
+
+
+@dataclass(frozen=True)
+class Group:
+    """Consecutive points and all n sightings of them, in order of frames: spans of all.
+
+    frames (r,), runs (r + 1,): those that see any, and where each one's begin in the span. pairs (q,): the
+    pairs of frames that share any of the points, by number; shared (q + 1,): where each one's begin among
+    one and other, places in the span of sightings of the same point from the left frame and the right one.
+    """
+
+    points: slice
+    span: slice
+    frames: Ints
+    runs: Ints
+    pairs: Ints
+    shared: Ints
+    one: Numbers
+    other: Numbers
+
+    @property
+    def size(self) -> int:
+        """How many points there are."""
+        return int(self.points.stop - self.points.start)
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """m sightings of points by frames, sorted by groups of points, within one by frame, those of a frame as
+    they came.
+
+    order (m,): the place of each before it was sorted. frame, point (m,): numbers below frames and points.
+    left, right (k,): pairs of frames that share points, left < right, sorted.
+    """
+
+    frames: int
+    points: int
+    order: Numbers
+    frame: Numbers
+    point: Numbers
+    groups: tuple[Group, ...]
+    left: Ints
+    right: Ints
+
+    @classmethod
+    def of(cls, frame: Ints, point: Ints, frames: int, points: int) -> Sightings:
+        """From frame and point of each, in any order."""
+        starts = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=points))])
+        bounds = list(_bounds(starts))
+        group_of = np.repeat(np.arange(len(bounds), dtype=np.int32), [last - first for first, last in bounds])
+        order: Numbers = np.lexsort((frame, group_of[point])).astype(np.int32)
+        seen_by: Numbers = frame[order].astype(np.int32)
+        seen: Numbers = point[order].astype(np.int32)
+        groups = [
+            _group(slice(first, last), slice(int(starts[first]), int(starts[last])), seen_by, seen, frames)
+            for first, last in bounds
+        ]
+        names = np.unique(np.concatenate([np.zeros(0, np.intp), *(group.pairs for group in groups)]))
+        numbered = (replace(group, pairs=np.searchsorted(names, group.pairs)) for group in groups)
+        return cls(frames, points, order, seen_by, seen, tuple(numbered), *np.divmod(names, frames))
+
+    @cached_property
+    def matrix(self) -> tuple[Ints, Ints, Ints]:
+        """Columns and row starts of a matrix of frames that has a block for each frame and, on both sides of
+        its diagonal, for each pair; and the blocks' places, frames before pairs before pairs turned over."""
+        f = self.frames
+        row = np.concatenate([np.arange(f), self.left, self.right])
+        column = np.concatenate([np.arange(f), self.right, self.left])
+        order = np.lexsort((column, row))
+        starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=f))])
+        return column[order], starts, order
+
+    @cached_property
+    def dissection(self) -> Dissection:
+        """In which order such a matrix is factorised."""
+        columns, starts, _ = self.matrix
+        return Dissection.of(columns, starts)
+
+
+def _bounds(starts: Ints) -> Iterator[tuple[int, int]]:
+    """First and last point of each group, without the last."""
+    first, last = 0, len(starts) - 1
+    while first < last:
+        end = int(np.searchsorted(starts, starts[first] + AT_ONCE, side="right")) - 1
+        end = max(end, first + 1)
+        yield first, end
+        first = end
+
+
+def _group(points: slice, span: slice, frame: Numbers, point: Numbers, frames: int) -> Group:
+    """Pairs are named left times the number of frames plus right."""
+    frame, point = frame[span], point[span]
+    seen, runs = np.unique(frame, return_index=True)
+    by_point = np.argsort(point, kind="stable")
+    in_turn, one, other = point[by_point], [np.zeros(0, np.intp)], [np.zeros(0, np.intp)]
+    for step in range(1, len(point)):
+        same = np.flatnonzero(in_turn[step:] == in_turn[:-step])
+        if not len(same):
+            break
+        one.append(by_point[same])
+        other.append(by_point[same + step])
+    first, second = np.concatenate(one), np.concatenate(other)
+    pair = frame[first].astype(np.intp) * frames + frame[second]
+    order = np.argsort(pair, kind="stable")
+    pairs, shared = np.unique(pair[order], return_index=True)
+    return Group(
+        points,
+        span,
+        seen.astype(np.intp),
+        np.append(runs, len(frame)),
+        pairs,
+        np.append(shared, len(pair)),
+        first[order].astype(np.int32),
+        second[order].astype(np.int32),
+    )

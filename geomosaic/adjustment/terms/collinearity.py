@@ -1,0 +1,312 @@
+"""The collinearity equations over many observations at once, with analytic derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.adjustment.terms.rolling_shutter_rotation import recorded_share, terms_at
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import LENSES, TERMS, Lens
+from geomosaic.constants import CHOSEN, Because
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+INTERIOR = (
+    "focal_length_px",
+    "principal_col_px",
+    "principal_row_px",
+    *TERMS,
+    "readout_s",
+)
+
+
+def interior_of(camera: Camera) -> Floats:
+    """A camera's numbers in the order of INTERIOR, (9,)."""
+    return np.array([getattr(camera, name) for name in INTERIOR])
+
+
+_MOST_BY_ROW: Annotated[
+    float,
+    Because(
+        "rows a row",
+        "by which a frame is stretched while it is read: one of twice or two thirds of its height is no "
+        "image",
+        CHOSEN,
+    ),
+] = 0.5
+
+
+@dataclass(frozen=True)
+class Readout:
+    """What rolling shutters make of m observations, each while a row about its own is read.
+
+    A measured row is off by a keypoint's error. Residuals against where a point is seen while that row is
+    read would shrink by as much as rows are stretched, and thousands of them would stretch every frame: so
+    residuals are those at a point's own row, where it is seen while that row is read. Nor may derivatives
+    know of the error: they are taken at the point's own row.
+
+    rows_px, heights_px (m,): the rows, and heights of the images. rotations (m, 3, 3): as they were when
+    each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
+    given of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames
+    swing, swinging_rad (m, 3): by how much these turn over a whole height at the present rate; drifting_m
+    (m, 3): by how much frames go over a whole height beside their velocities.
+    """
+
+    rows_px: Floats
+    heights_px: Floats
+    rotations: Floats
+    velocities_m_per_s: Floats
+    rates_rad_per_s: Floats
+    terms: Floats | None
+    swinging_rad: Floats
+    drifting_m: Floats
+
+    @property
+    def shares(self) -> Floats:
+        """Of the image's height, from its middle row on, (m,)."""
+        return self.rows_px / self.heights_px - 0.5
+
+    def seen_px(self, image_px: Floats, by_row: Floats) -> Floats:
+        """Where points are seen (2, m) that would be at image_px while these rows are read; by_row (2, m): by
+        how much they move for each row."""
+        rows = (image_px[1] - self.rows_px) / (1.0 - by_row[1])
+        return np.stack([image_px[0] + by_row[0] * rows, self.rows_px + rows])
+
+
+def by_component(values: Floats) -> Floats:
+    """(m, ...) as (..., m), each component in one piece: what is done to all m goes through it at once."""
+    return np.ascontiguousarray(values.transpose(*range(1, values.ndim), 0))
+
+
+def _by_number(components: Floats) -> Floats:
+    """(..., m) as (m, ...), as it lies."""
+    return components.transpose(-1, *range(components.ndim - 1))
+
+
+def readout_of(
+    poses: Poses,
+    rotations: Floats,
+    swing: Floats | None,
+    drift_m: Floats | None,
+    frame: Ints,
+    rows_px: Floats,
+    heights_px: Floats,
+    readouts_s: Floats,
+) -> Readout:
+    """Of observations (m,) in frames with present rotations (f, 3, 3), by their rows, heights of their
+    images and readout times, (m,) each.
+
+    swing (f, t, 3): factors of the functions of the row about the work frame's axes, on top of the poses' own
+    turns: `R(row) = exp(swing(row)) R exp(turn(row))`. drift_m (f, 3): over a whole height of the image,
+    beside the velocities.
+    """
+    share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
+    at_row, rates, terms, swinging = by_component(rotations[frame]), none.T, None, none.T
+    velocities = none if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frame]
+    if poses.turns is not None:
+        turn, rate = poses.turns.at(share * readouts_s, frame)
+        at_row = _product(at_row, _turned(by_component(turn)))
+        rates = _turn(at_row, by_component(rate - 0.5 * np.cross(turn, rate)))
+    if swing is not None:
+        recorded = recorded_share(poses.turns, frame, readouts_s)
+        terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
+        of_frame = by_component(swing[frame])
+        more = _turned(np.einsum("mt,tjm->jm", terms, of_frame))
+        swinging = np.einsum("mt,tjm->jm", slopes, of_frame)
+        at_row, rates = _product(more, at_row), _turn(more, rates)
+    drifting = none if drift_m is None else drift_m[frame]
+    turned = _by_number(at_row)
+    return Readout(
+        *(rows_px, heights_px, turned, velocities, _by_number(rates), terms, _by_number(swinging), drifting)
+    )
+
+
+def _turned(turn_rad: Floats) -> Floats:
+    """Rotation matrices (3, 3, m) of rotation vectors (3, m), as `exp_turn` gives them."""
+    angle = np.sqrt((turn_rad**2).sum(axis=0))
+    x, y, z = turn_rad / np.maximum(angle, 1e-12)
+    sine, versine = np.sin(angle), 1.0 - np.cos(angle)
+    out = np.empty((3, 3, len(angle)))
+    out[0, 0], out[1, 1], out[2, 2] = (
+        1.0 - versine * (a * a + b * b) for a, b in ((y, z), (x, z), (x, y))
+    )  # fmt: skip
+    for i, j, a, b, c in ((0, 1, x, y, z), (2, 0, z, x, y), (1, 2, y, z, x)):
+        even, odd = versine * (a * b), sine * c
+        out[i, j], out[j, i] = even - odd, even + odd
+    return out
+
+
+def _product(left: Floats, right: Floats) -> Floats:
+    """Matrices (3, 3, m) times matrices (3, 3, m)."""
+    return np.asarray(np.einsum("ijm,jkm->ikm", left, right))
+
+
+def _turn(matrices: Floats, vectors: Floats) -> Floats:
+    """Matrices (3, 3, m) times vectors (3, m)."""
+    return np.asarray(np.einsum("ijm,jm->im", matrices, vectors))
+
+
+def image_from_ground(
+    positions_m: Floats,
+    rotations: Floats,
+    interior: Floats,
+    points_m: Floats,
+    read: Readout | None = None,
+    kinds: Ints | None = None,
+) -> Floats:
+    """Image coordinates (m, 2) as `project` gives them, without derivatives."""
+    turned, numbers = by_component(rotations), by_component(interior)
+    d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
+    bent, slopes = _bends(u, v, numbers, kinds, slopes=read is not None)
+    image = bent * numbers[0] + numbers[1:3]
+    if read is not None:
+        image = read.seen_px(image, _by_row(read, turned, numbers, d, u, v, z, slopes))
+    return _by_number(image)
+
+
+def project(
+    positions_m: Floats,
+    rotations: Floats,
+    interior: Floats,
+    points_m: Floats,
+    read: Readout | None = None,
+    kinds: Ints | None = None,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Image coordinates and their derivatives, one row an observation.
+
+    See `Camera` and `Rotation` for the equations. A rotation's update is a small turn about the work
+    frame's axes from the left, R = exp([t]) R0.
+
+    Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR,
+        points_m (m, 3). read: of rolling shutters, whose rotations are to be given with it; a point is then
+        seen in the row that is read while it is seen there, to first order about the rows of `read`.
+        kinds (m,): of lenses, see `kinds_of`.
+    Returns: image_px (m, 2); by_pose (m, 2, d): position, turn in rad, the frame's swing and drift;
+        by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
+    """
+    seen = project_by_levers(positions_m, rotations, interior, points_m, read, kinds)
+    image, levers, by_interior, by_point = seen
+    return (
+        _by_number(image), _by_number(levers.by_pose(by_point)), _by_number(by_interior), _by_number(by_point)
+    )  # fmt: skip
+
+
+def project_by_levers(
+    positions_m: Floats,
+    rotations: Floats,
+    interior: Floats,
+    points_m: Floats,
+    read: Readout | None = None,
+    kinds: Ints | None = None,
+) -> tuple[Floats, Levers, Floats, Floats]:
+    """As `project`, one column an observation, (..., m), and without derivatives by the poses: these follow
+    from the points' by `Levers`."""
+    turned, numbers = by_component(rotations), by_component(interior)
+    d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
+    f, terms = numbers[0], None if read is None else read.terms
+    rigid = np.zeros((0, len(u)))
+    levers = Levers(d, rigid, rigid)
+    if read is not None and terms is not None:
+        levers = Levers(d, by_component(terms), read.shares[None])
+    bent, slopes = _bends(u, v, numbers, kinds, slopes=True)
+    image = bent * f + numbers[1:3]
+    by_interior = np.zeros((2, len(INTERIOR), len(u)))
+    for lens, which in _lenses(kinds):
+        x, y = u[which], v[which]
+        for column, both in enumerate(lens.by_terms(x, y, x * x + y * y), 3):
+            for axis in range(2):
+                by_interior[axis, column, which] = f[which] * both[axis]
+    by_u, by_v, scale = slopes[:2], slopes[1:], f / z
+    by_camera = np.stack([-by_u, by_v, -(by_u * u + by_v * v)], axis=1) * scale
+    by_point = np.einsum("ajm,ijm->aim", by_camera, turned)
+    by_interior[:, 0] = bent
+    by_interior[0, 1] = by_interior[1, 2] = 1.0
+    if read is not None:
+        shown = np.concatenate([read.velocities_m_per_s, read.rates_rad_per_s], axis=1).T * read.shares
+        by_interior[:, 8] = np.einsum("ajm,jm->am", by_point, Levers(d, rigid, rigid).as_points_m(shown))
+        by_row = _by_row(read, turned, numbers, d, u, v, z, slopes)
+        for derivatives in (by_interior, by_point):
+            _in_own_row(derivatives, by_row)
+        image = read.seen_px(image, by_row)
+    return image, levers, by_interior, by_point
+
+
+def _directions(
+    positions_m: Floats, rotations: Floats, interior: Floats, points_m: Floats, read: Readout | None
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Point minus projection centre (3, m); to the right and down in the image over the distance along the
+    view, without distortion, (m,) each; and the camera's own z (m,), NaN behind the camera.
+
+    Args: rotations (3, 3, m), interior (9, m).
+    """
+    d = by_component(points_m - positions_m)
+    if read is not None:
+        d -= (read.velocities_m_per_s.T * interior[8] + read.drifting_m.T) * read.shares
+    x, y, z = np.einsum("ijm,im->jm", rotations, d)
+    z = np.where(z < 0.0, z, np.nan)
+    return d, -x / z, y / z, z
+
+
+def _bends(
+    u: Floats, v: Floats, interior: Floats, kinds: Ints | None, *, slopes: bool
+) -> tuple[Floats, Floats]:
+    """Directions as the lenses bend them (2, m), and the slopes of that (3, m) if asked for."""
+    bent, slope = np.empty((2, len(u))), np.empty((3, len(u) if slopes else 0))
+    for lens, which in _lenses(kinds):
+        x, y = u[which], v[which]
+        r_sq, bends = x * x + y * y, interior[3:8, which]
+        bent[:, which] = lens.bent(bends, x, y, r_sq)
+        if slopes:
+            slope[:, which] = lens.slopes(bends, x, y, r_sq)
+    return bent, slope
+
+
+def _by_row(
+    read: Readout,
+    rotations: Floats,
+    interior: Floats,
+    d: Floats,
+    u: Floats,
+    v: Floats,
+    z: Floats,
+    slopes: Floats,
+) -> Floats:
+    """By how much points' images move while one row after the other is read, (2, m) px a row."""
+    readout_s = interior[8]
+    a, b, c = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
+    moving = -readout_s * read.velocities_m_per_s.T - read.drifting_m.T
+    moving -= np.stack([b * d[2] - c * d[1], c * d[0] - a * d[2], a * d[1] - b * d[0]])
+    x, y, along = np.einsum("ijm,im->jm", rotations, moving)
+    du, dv = -(x + u * along) / z, (y - v * along) / z
+    moved = np.stack([slopes[0] * du + slopes[1] * dv, slopes[1] * du + slopes[2] * dv])
+    moved *= interior[0] / read.heights_px
+    return np.asarray(np.clip(moved, -_MOST_BY_ROW, _MOST_BY_ROW))
+
+
+def _in_own_row(derivatives: Floats, by_row: Floats) -> None:
+    """Derivatives (2, k, m) by which the row itself moves, in place."""
+    derivatives[1] /= 1.0 - by_row[1]
+    derivatives[0] += by_row[0] * derivatives[1]
+
+
+def kinds_of(cameras: Sequence[Camera]) -> Ints | None:
+    """Numbers of the cameras' kinds of lens in `lens.LENSES`, None if all have the first one."""
+    names = list(LENSES)
+    kinds = np.array([names.index(c.kind) for c in cameras], dtype=np.intp)
+    return kinds if kinds.any() else None
+
+
+def _lenses(kinds: Ints | None) -> list[tuple[Lens, Ints | slice]]:
+    """The lenses that occur, each with the rows it bends."""
+    lenses = list(LENSES.values())
+    if kinds is None:
+        return [(lenses[0], slice(None))]
+    return [(lenses[k], np.flatnonzero(kinds == k)) for k in np.unique(kinds)]

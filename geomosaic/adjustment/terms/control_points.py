@@ -1,0 +1,231 @@
+"""Control points in a bundle, and what any method's poses make of control and check points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
+from geomosaic.adjustment.problem.bundle_model import MEASURED_SD_PX, Bundle, Priors
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.terms.collinearity import interior_of, kinds_of, project, readout_of
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import CHOSEN, Because
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import inverse, is_parallel, solve
+from geomosaic.projection.footprint import ground_from_image
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import ControlPoint, Survey, Warn
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+_DISAGREES: Annotated[
+    float,
+    Because(
+        "deviations",
+        "beyond which a control point is called wrong: of a hundred thousand none is by chance, and what "
+        "a stated deviation forgets is below it",
+        CHOSEN,
+    ),
+] = 5.0
+_UNKNOWN_SD: Annotated[
+    float,
+    Because(
+        "m",
+        "of a coordinate that is not given: farther than any frame sees",
+        CHOSEN,
+    ),
+] = 1e3
+
+Spread = Callable[[Ints, Floats, Floats], Floats]
+"""Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses
+(k, 3, 6) and by their cameras' numbers (k, 3, 9)."""
+
+
+def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl, ...]:
+    """The survey's control and check points in the work frame; those without an image are left out.
+
+    The work frame's up is taken for the point's own vertical: 1.6e-4 rad off per km from the centre. A point
+    known in plan only lies on the ground, as far as that is known.
+    """
+    number = {frame.name: i for i, frame in enumerate(survey.frames)}
+
+    def place(p: ControlPoint) -> Floats:
+        at = survey.work_frame.enu_from_geodetic(p.lon_deg, p.lat_deg, p.height_ellipsoidal_m)
+        return np.array([*at[:2], ground.up_at(*at[:2])]) if p.plan_only else at
+
+    return tuple(
+        GroundControl(
+            p.name,
+            place(p),
+            np.array([p.sd_horizontal_m, p.sd_horizontal_m, p.sd_vertical_m]),
+            p.check,
+            tuple((number[frame], col, row) for frame, col, row in p.images),
+        )
+        for p in survey.control
+        if p.images
+    )
+
+
+def with_control(tracks: Tracks, priors: Priors, control: Sequence[GroundControl]) -> tuple[Tracks, Priors]:
+    """Tie points first, then the control points that aren't for checking, held by their own deviations."""
+    used = [c for c in control if not c.check]
+    if not used:
+        return tracks, priors
+    p = len(priors.points_m)
+    seen = [(frame, p + k, col, row) for k, c in enumerate(used) for frame, col, row in c.observations]
+    frame, point, col, row = np.array(seen).T
+    joined = Tracks(
+        np.concatenate([tracks.frame, frame.astype(np.intp)]),
+        np.concatenate([tracks.point, point.astype(np.intp)]),
+        np.concatenate([tracks.image_px, np.column_stack([col, row])]),
+    )
+    return joined, replace(
+        priors,
+        points_m=np.concatenate([priors.points_m, [c.enu_m for c in used]]),
+        points_sd_m=np.concatenate([priors.points_sd_m, [c.sd_m for c in used]]),
+        control=np.concatenate([priors.control, np.ones(len(used), dtype=bool)]),
+    )
+
+
+def control_residuals(
+    block: Block,
+    poses: Poses,
+    cameras: tuple[Camera, ...],
+    ground: GroundSurface,
+    spread: Spread | None = None,
+    common_m2: Floats | float = 0.0,
+) -> tuple[ControlResidual, ...]:
+    """Where each point was surveyed minus where the images put it, by the poses as they are.
+
+    A point of two images and more is intersected from its image coordinates alone, whether it took part
+    in the solve or not; a point of one image is projected on the ground. Points that can't be reached
+    (rays that don't meet the ground) are left out.
+
+    Args: spread: covariance of poses and cameras after a bundle, which used the points that aren't for
+        checking. Without it no point was used: all are check points, and the poses' own deviations count,
+        as if they were independent. common_m2 (3,): see `common_error`; a point moves with all frames.
+    """
+    out = []
+    for c in block.control:
+        frames = np.array([frame for frame, _, _ in c.observations], dtype=np.intp)
+        image_px = np.array([at[1:] for at in c.observations])
+        found = _place(poses, cameras, ground, frames, image_px, c.enu_m)
+        if found is None:
+            continue
+        at_m, own, by_pose, by_interior = found
+        try:
+            moved = (spread or spread_of_poses(poses))(frames, by_pose, by_interior)
+        except NotSolvableError:
+            moved = spread_of_poses(poses)(frames, by_pose, by_interior)
+        sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2 + common_m2)
+        out.append(ControlResidual(c.name, c.check or spread is None, len(frames), c.enu_m - at_m, sd))
+    return tuple(out)
+
+
+def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
+    """Points that disagree by more than five of their standard deviations."""
+    out = []
+    for r in residuals:
+        if np.max(np.abs(r.residual_m) / r.sd_m) > _DISAGREES:
+            east, north, up = r.residual_m
+            kind = "check" if r.check else "control"
+            text = (
+                f"{kind} point '{r.name}' lies {np.linalg.norm(r.residual_m):.2f} m from where "
+                f"{'the images put' if r.images > 1 else 'its only image puts'} it "
+                f"({east:+.2f} east, {north:+.2f} north, {up:+.2f} up); "
+                "check its coordinates and where it was measured"
+            )
+            out.append(Warn(f"{kind}-disagrees", "", text))
+    return out
+
+
+def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
+    """Covariance of what depends on a bundle's poses and cameras, with all their correlations.
+
+    Args: camera_of (f,): the camera's index of each frame.
+    """
+
+    def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
+        poses, shared = np.zeros((len(camera_of), 6, 3)), np.zeros((len(bundle.reduced.shared), 3))
+        np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
+        of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
+        np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
+        return bundle.reduced.propagate(poses, shared)
+
+    return spread
+
+
+def spread_of_poses(poses: Poses) -> Spread:
+    """That of poses as if they were independent."""
+    sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
+    variance = np.where(np.isfinite(sd), sd, _UNKNOWN_SD) ** 2
+
+    def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
+        return np.asarray(np.einsum("kia,ka,kja->ij", by_pose, variance[frames], by_pose))
+
+    return spread
+
+
+def _place(
+    poses: Poses,
+    cameras: tuple[Camera, ...],
+    ground: GroundSurface,
+    frames: Ints,
+    image_px: Floats,
+    surveyed_m: Floats,
+) -> tuple[Floats, Floats, Floats, Floats] | None:
+    """A ground point (3,) from its image coordinates (k, 2), by least squares.
+
+    Returns: the point; its covariance (3, 3) for poses and cameras without error; its derivatives by the
+    frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it can't be had. In a single image the
+    ground's height is as good as the surveyed point says.
+    """
+    single = len(np.unique(frames)) == 1
+    if single:
+        at_m = ground_from_image(poses[frames[0]], cameras[frames[0]], ground, image_px.mean(axis=0))
+    else:
+        at_m = intersection_of_rays(poses, cameras, frames, image_px)
+    interior = np.stack([interior_of(cameras[i]) for i in frames])
+    heights = np.array([cameras[i].height_px for i in frames])
+    read = readout_of(poses, poses.rotations, None, None, frames, image_px[:, 1], heights, interior[:, -1])
+    kinds = kinds_of([cameras[i] for i in frames])
+    level = np.zeros((3, 3))
+    if single:
+        level[2, 2] = (MEASURED_SD_PX / max(abs(surveyed_m[2] - at_m[2]), 1e-3)) ** 2
+    for _ in range(1 if single else 6):
+        if not np.isfinite(at_m).all():
+            return None
+        many = np.broadcast_to(at_m, (len(frames), 3))
+        image, by_pose, by_interior, by_point = project(
+            poses.positions_m[frames], read.rotations, interior, many, read, kinds
+        )
+        if not np.isfinite(image).all():
+            return None
+        try:
+            cofactors = inverse(np.einsum("kai,kaj->ij", by_point, by_point) + level)
+        except NotSolvableError:
+            return None
+        lever = cofactors @ np.swapaxes(by_point, 1, 2)
+        if not single:
+            at_m = at_m + np.einsum("kia,ka->i", lever, image_px - image)
+    return at_m, MEASURED_SD_PX**2 * cofactors, -lever @ by_pose, -lever @ by_interior
+
+
+def intersection_of_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints, image_px: Floats) -> Floats:
+    """The point with the least squared distances to the rays; NaN for parallel rays."""
+    normal, side = np.zeros((3, 3)), np.zeros(3)
+    for i, px in zip(frames, image_px, strict=True):
+        ray = poses[i].ray_from_image(cameras[i], px)
+        ray = ray / np.linalg.norm(ray)
+        across = np.eye(3) - np.outer(ray, ray)
+        normal += across
+        side += across @ poses[i].centre_at(cameras[i], px)
+    if is_parallel(normal, 1e12):
+        return np.full(3, np.nan)
+    return solve(normal, side)
