@@ -1,14 +1,16 @@
-"""Numbers in the maths, each with its unit, its reason and its source beside it.
+"""Numbers in the maths, each with its unit and its reason in one line.
 
-A constant stands where it is used, annotated with its record:
+A constant stands where it is used:
 
-    FARTHEST: Annotated[float, Because("robust deviations", "what is farther off is no noise", CHOSEN)] = 4.5
+    NODE_POINTS = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
+    MAD = sourced(1.4826, "1", "normal deviations in a median absolute deviation", "1 / Phi^-1(3/4)")
 
 The value stays a plain number. `python -m geomosaic.constants [ROOM ...]` lists them all.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
 import math
 import pkgutil
@@ -18,55 +20,75 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Annotated, Any, Final, get_args, get_type_hints
+from typing import Any, Final, TypeVar
 
+T = TypeVar("T")
 CHOSEN: Final = "chosen, not measured"
 
 
-@dataclass(frozen=True)
-class Because:
-    """Why a number is what it is.
+def tuned(value: T, unit: str, reason: str) -> T:
+    """The value: a number that was chosen. unit: of the value, or what it is a share of. reason: what goes
+    wrong with a smaller or a larger one."""
+    return value
 
-    `unit`: of the value, or what it is a share of. `reason`: what goes wrong with a smaller or a larger one.
-    `source`: a publication with its section, a standard, a measurement with its survey, or CHOSEN.
-    """
+
+def sourced(value: T, unit: str, reason: str, source: str) -> T:
+    """The value: a number with a source. source: a publication with its section, a standard, a definition or
+    a measurement with its survey."""
+    return value
+
+
+NORMAL_PER_MAD = sourced(
+    1.4826,
+    "1",
+    "standard deviations of a normal distribution in one median absolute deviation",
+    "1 / Phi^-1(3/4)",
+)
+MEDIAN_LENGTH = sourced(
+    math.sqrt(math.log(4.0)),
+    "deviations",
+    "median length of errors of two numbers with a deviation of 1 each",
+    "Rayleigh's distribution: sqrt(2 ln 2)",
+)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Why a number is what it is; see `tuned` and `sourced`."""
 
     unit: str
     reason: str
     source: str
 
 
-NORMAL_PER_MAD: Annotated[
-    float,
-    Because(
-        "1",
-        "standard deviations of a normal distribution in one median absolute deviation",
-        "1 / Phi^-1(3/4)",
-    ),
-] = 1.4826
-
-MEDIAN_LENGTH: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median length of errors of two numbers with a deviation of 1 each",
-        "Rayleigh's distribution: sqrt(2 ln 2)",
-    ),
-] = math.sqrt(math.log(4.0))
-
-
-def records(*rooms: str) -> Iterator[tuple[str, Any, Because]]:
+def records(*rooms: str) -> Iterator[tuple[str, Any, Record]]:
     """Name, value and record of each constant in these rooms, or in all of them."""
     for found in pkgutil.walk_packages([str(Path(__file__).parent)], "geomosaic."):
         if rooms and found.name.split(".")[1] not in rooms:
             continue
         module = importlib.import_module(found.name)
-        noted = {n: a for n, a in getattr(module, "__annotations__", {}).items() if "Because(" in str(a)}
-        hints = get_type_hints(SimpleNamespace(__annotations__=noted), vars(module), include_extras=True)
-        for name, hint in hints.items():
-            for note in get_args(hint)[1:]:
-                yield f"{found.name.removeprefix('geomosaic.')}.{name}", vars(module)[name], note
+        for name, call in recorded(ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))):
+            texts = [_text(argument, module) for argument in call.args[1:]]
+            yield (
+                f"{found.name.removeprefix('geomosaic.')}.{name}",
+                vars(module)[name],
+                Record(*texts, *[CHOSEN] * (3 - len(texts))),
+            )
+
+
+def recorded(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:
+    """Names and calls of the constants that a module defines with `tuned` or `sourced`."""
+    for line in tree.body:
+        if isinstance(line, (ast.Assign, ast.AnnAssign)) and isinstance(line.value, ast.Call):
+            target = line.targets[0] if isinstance(line, ast.Assign) else line.target
+            made_by = line.value.func
+            if isinstance(made_by, ast.Name) and made_by.id in ("tuned", "sourced"):
+                yield ast.unparse(target), line.value
+
+
+def _text(argument: ast.expr, module: object) -> str:
+    """What an argument says; it may name other constants of its module."""
+    return str(eval(compile(ast.Expression(argument), "<constant>", "eval"), vars(module)))
 
 
 def main() -> None:

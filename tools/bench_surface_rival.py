@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
@@ -23,18 +22,17 @@ from geomosaic.survey.pixels import read_pixels
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
-_REDUCED: Annotated[
-    int,
-    Because("", "frames are reduced by it: each pair gives a cell of 4 ground pixels four heights", CHOSEN),
-] = 2
-_PAIRS: Annotated[int, Because("neighbours", "of each frame that it is paired with", CHOSEN)] = 3
+_REDUCED = tuned(2, "", "frames are reduced by it: each pair gives a cell of 4 ground pixels four heights")
+_PAIRS = tuned(3, "neighbours", "of each frame that it is paired with")
 _BELOW, _ABOVE = 0.1, 0.3
 """Of the flying height, how far below and above the ground through tie points is looked: as surface.dense."""
 _WINDOW_PX = 5
-_SMOOTH: Annotated[
-    tuple[int, int],
-    Because("", "what a step of one and of more costs, a pixel of the window", "OpenCV's advice: 8 and 32"),
-] = (8 * _WINDOW_PX**2, 32 * _WINDOW_PX**2)
+_SMOOTH: tuple[int, int] = sourced(
+    (8 * _WINDOW_PX**2, 32 * _WINDOW_PX**2),
+    "",
+    "what a step of one and of more costs, a pixel of the window",
+    "OpenCV's advice: 8 and 32",
+)
 
 
 def stereo_sgbm(run: Path) -> tuple[DenseSurface, float]:

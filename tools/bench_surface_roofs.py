@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import Similarity, best_similarity
@@ -26,80 +25,45 @@ from geomosaic.simulate.survey import landscape_of
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
-_PATCH_PX: Annotated[
-    int,
-    Because(
-        "px", "side of the patches about corners: smaller ones don't match, larger ones are all yard", CHOSEN
-    ),
-] = 32
-_INWARD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which patches lie inside their corner: about the corner itself three quarters are ground, which "
-        "is where it belongs whatever the roof does",
-        CHOSEN,
-    ),
-] = 8.0
-_SEARCH_PX: Annotated[
-    int, Because("px", "a roof 14 m high at the side of a frame leans by 60 on a smooth ground", CHOSEN)
-] = 64
-_SAME_PX: Annotated[
-    float, Because("px", "by which a corner that is looked for both ways may come back beside itself", CHOSEN)
-] = 1.0
-_BACK_SD_PX: Annotated[
-    float, Because("px", "deviation of the way back: it only has to tell one place from another", CHOSEN)
-] = 1.0
-FAR_PX: Annotated[float, Because("px", "by which a corner is off that is listed", "what is asked")] = 2.0
-_RIM_M: Annotated[
-    float, Because("m", "of the mosaic at its border, where less than three frames see", CHOSEN)
-] = 15.0
-_PIECE_M: Annotated[
-    float,
-    Because("m", "of an edge that are averaged: longer ones hide what a seam doubles in part", CHOSEN),
-] = 2.0
-_REACH_M: Annotated[
-    float,
-    Because("m", "across an edge in which it is looked for: a neighbour's edge is farther away", CHOSEN),
-] = 3.0
-_ABOUT_ROOFS_M: Annotated[float, Because("m", "about roofs in which SSIM is told apart", CHOSEN)] = 3.0
-_CLEAR: Annotated[
-    float,
-    Because(
-        "times what else steps in its profile",
-        "that an edge must step in the true ortho to be counted: roofs as dark as their shadow have none",
-        CHOSEN,
-    ),
-] = 4.0
-_THERE: Annotated[
-    float,
-    Because("of the true step", "that the mosaic has to show, else the edge is missing", CHOSEN),
-] = 0.4
-_ALIKE: Annotated[
-    float,
-    Because(
-        "of the strongest step",
-        "that a second one has where the true ortho has none: the edge is doubled; less are tiles, shadows",
-        CHOSEN,
-    ),
-] = 0.6
-_APART_M: Annotated[
-    float, Because("m", "between two steps of a doubled edge: nearer ones are one that is blurred", CHOSEN)
-] = 0.6
+_PATCH_PX = tuned(
+    32,
+    "px",
+    "side of the patches about corners: smaller ones don't match, larger ones are all yard",
+)
+_INWARD_PX = tuned(
+    8.0,
+    "px",
+    "by which patches lie inside their corner: about the corner itself three quarters are ground, which "
+    "is where it belongs whatever the roof does",
+)
+_SEARCH_PX = tuned(64, "px", "a roof 14 m high at the side of a frame leans by 60 on a smooth ground")
+_SAME_PX = tuned(1.0, "px", "by which a corner that is looked for both ways may come back beside itself")
+_BACK_SD_PX = tuned(1.0, "px", "deviation of the way back: it only has to tell one place from another")
+FAR_PX = sourced(2.0, "px", "by which a corner is off that is listed", "what is asked")
+_RIM_M = tuned(15.0, "m", "of the mosaic at its border, where less than three frames see")
+_PIECE_M = tuned(2.0, "m", "of an edge that are averaged: longer ones hide what a seam doubles in part")
+_REACH_M = tuned(3.0, "m", "across an edge in which it is looked for: a neighbour's edge is farther away")
+_ABOUT_ROOFS_M = tuned(3.0, "m", "about roofs in which SSIM is told apart")
+_CLEAR = tuned(
+    4.0,
+    "times what else steps in its profile",
+    "that an edge must step in the true ortho to be counted: roofs as dark as their shadow have none",
+)
+_THERE = tuned(0.4, "of the true step", "that the mosaic has to show, else the edge is missing")
+_ALIKE = tuned(
+    0.6,
+    "of the strongest step",
+    "that a second one has where the true ortho has none: the edge is doubled; less are tiles, shadows",
+)
+_APART_M = tuned(0.6, "m", "between two steps of a doubled edge: nearer ones are one that is blurred")
 
 
-_MOST_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of the mosaic's middle in which roofs are judged: dozens of houses; more only take time and "
-        "memory",
-        CHOSEN,
-    ),
-] = 3000
-_MOST_PATCHES: Annotated[
-    int, Because("patches", "by which the mosaic is laid on the true ortho: four numbers", CHOSEN)
-] = 2000
+_MOST_PX = tuned(
+    3000,
+    "px",
+    "side of the mosaic's middle in which roofs are judged: dozens of houses; more only take time and memory",
+)
+_MOST_PATCHES = tuned(2000, "patches", "by which the mosaic is laid on the true ortho: four numbers")
 
 
 @dataclass(frozen=True)

@@ -3,43 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z, turned_by
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
 Floats = NDArray[np.float64]
-_SETTLED_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "the row that sees a point is found while the camera moves or turns when a round moves it no "
-        "farther: what the tie points would show is a hundred times more",
-        CHOSEN,
-    ),
-] = 1e-4
-MOST_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "to look for it: three where a camera moves, twelve where it turns by 0.1 rad to each side; where it "
-        "turns faster than rows are read no row is the one, and rounds would go on for ever",
-        "computed of 4000 x 3000 px, f 3000 px, 100 m high at 15 m/s, rows read in 0.06 s",
-    ),
-] = 30
+_SETTLED_PX = tuned(
+    1e-4,
+    "px",
+    "the row that sees a point is found while the camera moves or turns when a round moves it no "
+    "farther: what the tie points would show is a hundred times more",
+)
+MOST_ROUNDS = sourced(
+    30,
+    "rounds",
+    "to look for it: three where a camera moves, twelve where it turns by 0.1 rad to each side; where it "
+    "turns faster than rows are read no row is the one, and rounds would go on for ever",
+    "computed of 4000 x 3000 px, f 3000 px, 100 m high at 15 m/s, rows read in 0.06 s",
+)
 
-LEAST_RECORDED: Annotated[
-    float,
-    Because(
-        "share of the height from the middle row on",
-        "up to which a record has to reach to be one of the frame: below, a tenth of the rows is left of it",
-        CHOSEN,
-    ),
-] = -0.4
+LEAST_RECORDED = tuned(
+    -0.4,
+    "share of the height from the middle row on",
+    "up to which a record has to reach to be one of the frame: below, a tenth of the rows is left of it",
+)
 
 
 def row_moved_px(camera: Camera, before_px: NDArray[Any], row_px: NDArray[Any]) -> NDArray[Any]:

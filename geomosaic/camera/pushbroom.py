@@ -4,38 +4,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from geomosaic.camera.rotation import about_x, about_y, about_z
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 from geomosaic.geodesy.local import ecef_from_geodetic, enu_from_ecef_rotation, geodetic_from_ecef
 
 Floats = NDArray[np.float64]
-_HEIGHT_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "from the ellipsoid with longer axes, which is millimetres off, to the surface of one height: the "
-        "first leaves nothing, the second is to spare",
-        "computed on the orbit of simulate.strip_plan.StripPlan: at 8,000 m and 30 degrees aside 6 mm "
-        "before the first, 1e-9 m after it",
-    ),
-] = 2
-_IMAGE_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "to find the line that sees a point: jitter changes the step to the next line by less than a "
-        "tenth, so each gives a digit; fewer leave a start that is far off",
-        "fixed point; computed on the orbit of simulate.strip_plan.StripPlan: of 200 lines 5e-5 px after "
-        "three, 2e-9 px after five",
-    ),
-] = 10
+_HEIGHT_ROUNDS = sourced(
+    2,
+    "rounds",
+    "from the ellipsoid with longer axes, which is millimetres off, to the surface of one height: the "
+    "first leaves nothing, the second is to spare",
+    "computed on the orbit of simulate.strip_plan.StripPlan: at 8,000 m and 30 degrees aside 6 mm "
+    "before the first, 1e-9 m after it",
+)
+_IMAGE_ROUNDS = sourced(
+    10,
+    "rounds",
+    "to find the line that sees a point: jitter changes the step to the next line by less than a "
+    "tenth, so each gives a digit; fewer leave a start that is far off",
+    "fixed point; computed on the orbit of simulate.strip_plan.StripPlan: of 200 lines 5e-5 px after "
+    "three, 2e-9 px after five",
+)
 
 
 @dataclass(frozen=True, eq=False)

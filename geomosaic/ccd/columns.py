@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import cv2
 import numpy as np
 
 from geomosaic.ccd.model import Flags, Images
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
-_BOX_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of the boxes, three of which stand for a Gaussian of 8.5 px: smaller ones take away detail "
-        "that is to be matched, larger ones leave a cloud's mark on more of the ground beside it",
-        "chosen; sqrt(3 (17^2 - 1) / 12) = 8.5 px, the deviation of three boxes",
-    ),
-] = 17
+_BOX_PX = sourced(
+    17,
+    "px",
+    "side of the boxes, three of which stand for a Gaussian of 8.5 px: smaller ones take away detail "
+    "that is to be matched, larger ones leave a cloud's mark on more of the ground beside it",
+    "chosen; sqrt(3 (17^2 - 1) / 12) = 8.5 px, the deviation of three boxes",
+)
 
 
 def column_gains(image: Images, valid: Flags) -> Images:

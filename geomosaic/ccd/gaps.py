@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
-_SURE_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation up to which offsets are as good as measured: then the lines themselves showed too little",
-        CHOSEN,
-    ),
-] = 0.5
+_SURE_PX = tuned(
+    0.5,
+    "px",
+    "deviation up to which offsets are as good as measured: then the lines themselves showed too little",
+)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ along the overlap are correlated, doubtful ones dropped, and a smooth curve is d
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import cv2
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
@@ -26,72 +24,53 @@ from geomosaic.ccd.model import (
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.sift_chains import NOTHING_SD_PX, bridging_sd, pieces
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.strips import StripGeometry
 
-_PATCH_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "height of a patch: lower ones hold too little to match where contrast is low, higher ones blur "
-        "what jitter moves within them (a swing of TH-1's 22 Hz takes 149 lines)",
-        CHOSEN,
-    ),
-] = 64
-_PIECE_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "read at once, a whole number of patches: fewer read the spare lines at both ends more often, more "
-        "take memory",
-        CHOSEN,
-    ),
-] = 16 * _PATCH_LINES
-_LEAST_CORRELATION: Annotated[
-    float,
-    Because(
-        "1",
-        "coefficient at a patch's peak below which it is doubtful: with less, peaks of chance bend the "
-        "curve, with more, patches of low contrast are lost",
-        CHOSEN,
-    ),
-] = 0.4
-_ODD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which a patch may lie off the middle of the seven about it: less drops what jitter moves, more "
-        "lets wrong peaks bend the curve",
-        CHOSEN,
-    ),
-] = 1.5
-_LEAST_PATCHES: Annotated[
-    int,
-    Because(
-        "patches",
-        "of a pair for a curve at all: a smoothing spline can't be drawn through fewer",
-        "scipy.interpolate.make_smoothing_spline: at least 5 points",
-    ),
-] = 5
-_BLUR_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "half the side of a box of `flattened`, whose three boxes reach three times as far: with fewer "
-        "spare lines a piece's ends would look otherwise than in the whole, more are read for nothing",
-        "(17 - 1) / 2, of columns._BOX_PX",
-    ),
-] = 8
-_PHASE_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation that neighbouring patches share, so that their scatter doesn't show it: a parabola's "
-        "peak leans to whole pixels; with less, smooth curves claim too much, with more, good ones too "
-        "little",
-        CHOSEN,
-    ),
-] = 0.02
+_PATCH_LINES = tuned(
+    64,
+    "lines",
+    "height of a patch: lower ones hold too little to match where contrast is low, higher ones blur "
+    "what jitter moves within them (a swing of TH-1's 22 Hz takes 149 lines)",
+)
+_PIECE_LINES: int = tuned(
+    16 * _PATCH_LINES,
+    "lines",
+    "read at once, a whole number of patches: fewer read the spare lines at both ends more often, more "
+    "take memory",
+)
+_LEAST_CORRELATION = tuned(
+    0.4,
+    "1",
+    "coefficient at a patch's peak below which it is doubtful: with less, peaks of chance bend the "
+    "curve, with more, patches of low contrast are lost",
+)
+_ODD_PX = tuned(
+    1.5,
+    "px",
+    "by which a patch may lie off the middle of the seven about it: less drops what jitter moves, more "
+    "lets wrong peaks bend the curve",
+)
+_LEAST_PATCHES = sourced(
+    5,
+    "patches",
+    "of a pair for a curve at all: a smoothing spline can't be drawn through fewer",
+    "scipy.interpolate.make_smoothing_spline: at least 5 points",
+)
+_BLUR_PX = sourced(
+    8,
+    "px",
+    "half the side of a box of `flattened`, whose three boxes reach three times as far: with fewer "
+    "spare lines a piece's ends would look otherwise than in the whole, more are read for nothing",
+    "(17 - 1) / 2, of columns._BOX_PX",
+)
+_PHASE_SD_PX = tuned(
+    0.02,
+    "px",
+    "deviation that neighbouring patches share, so that their scatter doesn't show it: a parabola's "
+    "peak leans to whole pixels; with less, smooth curves claim too much, with more, good ones too "
+    "little",
+)
 
 
 def image_registration(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:

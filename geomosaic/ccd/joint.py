@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,94 +25,69 @@ from geomosaic.ccd.model import (
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.strips import StripGeometry
 
 Ints = NDArray[np.intp]
-_WINDOW_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "solved at once, of all pairs: more take memory by their number, in fewer there is less to learn "
-        "from how curves go, and more is solved twice",
-        CHOSEN,
-    ),
-] = 20000
-_MARGIN_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "by which a window reaches over its ends, and over as many two windows fade into each other: with "
-        "fewer, gaps at an end are bridged from one side alone, more are solved twice",
-        CHOSEN,
-    ),
-] = 2000
-_LEAST_KNOTS: Annotated[
-    int,
-    Because(
-        "knots",
-        "that both strips of a pair must share: of fewer nothing is said, since curves would be what was "
-        "expected of them beforehand; more would refuse short scenes that can be matched",
-        CHOSEN,
-    ),
-] = 16
-_MOST_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "in which a window's curves are asked for more lost lines and solved anew: one finds the smaller "
-        "steps beside those found first, another what these hid; each further one takes the time of a whole "
-        "solution",
-        CHOSEN,
-    ),
-] = 2
-_BESIDE_LINES: Annotated[
-    float,
-    Because(
-        "lines",
-        "so near to lost lines, beyond their number, a line may belong to either side: with less, lines on "
-        "the wrong side are believed, with more, good ones are not",
-        CHOSEN,
-    ),
-] = 3.0
-_RESAMPLING_SD_PX: Annotated[
-    tuple[float, float],
-    Because(
-        "px: columns, lines",
-        "deviation of every line: what resampling leaves, and what the overlap's columns differ by, which "
-        "the smoother's covariance doesn't know; with less, clean scenes claim too much, with more, too "
-        "little",
-        "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
-        "interval",
-    ),
-] = (0.004, 0.003)
-_MEASURED_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "stated deviation up to which a line may be called measured; four of it are a pixel: with more, "
-        "lines that hang on their neighbours are called so, with less, lines of low contrast are not",
-        CHOSEN,
-    ),
-] = 0.25
-_RELIABLE_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "stated deviation beyond which a line is unreliable, since its 90 % interval passes a pixel: with "
-        "more, misplaced lines count as bridged, with less, usable ones are given up",
-        "1 px / 1.645 = 0.61 px; that it is a pixel is chosen",
-    ),
-] = 0.6
-_UNKNOWN_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of lines that nothing shows: about as far as TH-1's ground may lie from the nominal "
-        "geometry; less would claim knowledge, more says no more",
-        CHOSEN,
-    ),
-] = 10.0
+_WINDOW_LINES = tuned(
+    20000,
+    "lines",
+    "solved at once, of all pairs: more take memory by their number, in fewer there is less to learn "
+    "from how curves go, and more is solved twice",
+)
+_MARGIN_LINES = tuned(
+    2000,
+    "lines",
+    "by which a window reaches over its ends, and over as many two windows fade into each other: with "
+    "fewer, gaps at an end are bridged from one side alone, more are solved twice",
+)
+_LEAST_KNOTS = tuned(
+    16,
+    "knots",
+    "that both strips of a pair must share: of fewer nothing is said, since curves would be what was "
+    "expected of them beforehand; more would refuse short scenes that can be matched",
+)
+_MOST_ROUNDS = tuned(
+    2,
+    "rounds",
+    "in which a window's curves are asked for more lost lines and solved anew: one finds the smaller "
+    "steps beside those found first, another what these hid; each further one takes the time of a whole "
+    "solution",
+)
+_BESIDE_LINES = tuned(
+    3.0,
+    "lines",
+    "so near to lost lines, beyond their number, a line may belong to either side: with less, lines on "
+    "the wrong side are believed, with more, good ones are not",
+)
+_RESAMPLING_SD_PX: tuple[float, float] = sourced(
+    (0.004, 0.003),
+    "px: columns, lines",
+    "deviation of every line: what resampling leaves, and what the overlap's columns differ by, which "
+    "the smoother's covariance doesn't know; with less, clean scenes claim too much, with more, too "
+    "little",
+    "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
+    "interval",
+)
+_MEASURED_SD_PX = tuned(
+    0.25,
+    "px",
+    "stated deviation up to which a line may be called measured; four of it are a pixel: with more, "
+    "lines that hang on their neighbours are called so, with less, lines of low contrast are not",
+)
+_RELIABLE_SD_PX = sourced(
+    0.6,
+    "px",
+    "stated deviation beyond which a line is unreliable, since its 90 % interval passes a pixel: with "
+    "more, misplaced lines count as bridged, with less, usable ones are given up",
+    "1 px / 1.645 = 0.61 px; that it is a pixel is chosen",
+)
+_UNKNOWN_SD_PX = tuned(
+    10.0,
+    "px",
+    "deviation of lines that nothing shows: about as far as TH-1's ground may lie from the nominal "
+    "geometry; less would claim knowledge, more says no more",
+)
 
 
 def joint(

@@ -8,7 +8,6 @@ all the way, or the cloud's all the way. Which of the two is settled once for th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,45 +15,33 @@ from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter1d
 
 from geomosaic.ccd.model import Floats
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
-_LEAST_BINS: Annotated[
-    int,
-    Because(
-        "bins",
-        "two layers must be farther apart than this along lines or columns: with less, the slopes of one "
-        "layer's peak, which reach as far, pass for another layer, with more, lower clouds are passed over",
-        CHOSEN,
-    ),
-] = 1
-_PEAK: Annotated[
-    float,
-    Because(
-        "logarithm of a likelihood ratio",
-        "evidence above which a block's peak counts: with less, chance among some hundred shifts gives "
-        "vectors, with more, thin clouds and blocks of low contrast give none",
-        CHOSEN,
-    ),
-] = 5.0
-_NOTABLE: Annotated[
-    float,
-    Because(
-        "of the volumes' correlation with themselves unmoved",
-        "what a vector's peak must exceed to be tried: less tries chance ones, a whole path each, more "
-        "passes over clouds on few lines",
-        CHOSEN,
-    ),
-] = 0.004
-_SECOND_COSTS: Annotated[
-    float,
-    Because(
-        "logarithm of a likelihood ratio",
-        "what a block's evidence loses when the second layer explains it: the largest of nine bins is taken "
-        "there, which by chance alone is more than one; with less, noise makes clouds, with more, blocks "
-        "under clouds pull the ground",
-        CHOSEN,
-    ),
-] = 1.0
+_LEAST_BINS = tuned(
+    1,
+    "bins",
+    "two layers must be farther apart than this along lines or columns: with less, the slopes of one "
+    "layer's peak, which reach as far, pass for another layer, with more, lower clouds are passed over",
+)
+_PEAK = tuned(
+    5.0,
+    "logarithm of a likelihood ratio",
+    "evidence above which a block's peak counts: with less, chance among some hundred shifts gives "
+    "vectors, with more, thin clouds and blocks of low contrast give none",
+)
+_NOTABLE = tuned(
+    0.004,
+    "of the volumes' correlation with themselves unmoved",
+    "what a vector's peak must exceed to be tried: less tries chance ones, a whole path each, more "
+    "passes over clouds on few lines",
+)
+_SECOND_COSTS = tuned(
+    1.0,
+    "logarithm of a likelihood ratio",
+    "what a block's evidence loses when the second layer explains it: the largest of nine bins is taken "
+    "there, which by chance alone is more than one; with less, noise makes clouds, with more, blocks "
+    "under clouds pull the ground",
+)
 
 
 @dataclass(frozen=True)

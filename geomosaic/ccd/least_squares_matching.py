@@ -9,7 +9,6 @@ against what noise and resampling explain: a cloud, a misread ground or a lost l
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -18,101 +17,73 @@ from scipy.ndimage import uniform_filter1d
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import solve_each
 
-_STEP: Annotated[
-    float,
-    Because(
-        "px",
-        "to which curves are rounded before cv2.remap, which knows no finer step: with any other one, "
-        "images are taken from elsewhere than `_lands` says",
-        "OpenCV: cv2.INTER_TAB_SIZE is 32 steps to a pixel",
-    ),
-] = 1.0 / 32.0
-_MISFIT_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "what resampling, aliasing and relief leave within a cell, as a shift of the image: with less, "
-        "sharp ground is said not to fit, with more, clouds and lost lines fit",
-        CHOSEN,
-    ),
-] = 0.06
-_ALIKE_MISFIT_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "the same as an error of each pixel by itself, larger since within neighbouring pixels it is alike: "
-        "with less, stated deviations are too small where contrast is high, with more, too large",
-        "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
-        "interval",
-    ),
-] = 0.33
-_CLOSE_MISFIT_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "the same for curves from which to learn how curves go, an eighth of its variance, since they "
-        "should rather lie too close than be too smooth: with less, noise is learned, with more, jitter is "
-        "smoothed away",
-        CHOSEN,
-    ),
-] = 0.117
-_MOST_RATIO: Annotated[
-    float,
-    Because(
-        "of the mean square that noise and misfit explain",
-        "beyond which a cell counts less, by the square: with less, cells are lost by chance, with more, "
-        "those half under a cloud count in full",
-        CHOSEN,
-    ),
-] = 1.8
-_HOPELESS_RATIO: Annotated[
-    float,
-    Because(
-        "of the mean square that noise and misfit explain",
-        "beyond which a cell doesn't count at all, a cloud or a misread ground: with less, cells at the "
-        "edge of something are lost, with more, many such together still pull",
-        CHOSEN,
-    ),
-] = 5.0
-_COL_GROUPS: Annotated[
-    int,
-    Because(
-        "cells of a knot",
-        "side by side, into which the overlap's columns are parted: with fewer, a cloud's edge spoils a "
-        "whole knot, with more, each has too few pixels to judge it by",
-        CHOSEN,
-    ),
-] = 4
-_UNLIKE: Annotated[
-    float,
-    Because(
-        "1",
-        "correlation of both images' gradients below which a cell doesn't count: with less, smooth clouds "
-        "that fit anything pull the curve, with more, ground of low contrast is lost",
-        CHOSEN,
-    ),
-] = 0.2
-_ALIKE: Annotated[
-    float,
-    Because(
-        "1",
-        "correlation of both images' gradients from which on a cell counts in full: nearer to the other "
-        "limit, cells come and go by noise, with more, noisy ground counts too little",
-        CHOSEN,
-    ),
-] = 0.4
-_ALIKE_KNOTS: Annotated[
-    int,
-    Because(
-        "knots",
-        "over which that correlation is taken, odd so that the knot lies in their middle: of fewer it is "
-        "noise where contrast is low, of more a cloud's edge reaches farther",
-        CHOSEN,
-    ),
-] = 5
+_STEP: float = sourced(
+    1.0 / 32.0,
+    "px",
+    "to which curves are rounded before cv2.remap, which knows no finer step: with any other one, "
+    "images are taken from elsewhere than `_lands` says",
+    "OpenCV: cv2.INTER_TAB_SIZE is 32 steps to a pixel",
+)
+_MISFIT_PX = tuned(
+    0.06,
+    "px",
+    "what resampling, aliasing and relief leave within a cell, as a shift of the image: with less, "
+    "sharp ground is said not to fit, with more, clouds and lost lines fit",
+)
+_ALIKE_MISFIT_PX = sourced(
+    0.33,
+    "px",
+    "the same as an error of each pixel by itself, larger since within neighbouring pixels it is alike: "
+    "with less, stated deviations are too small where contrast is high, with more, too large",
+    "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
+    "interval",
+)
+_CLOSE_MISFIT_PX = tuned(
+    0.117,
+    "px",
+    "the same for curves from which to learn how curves go, an eighth of its variance, since they "
+    "should rather lie too close than be too smooth: with less, noise is learned, with more, jitter is "
+    "smoothed away",
+)
+_MOST_RATIO = tuned(
+    1.8,
+    "of the mean square that noise and misfit explain",
+    "beyond which a cell counts less, by the square: with less, cells are lost by chance, with more, "
+    "those half under a cloud count in full",
+)
+_HOPELESS_RATIO = tuned(
+    5.0,
+    "of the mean square that noise and misfit explain",
+    "beyond which a cell doesn't count at all, a cloud or a misread ground: with less, cells at the "
+    "edge of something are lost, with more, many such together still pull",
+)
+_COL_GROUPS = tuned(
+    4,
+    "cells of a knot",
+    "side by side, into which the overlap's columns are parted: with fewer, a cloud's edge spoils a "
+    "whole knot, with more, each has too few pixels to judge it by",
+)
+_UNLIKE = tuned(
+    0.2,
+    "1",
+    "correlation of both images' gradients below which a cell doesn't count: with less, smooth clouds "
+    "that fit anything pull the curve, with more, ground of low contrast is lost",
+)
+_ALIKE = tuned(
+    0.4,
+    "1",
+    "correlation of both images' gradients from which on a cell counts in full: nearer to the other "
+    "limit, cells come and go by noise, with more, noisy ground counts too little",
+)
+_ALIKE_KNOTS = tuned(
+    5,
+    "knots",
+    "over which that correlation is taken, odd so that the knot lies in their middle: of fewer it is "
+    "noise where contrast is low, of more a cloud's edge reaches farther",
+)
 
 
 @dataclass(frozen=True)

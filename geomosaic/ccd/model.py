@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
 Floats = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -25,19 +25,24 @@ Progress = Callable[[int, int], None]
 LABELS: Final = ("measured", "bridged", "unreliable")
 _LABEL: Final = "index into LABELS"
 _RECORDED: Final = "docs/recording.md, /strip_offsets/PAIR"
-MEASURED: Annotated[
-    int, Because(_LABEL, "own evidence in the images; another number is misread in recordings", _RECORDED)
-] = 0
-BRIDGED: Annotated[
-    int,
-    Because(
-        _LABEL, "from neighbouring lines and other pairs; another number is misread in recordings", _RECORDED
-    ),
-] = 1
-UNRELIABLE: Annotated[
-    int,
-    Because(_LABEL, "hardly known, or seen by one strip; another number is misread in recordings", _RECORDED),
-] = 2
+MEASURED = sourced(
+    0,
+    _LABEL,
+    "own evidence in the images; another number is misread in recordings",
+    _RECORDED,
+)
+BRIDGED = sourced(
+    1,
+    _LABEL,
+    "from neighbouring lines and other pairs; another number is misread in recordings",
+    _RECORDED,
+)
+UNRELIABLE = sourced(
+    2,
+    _LABEL,
+    "hardly known, or seen by one strip; another number is misread in recordings",
+    _RECORDED,
+)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -26,65 +25,48 @@ from geomosaic.ccd.model import (
     Settings,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
-_AGREE_PX: Annotated[
-    float,
-    Because(
-        "px, along columns and along lines",
-        "within which points agree on a shift: with less, jitter within a piece parts good ones, with more, "
-        "low clouds and wrong matches agree with the ground",
-        CHOSEN,
-    ),
-] = 1.0
-_NEAR_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which the middle of a piece's points may lie off the scene's one offset for its lines to be "
-        "called measured: with more, lines that are misplaced by a pixel are, with less, none that moves",
-        CHOSEN,
-    ),
-] = 0.5
-_LEAST_POINTS: Annotated[
-    int,
-    Because(
-        "points",
-        "that must agree: of 100 wrong matches in the search, six hardly ever do so by chance; with more, "
-        "segments of low contrast have no offset",
-        CHOSEN,
-    ),
-] = 6
-_ABNORMAL_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which a segment may leave the line between its neighbours: with less, drift and jitter are "
-        "abnormal, with more, segments on clouds are kept",
-        "chosen; that abnormal segments are left out since the platform moves slowly: Cheng et al. 2018, "
-        "Spacecraft Recovery & Remote Sensing 39(2), 84-92",
-    ),
-] = 2.0
-_MOST_TRIED: Annotated[
-    int,
-    Because(
-        "points",
-        "whose shift is tried, evenly taken from all: one point is a shift, so a few right ones among them "
-        "are enough; more take time by the square",
-        CHOSEN,
-    ),
-] = 500
-NOTHING_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of what nothing shows: about as far as TH-1's ground may lie from the nominal "
-        "geometry; less would claim knowledge, more says no more",
-        CHOSEN,
-    ),
-] = 10.0
+_AGREE_PX = tuned(
+    1.0,
+    "px, along columns and along lines",
+    "within which points agree on a shift: with less, jitter within a piece parts good ones, with more, "
+    "low clouds and wrong matches agree with the ground",
+)
+_NEAR_PX = tuned(
+    0.5,
+    "px",
+    "by which the middle of a piece's points may lie off the scene's one offset for its lines to be "
+    "called measured: with more, lines that are misplaced by a pixel are, with less, none that moves",
+)
+_LEAST_POINTS = tuned(
+    6,
+    "points",
+    "that must agree: of 100 wrong matches in the search, six hardly ever do so by chance; with more, "
+    "segments of low contrast have no offset",
+)
+_ABNORMAL_PX = sourced(
+    2.0,
+    "px",
+    "by which a segment may leave the line between its neighbours: with less, drift and jitter are "
+    "abnormal, with more, segments on clouds are kept",
+    "chosen; that abnormal segments are left out since the platform moves slowly: Cheng et al. 2018, "
+    "Spacecraft Recovery & Remote Sensing 39(2), 84-92",
+)
+_MOST_TRIED = tuned(
+    500,
+    "points",
+    "whose shift is tried, evenly taken from all: one point is a shift, so a few right ones among them "
+    "are enough; more take time by the square",
+)
+NOTHING_SD_PX = tuned(
+    10.0,
+    "px",
+    "deviation of what nothing shows: about as far as TH-1's ground may lie from the nominal "
+    "geometry; less would claim knowledge, more says no more",
+)
 
 
 @dataclass(frozen=True)

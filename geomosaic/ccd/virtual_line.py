@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from geomosaic.ccd.line_poses import LinePoses
 from geomosaic.ccd.model import BRIDGED, UNRELIABLE, Floats, PairOffsets, Progress, Settings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
@@ -20,63 +20,48 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
     "relief, 0.5 px of jitter at 22 Hz, seed 1"
 )
-_PIECE_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "predicted at once, with one table of poses: more take memory by their number, and with fewer the "
-        "tables' lines between the rows are made more often",
-        CHOSEN,
-    ),
-] = 8192
-_SPARE_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "for which poses are tabled beyond those that nominally see the ground: offsets are some px, with "
-        "attitudes that jump by 8 px below 80, and where the table ends its last two poses go straight on; "
-        "more take time alone",
-        CHOSEN,
-    ),
-] = 200
-_MODEL_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of what a calibrated camera's looks, orbit and slow attitude leave between the rows, some "
-        "0.4 microradian of TH-1's: with less, the method claims what no camera has shown, with 0.6 no line "
-        "is reliable",
-        CHOSEN,
-    ),
-] = 0.1
-_RELIABLE_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "stated deviation beyond which a line is unreliable, since its 90 % interval passes a pixel, as for "
-        "joint: with more, misplaced lines count as bridged, with less, usable ones are given up",
-        "1 px / 1.645 = 0.61 px; that it is a pixel is chosen",
-    ),
-] = 0.6
-_STEP_M: Annotated[
-    float,
-    Because(
-        "m",
-        "by which the ground is raised and lowered to find the parallax of a metre of height: it comes out "
-        "alike with 5 m, and with 500 m but for 2 % of the columns' small part; much less drowns in "
-        "rounding, much more is no slope",
-        _COMPUTED,
-    ),
-] = 50.0
-_RELIEF_STEP_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "from one line for which the relief's part is found to the next, straight in between: off by 1e-4 "
-        "px, by 8e-3 with 32; closer ones take time by their number",
-        _COMPUTED,
-    ),
-] = 4
+_PIECE_LINES = tuned(
+    8192,
+    "lines",
+    "predicted at once, with one table of poses: more take memory by their number, and with fewer the "
+    "tables' lines between the rows are made more often",
+)
+_SPARE_LINES = tuned(
+    200,
+    "lines",
+    "for which poses are tabled beyond those that nominally see the ground: offsets are some px, with "
+    "attitudes that jump by 8 px below 80, and where the table ends its last two poses go straight on; "
+    "more take time alone",
+)
+_MODEL_SD_PX = tuned(
+    0.1,
+    "px",
+    "deviation of what a calibrated camera's looks, orbit and slow attitude leave between the rows, some "
+    "0.4 microradian of TH-1's: with less, the method claims what no camera has shown, with 0.6 no line "
+    "is reliable",
+)
+_RELIABLE_SD_PX = sourced(
+    0.6,
+    "px",
+    "stated deviation beyond which a line is unreliable, since its 90 % interval passes a pixel, as for "
+    "joint: with more, misplaced lines count as bridged, with less, usable ones are given up",
+    "1 px / 1.645 = 0.61 px; that it is a pixel is chosen",
+)
+_STEP_M = sourced(
+    50.0,
+    "m",
+    "by which the ground is raised and lowered to find the parallax of a metre of height: it comes out "
+    "alike with 5 m, and with 500 m but for 2 % of the columns' small part; much less drowns in "
+    "rounding, much more is no slope",
+    _COMPUTED,
+)
+_RELIEF_STEP_LINES = sourced(
+    4,
+    "lines",
+    "from one line for which the relief's part is found to the next, straight in between: off by 1e-4 "
+    "px, by 8e-3 with 32; closer ones take time by their number",
+    _COMPUTED,
+)
 
 
 def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:

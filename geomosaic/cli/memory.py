@@ -9,28 +9,22 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from typing import Annotated
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
-_KEPT_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of free memory at the heap's end that a process keeps: twice what a frame's keypoints take and give "
-        "back; with a quarter of it, next to nothing is gained",
-        CHOSEN,
-    ),
-] = 256 << 20
-_MAPPED_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "an array that takes more is mapped by itself, and goes when it is freed: images at full size, which "
-        "would leave holes",
-        "glibc, malloc.c: the most it takes for M_MMAP_THRESHOLD, half a thread's heap",
-    ),
-] = 32 << 20
+_KEPT_BYTES: int = tuned(
+    256 << 20,
+    "bytes",
+    "of free memory at the heap's end that a process keeps: twice what a frame's keypoints take and give "
+    "back; with a quarter of it, next to nothing is gained",
+)
+_MAPPED_BYTES: int = sourced(
+    32 << 20,
+    "bytes",
+    "an array that takes more is mapped by itself, and goes when it is freed: images at full size, which "
+    "would leave holes",
+    "glibc, malloc.c: the most it takes for M_MMAP_THRESHOLD, half a thread's heap",
+)
 _OPTIONS = {
     "MALLOC_TRIM_THRESHOLD_": (-1, _KEPT_BYTES),
     "MALLOC_MMAP_THRESHOLD_": (-3, _MAPPED_BYTES),

@@ -7,24 +7,22 @@ import ipaddress
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 from urllib.parse import quote, unquote, urlsplit
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import printable, read_text
 from geomosaic.errors import FileError, InputError
 
 _STORES: Final = {"s3": "/vsis3/", "gs": "/vsigs/", "az": "/vsiaz/"}
 _KNOWN: Final = "https://, s3://, gs:// or az://"
 _SPOILED: Final = re.compile(r"(?:^|/)(https?|ftp|s3|gs|az):/+(.*)", re.DOTALL)
-_LIST_BYTES: Annotated[
-    int,
-    Because("bytes", "of a list of addresses: 100,000 have some 10 MB, a larger file is no list", CHOSEN),
-] = 32 << 20
-_NAME_BYTES: Annotated[
-    int,
-    Because("bytes", "of a name: file systems hold 255, and the temporary one is some 40 longer", CHOSEN),
-] = 200
+_LIST_BYTES: int = tuned(
+    32 << 20,
+    "bytes",
+    "of a list of addresses: 100,000 have some 10 MB, a larger file is no list",
+)
+_NAME_BYTES = tuned(200, "bytes", "of a name: file systems hold 255, and the temporary one is some 40 longer")
 
 
 @dataclass(frozen=True)

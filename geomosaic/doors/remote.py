@@ -13,38 +13,33 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, BinaryIO, Final
+from typing import BinaryIO, Final
 from urllib.parse import urljoin, urlsplit
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.addresses import Address, file_name
 from geomosaic.doors.bindings import gdal
 from geomosaic.doors.files import printable
 from geomosaic.doors.gdal_failures import gdal_options
 from geomosaic.errors import CancelledError, GeomosaicError, InputError
 
-MOST_FILES: Annotated[
-    int,
-    Because("files", "a survey of frames has thousands; more is a whole store, given by mistake", CHOSEN),
-] = 100_000
-_PIECE_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "asked for at once, so that a frame takes one request or two and a stop waits for one piece of each "
-        "thread; GDAL gives at most 16 MB",
-        CHOSEN,
-    ),
-] = 8 << 20
-_TRIES: Annotated[
-    int,
-    Because(
-        "connections",
-        "that may break off before a file is given up: GDAL itself tries again only where a server says so; "
-        "more would hide a server that never gives it whole",
-        CHOSEN,
-    ),
-] = 4
+MOST_FILES = tuned(
+    100_000,
+    "files",
+    "a survey of frames has thousands; more is a whole store, given by mistake",
+)
+_PIECE_BYTES: int = tuned(
+    8 << 20,
+    "bytes",
+    "asked for at once, so that a frame takes one request or two and a stop waits for one piece of each "
+    "thread; GDAL gives at most 16 MB",
+)
+_TRIES = tuned(
+    4,
+    "connections",
+    "that may break off before a file is given up: GDAL itself tries again only where a server says so; "
+    "more would hide a server that never gives it whole",
+)
 _HTTP: Final = {
     "GDAL_HTTP_CONNECTTIMEOUT": "10",
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",

@@ -2,62 +2,47 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
 Floats = NDArray[np.float64]
-_CAUCHY: Annotated[
-    float,
-    Because(
-        "deviations",
-        "where Cauchy's weight is a half, and where a tag's begins to fall: with less, what is merely noisy "
-        "loses its say; with more, what is wrong keeps it",
-        CHOSEN,
-    ),
-] = 3.0
-LIES: Annotated[
-    float,
-    Because(
-        "deviations",
-        "beyond which an observation is called wrong: of a million honest ones none is; with less, honest "
-        "ones would be named",
-        CHOSEN,
-    ),
-] = 6.0
-_NO_SAY: Annotated[
-    float,
-    Because(
-        "share of the full weight",
-        "left to what is called wrong: it doesn't pull, but a frame that nothing else holds keeps its "
-        "place; with 0 the equations could not be solved",
-        CHOSEN,
-    ),
-] = 1e-6
-_FREEDOM: Annotated[
-    float,
-    Because(
-        "degrees of freedom",
-        "of image errors: keypoints on what moves or looks alike leave long tails, for which 5 to 9 gave "
-        "shapes up to a third better than Cauchy's function at 3 deviations. Where errors are normal, "
-        "squares are 3 % above those stated with 5, 8 % with 4. No survey shows its own: a point seen twice "
-        "takes three of four numbers, and whatever its errors are, its residuals look long-tailed",
-        "docs/results.md, Student's distribution of image errors: 14 dirty surveys, seeds 102 to 329; "
-        "normal errors: tests/test_bundle_covariance.py, seeds 1 to 6",
-    ),
-] = 5.0
-INFORMATION: Annotated[
-    float,
-    Because(
-        "share of a normal pair's information",
-        "what a pair that errs by Student's distribution contributes beside a normal one of the same scale: "
-        "weights without it state deviations that are too small",
-        "Lange, Little and Taylor 1989, Journal of the American Statistical Association 84, appendix B",
-    ),
-] = (_FREEDOM + 2.0) / (_FREEDOM + 4.0)
+_CAUCHY = tuned(
+    3.0,
+    "deviations",
+    "where Cauchy's weight is a half, and where a tag's begins to fall: with less, what is merely noisy "
+    "loses its say; with more, what is wrong keeps it",
+)
+LIES = tuned(
+    6.0,
+    "deviations",
+    "beyond which an observation is called wrong: of a million honest ones none is; with less, honest "
+    "ones would be named",
+)
+_NO_SAY = tuned(
+    1e-6,
+    "share of the full weight",
+    "left to what is called wrong: it doesn't pull, but a frame that nothing else holds keeps its "
+    "place; with 0 the equations could not be solved",
+)
+_FREEDOM = sourced(
+    5.0,
+    "degrees of freedom",
+    "of image errors: keypoints on what moves or looks alike leave long tails, for which 5 to 9 gave "
+    "shapes up to a third better than Cauchy's function at 3 deviations. Where errors are normal, "
+    "squares are 3 % above those stated with 5, 8 % with 4. No survey shows its own: a point seen twice "
+    "takes three of four numbers, and whatever its errors are, its residuals look long-tailed",
+    "docs/results.md, Student's distribution of image errors: 14 dirty surveys, seeds 102 to 329; "
+    "normal errors: tests/test_bundle_covariance.py, seeds 1 to 6",
+)
+INFORMATION: float = sourced(
+    (_FREEDOM + 2.0) / (_FREEDOM + 4.0),
+    "share of a normal pair's information",
+    "what a pair that errs by Student's distribution contributes beside a normal one of the same scale: "
+    "weights without it state deviations that are too small",
+    "Lange, Little and Taylor 1989, Journal of the American Statistical Association 84, appendix B",
+)
 
 
 def cauchy_weight(standardised: Floats) -> Floats:

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import singular_values
 
 Floats = NDArray[np.float64]
-_ROUNDS: Annotated[int, Because("rounds", "of re-weighting; ten settle it", CHOSEN)] = 20
-_COLLINEAR: Annotated[
-    float,
-    Because(
-        "of the largest singular value",
-        "for the second one, below which points lie on a line and are free to turn about it",
-        CHOSEN,
-    ),
-] = 0.05
-_MOST_TRIPLES: Annotated[
-    int, Because("triples", "of points to begin from; one of four is good where a third are blunders", CHOSEN)
-] = 500
+_ROUNDS = tuned(20, "rounds", "of re-weighting; ten settle it")
+_COLLINEAR = tuned(
+    0.05,
+    "of the largest singular value",
+    "for the second one, below which points lie on a line and are free to turn about it",
+)
+_MOST_TRIPLES = tuned(
+    500,
+    "triples",
+    "of points to begin from; one of four is good where a third are blunders",
+)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_x, about_y
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.export.on_map import grid_from_work, local_from_work, map_from_work
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.placement.prior import position_assumed
@@ -19,10 +18,7 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _SMALL_SHARE = 0.1
-_STILL: Annotated[
-    float,
-    Because("m and rad", "a frame that only its own tags place is left so near to them by a solve", CHOSEN),
-] = 1e-6
+_STILL = tuned(1e-6, "m and rad", "a frame that only its own tags place is left so near to them by a solve")
 
 
 @dataclass(frozen=True)

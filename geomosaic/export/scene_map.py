@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from osgeo import gdal
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import lonlat_by_rpc
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures, gdal_options
 from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
@@ -21,22 +21,14 @@ from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import DemHeights, read_dem_heights
 
 RESAMPLING: Final = {"nearest": "near", "bilinear": "bilinear", "cubic": "cubic", "lanczos": "lanczos"}
-_OFF_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which a pixel's place in the scene may be off, between places that are computed in full: a tenth "
-        "of what greys show; less takes time alone",
-        CHOSEN,
-    ),
-] = 0.02
-_SAMPLES: Annotated[
-    int,
-    Because("places a side", "of the scene, at which its DEM's cover is told: a tenth of a percent", CHOSEN),
-] = 33
-_MEMORY_MB: Annotated[
-    int, Because("MB", "of pixels that GDAL warps at once: with less, blocks are read twice", CHOSEN)
-] = 256
+_OFF_PX = tuned(
+    0.02,
+    "px",
+    "by which a pixel's place in the scene may be off, between places that are computed in full: a tenth "
+    "of what greys show; less takes time alone",
+)
+_SAMPLES = tuned(33, "places a side", "of the scene, at which its DEM's cover is told: a tenth of a percent")
+_MEMORY_MB = tuned(256, "MB", "of pixels that GDAL warps at once: with less, blocks are read twice")
 
 
 def scene_rpc_of(scene: Path) -> Rpc | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,30 +18,24 @@ from geomosaic.adjustment.problem.tracks import (
 )
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import opencv_terms
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-_PER_FRAME: Annotated[
-    int,
-    Because(
-        "image points a frame",
-        "that go along, the long tracks first: fewer leave dense matching without depths in parts of a "
-        "frame, more only make the files large",
-        CHOSEN,
-    ),
-] = 2000
-_MOST_OFF_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "root mean square by which a point's rays may miss it: what is farther off is a mismatch; with less, "
-        "trees in the wind and frames without their turns would lose their points",
-        CHOSEN,
-    ),
-] = 4.0
+_PER_FRAME = tuned(
+    2000,
+    "image points a frame",
+    "that go along, the long tracks first: fewer leave dense matching without depths in parts of a "
+    "frame, more only make the files large",
+)
+_MOST_OFF_PX = tuned(
+    4.0,
+    "px",
+    "root mean square by which a point's rays may miss it: what is farther off is a mismatch; with less, "
+    "trees in the wind and frames without their turns would lose their points",
+)
 _DOWN_AND_FORWARD = np.diag([1.0, -1.0, -1.0])
 """From axes to the right, the image's top and against the view to those to the right, down and forward."""
 

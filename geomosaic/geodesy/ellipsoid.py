@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
 _WGS84: Final = "NGA.STND.0036_1.0.0_WGS84 (2014), table 3.1"
-SEMI_MAJOR_M: Annotated[float, Because("m", "equatorial radius; defines WGS 84", _WGS84)] = 6378137.0
-FLATTENING: Annotated[float, Because("1", "of the ellipsoid; defines WGS 84", _WGS84)] = 1.0 / 298.257223563
+SEMI_MAJOR_M = sourced(6378137.0, "m", "equatorial radius; defines WGS 84", _WGS84)
+FLATTENING: float = sourced(1.0 / 298.257223563, "1", "of the ellipsoid; defines WGS 84", _WGS84)
 SEMI_MINOR_M: Final = SEMI_MAJOR_M * (1.0 - FLATTENING)
 ECCENTRICITY_SQ: Final = FLATTENING * (2.0 - FLATTENING)
 SECOND_ECCENTRICITY_SQ: Final = ECCENTRICITY_SQ / (1.0 - ECCENTRICITY_SQ)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Geod, Proj, Transformer
 from pyproj.exceptions import ProjError
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import required_crs
 
@@ -22,10 +21,7 @@ LOCAL_CRS = (
 )
 """Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
 _GIVE_CODE = "give an EPSG code such as EPSG:32632"
-_SAME_M: Annotated[
-    float,
-    Because("m", "by which versions of one system may differ; more would take a datum for another", CHOSEN),
-] = 0.01
+_SAME_M = tuned(0.01, "m", "by which versions of one system may differ; more would take a datum for another")
 _LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
 """Geometry goes on as if the local frame lay at longitude and latitude 0."""
 

@@ -8,110 +8,79 @@ against each other, scaled and seen aslant, so that a window's shape has to be f
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import inverse_each
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
-_HALF_PX: Annotated[
-    int,
-    Because(
-        "px of the images that are compared",
-        "from a window's middle to its edge: with 7 real tie points agree a sixth less well and a third more "
-        "are given up; 14 take twice the time for a tenth, and bend where there is relief",
-        "docs/results.md, tie points in the pixels",
-    ),
-] = 10
-_BLUR_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "both images are smoothed by: without, noise of single pixels and reading between them tell; with 1 "
-        "px real tie points agree a sixth less well",
-        "docs/results.md, tie points in the pixels",
-    ),
-] = 0.6
-_ROUNDS: Annotated[
-    int,
-    Because("rounds", "most windows settle in five; one that hasn't in ten swings and is given up", CHOSEN),
-] = 10
-_SETTLED_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "a window is done when it steps by less: a third of what windows are good to, and steps shrink by "
-        "more than half; a smaller one takes rounds, a larger one shows",
-        CHOSEN,
-    ),
-] = 0.03
-_FARTHEST_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "from the keypoint, per axis: keypoints of an image a quarter of the size are off by 1 px here, "
-        "hardly one by more than four; a window that went farther shows other texture",
-        CHOSEN,
-    ),
-] = 4.0
-_LEAST_LIKENESS: Annotated[
-    float,
-    Because(
-        "correlation",
-        "below which two windows don't show the same: tie points that are right have 0.96 in the median, in "
-        "leaves in the wind 0.85; with less, wrong ones pass, with more, trees tie nothing",
-        CHOSEN,
-    ),
-] = 0.8
-_STRETCH_SD: Annotated[
-    float,
-    Because(
-        "1",
-        "how far windows are believed to be stretched or slanted against the plane of the pair: slopes "
-        "of 20 degrees do so; more lets windows of little texture run away, less holds those on roofs",
-        CHOSEN,
-    ),
-] = 0.1
-_NOISE: Annotated[
-    float,
-    Because(
-        "grey levels",
-        "of a pixel's difference, against which that belief is weighed: noise, JPEG, reading between pixels",
-        CHOSEN,
-    ),
-] = 4.0
-_LEAST_GAIN: Annotated[
-    float,
-    Because(
-        "1",
-        "contrast over the template's below which there is no such texture; steps are divided by no less",
-        CHOSEN,
-    ),
-] = 0.1
-_AT_ONCE: Annotated[
-    int,
-    Because(
-        "windows",
-        "worked on together: their derivatives take 3 MB and stay in the processor's cache; fewer cost calls",
-        CHOSEN,
-    ),
-] = 256
-_NEAR_SHARE: Annotated[
-    float,
-    Because(
-        "of a window's half side",
-        "deviation of the bell by which pixels near the middle count more, since a window is a place and not "
-        "an area: a narrower one throws pixels away, a wider one feels the ground beside",
-        CHOSEN,
-    ),
-] = 0.7
+_HALF_PX = sourced(
+    10,
+    "px of the images that are compared",
+    "from a window's middle to its edge: with 7 real tie points agree a sixth less well and a third more "
+    "are given up; 14 take twice the time for a tenth, and bend where there is relief",
+    "docs/results.md, tie points in the pixels",
+)
+_BLUR_PX = sourced(
+    0.6,
+    "px",
+    "both images are smoothed by: without, noise of single pixels and reading between them tell; with 1 "
+    "px real tie points agree a sixth less well",
+    "docs/results.md, tie points in the pixels",
+)
+_ROUNDS = tuned(10, "rounds", "most windows settle in five; one that hasn't in ten swings and is given up")
+_SETTLED_PX = tuned(
+    0.03,
+    "px",
+    "a window is done when it steps by less: a third of what windows are good to, and steps shrink by "
+    "more than half; a smaller one takes rounds, a larger one shows",
+)
+_FARTHEST_PX = tuned(
+    4.0,
+    "px",
+    "from the keypoint, per axis: keypoints of an image a quarter of the size are off by 1 px here, "
+    "hardly one by more than four; a window that went farther shows other texture",
+)
+_LEAST_LIKENESS = tuned(
+    0.8,
+    "correlation",
+    "below which two windows don't show the same: tie points that are right have 0.96 in the median, in "
+    "leaves in the wind 0.85; with less, wrong ones pass, with more, trees tie nothing",
+)
+_STRETCH_SD = tuned(
+    0.1,
+    "1",
+    "how far windows are believed to be stretched or slanted against the plane of the pair: slopes "
+    "of 20 degrees do so; more lets windows of little texture run away, less holds those on roofs",
+)
+_NOISE = tuned(
+    4.0,
+    "grey levels",
+    "of a pixel's difference, against which that belief is weighed: noise, JPEG, reading between pixels",
+)
+_LEAST_GAIN = tuned(
+    0.1,
+    "1",
+    "contrast over the template's below which there is no such texture; steps are divided by no less",
+)
+_AT_ONCE = tuned(
+    256,
+    "windows",
+    "worked on together: their derivatives take 3 MB and stay in the processor's cache; fewer cost calls",
+)
+_NEAR_SHARE = tuned(
+    0.7,
+    "of a window's half side",
+    "deviation of the bell by which pixels near the middle count more, since a window is a place and not "
+    "an area: a narrower one throws pixels away, a wider one feels the ground beside",
+)
 _SIDE: Final = 2 * _HALF_PX + 1
 TEMPLATE_PX: Final = _SIDE + 2
 """A window with the pixels about it, for its slopes."""

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.planes import Guess, guessed, plane_through
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-_NODES: Annotated[
-    int,
-    Because(
-        "nodes along each side of a frame",
-        "that are laid on the ground and into the other frame, to find a plane between the two: more show "
-        "relief that a plane can't follow anyway, fewer are lost where a frame sees past the ground",
-        CHOSEN,
-    ),
-] = 6
+_NODES = tuned(
+    6,
+    "nodes along each side of a frame",
+    "that are laid on the ground and into the other frame, to find a plane between the two: more show "
+    "relief that a plane can't follow anyway, fewer are lost where a frame sees past the ground",
+)
 
 
 @dataclass(frozen=True)

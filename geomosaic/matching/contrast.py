@@ -3,71 +3,62 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.features import SIFT_CONTRAST, Bytes, away_from_invalid, shrunk
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-_LOWE_SIGMA_PX: Annotated[
-    float,
-    Because("px", "scale of the first layer in which keypoints are sought", "Lowe 2004, section 3.3"),
-] = 1.6
-_REACHED: Annotated[
-    float,
-    Because(
-        "share of local extremes",
-        "that reach SIFT's contrast where an image isn't faint: more than 0.2 in textured ground, less than "
-        "0.02 in faint thermal images; a larger share would change ordinary images",
-        "measured on nine real flights and four of them at 6 % contrast, quarters of 1,000 px images",
-    ),
-] = 0.1
-_TILES: Annotated[
-    int,
-    Because(
-        "tiles along each side",
-        "judged one by one: fewer hide a faint part among textured ones, more hold too few extremes",
-        CHOSEN,
-    ),
-] = 4
-_WINDOW_SHARE: Annotated[
-    float,
-    Because(
-        "of the longer side",
-        "window of local mean and deviation: half and twice of it tie no more pairs, four times fewer",
-        "measured on two flights at 6 % contrast",
-    ),
-] = 0.05
-_TARGET_SD: Annotated[
-    float,
-    Because("grey levels", "local deviation to reach: more is cut off at black and white", CHOSEN),
-] = 40.0
-_MOST_NOISE: Annotated[
-    float,
-    Because(
-        "grey levels",
-        "to which noise may be raised: with 1 half of the tie points are lost, more than 4 only adds "
-        "keypoints of noise and of JPEG's blocks",
-        "measured on two flights at 6 % contrast",
-    ),
-] = 4.0
-_LEAST_NOISE: Annotated[
-    float, Because("grey levels", "deviation of rounding to whole levels", "1 / sqrt(12)")
-] = 12.0**-0.5
-_NOISE_PER_MEAN: Annotated[
-    float,
-    Because(
-        "1",
-        "standard deviation of noise over the mean size of its second differences",
-        "Immerkaer 1996, equation 8",
-    ),
-] = math.sqrt(math.pi / 2.0) / 6.0
+_LOWE_SIGMA_PX = sourced(
+    1.6,
+    "px",
+    "scale of the first layer in which keypoints are sought",
+    "Lowe 2004, section 3.3",
+)
+_REACHED = sourced(
+    0.1,
+    "share of local extremes",
+    "that reach SIFT's contrast where an image isn't faint: more than 0.2 in textured ground, less than "
+    "0.02 in faint thermal images; a larger share would change ordinary images",
+    "measured on nine real flights and four of them at 6 % contrast, quarters of 1,000 px images",
+)
+_TILES = tuned(
+    4,
+    "tiles along each side",
+    "judged one by one: fewer hide a faint part among textured ones, more hold too few extremes",
+)
+_WINDOW_SHARE = sourced(
+    0.05,
+    "of the longer side",
+    "window of local mean and deviation: half and twice of it tie no more pairs, four times fewer",
+    "measured on two flights at 6 % contrast",
+)
+_TARGET_SD = tuned(40.0, "grey levels", "local deviation to reach: more is cut off at black and white")
+_MOST_NOISE = sourced(
+    4.0,
+    "grey levels",
+    "to which noise may be raised: with 1 half of the tie points are lost, more than 4 only adds "
+    "keypoints of noise and of JPEG's blocks",
+    "measured on two flights at 6 % contrast",
+)
+_LEAST_NOISE: float = sourced(
+    12.0**-0.5,
+    "grey levels",
+    "deviation of rounding to whole levels",
+    "1 / sqrt(12)",
+)
+_NOISE_PER_MEAN: float = sourced(
+    math.sqrt(math.pi / 2.0) / 6.0,
+    "1",
+    "standard deviation of noise over the mean size of its second differences",
+    "Immerkaer 1996, equation 8",
+)
 
 
 def raised(

@@ -3,57 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.least_squares_matching import refine
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_FINE_RADIUS_PX: Annotated[
-    int,
-    Because(
-        "px of the level",
-        "search about what the coarser level found: its whole pixels are off by one here, the rest is for "
-        "what changes within a patch; less loses patches, more finds other peaks",
-        CHOSEN,
-    ),
-] = 3
-_COARSE_CORRELATION: Annotated[
-    float,
-    Because(
-        "1",
-        "least coefficient at which a coarse patch shows its neighbours where to look: below, peaks are "
-        "mostly chance; above, jumps and patches that changed hand nothing on. The limit of the result is "
-        "another",
-        CHOSEN,
-    ),
-] = 0.3
-_VALID_SHARE: Annotated[
-    float,
-    Because(
-        "share of a patch",
-        "that must be valid: with less, filled pixels correlate instead of ground; with all of it, edges "
-        "and masks leave nothing beside them",
-        CHOSEN,
-    ),
-] = 0.9
-_SMOOTHING_SIGMA_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of the Gaussian laid over both images before the match: with less, aliasing and noise "
-        "draw it to whole pixels, with more, fine texture is lost",
-        CHOSEN,
-    ),
-] = 0.8
+_FINE_RADIUS_PX = tuned(
+    3,
+    "px of the level",
+    "search about what the coarser level found: its whole pixels are off by one here, the rest is for "
+    "what changes within a patch; less loses patches, more finds other peaks",
+)
+_COARSE_CORRELATION = tuned(
+    0.3,
+    "1",
+    "least coefficient at which a coarse patch shows its neighbours where to look: below, peaks are "
+    "mostly chance; above, jumps and patches that changed hand nothing on. The limit of the result is "
+    "another",
+)
+_VALID_SHARE = tuned(
+    0.9,
+    "share of a patch",
+    "that must be valid: with less, filled pixels correlate instead of ground; with all of it, edges "
+    "and masks leave nothing beside them",
+)
+_SMOOTHING_SIGMA_PX = tuned(
+    0.8,
+    "px",
+    "deviation of the Gaussian laid over both images before the match: with less, aliasing and noise "
+    "draw it to whole pixels, with more, fine texture is lost",
+)
 
 
 @dataclass(frozen=True)

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-SIFT_CONTRAST: Annotated[
-    float,
-    Because(
-        "of the range from black to white",
-        "below which SIFT drops a keypoint, over the three layers of an octave: more drops soft ground, less "
-        "takes noise",
-        "OpenCV's default is 0.04; this one is chosen",
-    ),
-] = 0.01
+SIFT_CONTRAST = sourced(
+    0.01,
+    "of the range from black to white",
+    "below which SIFT drops a keypoint, over the three layers of an octave: more drops soft ground, less "
+    "takes noise",
+    "OpenCV's default is 0.04; this one is chosen",
+)
 
 
 @dataclass(frozen=True)

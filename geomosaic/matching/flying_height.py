@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.matching.features import Features
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
 Floats = NDArray[np.float64]
-_LEAST: Annotated[
-    int,
-    Because(
-        "tie points",
-        "of a pair that may say a height: fewer may lie by a homography by chance, which says any; more "
-        "loses pairs over water and fields",
-        CHOSEN,
-    ),
-] = 20
+_LEAST = tuned(
+    20,
+    "tie points",
+    "of a pair that may say a height: fewer may lie by a homography by chance, which says any; more "
+    "loses pairs over water and fields",
+)
 
 
 def flying_height_m(

@@ -4,55 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.planes import Guess, plane_through, through
 from geomosaic.matching.search import CHECKS, root_sift, search
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_FREE_LEAST: Annotated[
-    float,
-    Because(
-        "of a guided pair's least number of tie points",
-        "what a free search must bring, since nothing but the image supports it: with less, frames of "
-        "unlike ground are tied by chance; with more, frames whose positions are wrong stay loose",
-        CHOSEN,
-    ),
-] = 1.5
-_FEW: Annotated[
-    int,
-    Because(
-        "keypoints of a frame",
-        "the coarsest, compared first: of an overlap of a third, some hundred are seen again; fewer say "
-        "less about small overlaps, more take the time that is saved",
-        "chosen; docs/results.md, matching: with it 74 pairs take 4.8 s instead of 19.6 and have more tie "
-        "points",
-    ),
-] = 1200
-_TOLERANCES: Annotated[
-    float,
-    Because(
-        "tolerances of the check",
-        "least radius about a predicted place: holds enough keypoints for Lowe's ratio to mean much; a "
-        "smaller one lets wrong ones pass, a larger one takes time",
-        CHOSEN,
-    ),
-] = 12.0
-_SPREAD: Annotated[
-    float,
-    Because(
-        "90 % quantiles of the coarsest keypoints' misses",
-        "radius about a predicted place where relief and lens bend the plane through them: less cuts off "
-        "hills and corners, more compares with ground that isn't there",
-        CHOSEN,
-    ),
-] = 3.0
+_FREE_LEAST = tuned(
+    1.5,
+    "of a guided pair's least number of tie points",
+    "what a free search must bring, since nothing but the image supports it: with less, frames of "
+    "unlike ground are tied by chance; with more, frames whose positions are wrong stay loose",
+)
+_FEW = sourced(
+    1200,
+    "keypoints of a frame",
+    "the coarsest, compared first: of an overlap of a third, some hundred are seen again; fewer say "
+    "less about small overlaps, more take the time that is saved",
+    "chosen; docs/results.md, matching: with it 74 pairs take 4.8 s instead of 19.6 and have more tie points",
+)
+_TOLERANCES = tuned(
+    12.0,
+    "tolerances of the check",
+    "least radius about a predicted place: holds enough keypoints for Lowe's ratio to mean much; a "
+    "smaller one lets wrong ones pass, a larger one takes time",
+)
+_SPREAD = tuned(
+    3.0,
+    "90 % quantiles of the coarsest keypoints' misses",
+    "radius about a predicted place where relief and lens bend the plane through them: less cuts off "
+    "hills and corners, more compares with ground that isn't there",
+)
 
 
 @dataclass(frozen=True)

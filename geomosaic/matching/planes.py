@@ -5,41 +5,31 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse_each
 
 Floats = NDArray[np.float64]
 Size = tuple[int, int]
 Pair = tuple[int, int]
-_GRAIN_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "what believed places are rounded to: little beside any radius, but enough that another frame in "
-        "the survey, which shifts the work frame by a hair, changes no pair's guess",
-        CHOSEN,
-    ),
-] = 16.0
-_BY_NEIGHBOUR: Annotated[
-    float,
-    Because(
-        "share of an image's longer side",
-        "how far off a place may be that is foretold through a common neighbour: two planes through relief "
-        "of a tenth of the height miss by so much; a larger radius takes the time of a search without one",
-        CHOSEN,
-    ),
-] = 0.05
-_FEWEST: Annotated[
-    int,
-    Because("points", "from which a plane follows with some of its errors seen: four give any", CHOSEN),
-] = 6
+_GRAIN_PX = tuned(
+    16.0,
+    "px",
+    "what believed places are rounded to: little beside any radius, but enough that another frame in "
+    "the survey, which shifts the work frame by a hair, changes no pair's guess",
+)
+_BY_NEIGHBOUR = tuned(
+    0.05,
+    "share of an image's longer side",
+    "how far off a place may be that is foretold through a common neighbour: two planes through relief "
+    "of a tenth of the height miss by so much; a larger radius takes the time of a search without one",
+)
+_FEWEST = tuned(6, "points", "from which a plane follows with some of its errors seen: four give any")
 
 
 @dataclass(frozen=True)

@@ -5,56 +5,43 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.estimation.linear import SparseFactors
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "of the vote and of the re-weighting, at most: both end by themselves when nothing changes; fewer "
-        "leave wrong pairs with a say",
-        CHOSEN,
-    ),
-] = 12
-_LEAST_SPREAD: Annotated[
-    float,
-    Because(
-        "rad, and logarithms of scales",
-        "least deviation of pairs: tilts that are off by half a degree bend a similarity by as much; a "
-        "smaller one calls such pairs wrong where most agree, a larger one keeps wrong pairs",
-        CHOSEN,
-    ),
-] = np.radians(0.5)
-_WEAK: Annotated[
-    float,
-    Because(
-        "of the largest weight of a pair",
-        "how strongly a correction is held at none, so that the system has one solution although nothing "
-        "says how a part is turned as a whole: more would hold back the corrections, less is lost in "
-        "rounding",
-        CHOSEN,
-    ),
-] = 1e-6
-_ALIKE: Annotated[
-    float,
-    Because(
-        "rad, and logarithms of scales",
-        "by which two pairs of a frame may differ and still say the same: less splits votes that tilts and "
-        "relief spread, more counts wrong pairs with right ones",
-        CHOSEN,
-    ),
-] = 0.2
+_ROUNDS = tuned(
+    12,
+    "rounds",
+    "of the vote and of the re-weighting, at most: both end by themselves when nothing changes; fewer "
+    "leave wrong pairs with a say",
+)
+_LEAST_SPREAD: float = tuned(
+    np.radians(0.5),
+    "rad, and logarithms of scales",
+    "least deviation of pairs: tilts that are off by half a degree bend a similarity by as much; a "
+    "smaller one calls such pairs wrong where most agree, a larger one keeps wrong pairs",
+)
+_WEAK = tuned(
+    1e-6,
+    "of the largest weight of a pair",
+    "how strongly a correction is held at none, so that the system has one solution although nothing "
+    "says how a part is turned as a whole: more would hold back the corrections, less is lost in "
+    "rounding",
+)
+_ALIKE = tuned(
+    0.2,
+    "rad, and logarithms of scales",
+    "by which two pairs of a frame may differ and still say the same: less splits votes that tilts and "
+    "relief spread, more counts wrong pairs with right ones",
+)
 
 
 @dataclass(frozen=True)

@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
-_ROWS: Annotated[
-    int,
-    Because(
-        "descriptors",
-        "compared at once with those of the other frame, so that likenesses stay in the processor's cache: "
-        "more fall out of it, fewer cost more calls",
-        CHOSEN,
-    ),
-] = 512
-_IN_CELL: Annotated[
-    int,
-    Because(
-        "keypoints",
-        "of the right frame in a cell of the guided search: fewer leave Lowe's ratio little to compare "
-        "with, and cost more in handling than they save; more are compared in vain",
-        CHOSEN,
-    ),
-] = 150
+_ROWS = tuned(
+    512,
+    "descriptors",
+    "compared at once with those of the other frame, so that likenesses stay in the processor's cache: "
+    "more fall out of it, fewer cost more calls",
+)
+_IN_CELL = tuned(
+    150,
+    "keypoints",
+    "of the right frame in a cell of the guided search: fewer leave Lowe's ratio little to compare "
+    "with, and cost more in handling than they save; more are compared in vain",
+)
 
 
 def root_sift(descriptors: Bytes) -> NDArray[np.float32]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePair
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts, flight_lines
@@ -29,42 +28,30 @@ from geomosaic.projection.ground import GroundSurface
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_TOGETHER: Annotated[
-    float,
-    Because(
-        "length of the mean of unit vectors",
-        "how well directions must go together to say what is usual, 1 where all are alike and 0 where they "
-        "are scattered: with less, chance decides what is turned; with more, a few frames that stray "
-        "silence all",
-        CHOSEN,
-    ),
-] = 0.7
-_TOLERANCE_RAD: Annotated[
-    float,
-    Because(
-        "rad",
-        "about a quarter turn, less than halfway to the next: headings of small drones are good to 5 "
-        "degrees, so that less would miss turned images in wind; with 45 degrees any turn would be one",
-        CHOSEN,
-    ),
-] = np.radians(30.0)
-_MISPLACED: Annotated[
-    float,
-    Because(
-        "times what is usual",
-        "that a frame is apart from its neighbours for its position to tell no course: fewer would leave out "
-        "honest ones, more keep wrong ones that bend their neighbours' courses",
-        CHOSEN,
-    ),
-] = 4.0
-_SEEN: Annotated[
-    int,
-    Because(
-        "tie points of a pair",
-        "laid on the ground to judge turns by their median, good to a tenth of their scatter; more cost time",
-        CHOSEN,
-    ),
-] = 100
+_TOGETHER = tuned(
+    0.7,
+    "length of the mean of unit vectors",
+    "how well directions must go together to say what is usual, 1 where all are alike and 0 where they "
+    "are scattered: with less, chance decides what is turned; with more, a few frames that stray "
+    "silence all",
+)
+_TOLERANCE_RAD: float = tuned(
+    np.radians(30.0),
+    "rad",
+    "about a quarter turn, less than halfway to the next: headings of small drones are good to 5 "
+    "degrees, so that less would miss turned images in wind; with 45 degrees any turn would be one",
+)
+_MISPLACED = tuned(
+    4.0,
+    "times what is usual",
+    "that a frame is apart from its neighbours for its position to tell no course: fewer would leave out "
+    "honest ones, more keep wrong ones that bend their neighbours' courses",
+)
+_SEEN = tuned(
+    100,
+    "tie points of a pair",
+    "laid on the ground to judge turns by their median, good to a tenth of their scatter; more cost time",
+)
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 

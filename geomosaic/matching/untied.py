@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.match import PairMatch
 
 Pair = tuple[int, int]
-MOSTLY: Annotated[
-    float, Because("share of a frame's tiles", "faint ones, from which the frame is called faint", CHOSEN)
-] = 0.5
+MOSTLY = tuned(0.5, "share of a frame's tiles", "faint ones, from which the frame is called faint")
 
 
 def untied_reasons(

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import REFERENCE, Raster, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.mapcrs import MapProjection, map_crs, utm_crs
 
-_OFF_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which a raster's rows and columns may differ from end to end, as programs round their pixels: "
-        "with less, such rasters are refused; with more, the mosaic's far end lies beside its pixels",
-        CHOSEN,
-    ),
-] = 0.01
+_OFF_PX = tuned(
+    0.01,
+    "px",
+    "by which a raster's rows and columns may differ from end to end, as programs round their pixels: "
+    "with less, such rasters are refused; with more, the mosaic's far end lies beside its pixels",
+)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import shapely
@@ -16,7 +16,7 @@ from pyproj.exceptions import ProjError
 from rasterio import Affine
 from rasterio.features import rasterize
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.doors.vector import read_polygons
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import is_local
@@ -25,16 +25,14 @@ from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Window
 
 Bools = NDArray[np.bool_]
-_STEPS_ALONG: Annotated[
-    int,
-    Because(
-        "steps of the survey's longer side",
-        "into which edges are divided, since straight ones become curves on another map: over a survey of "
-        "10 km a step's middle is 0.01 mm off at 80 degrees of latitude; fewer show on wide surveys, more "
-        "take time for each edge",
-        "chosen; a parallel's bend in a step: step² tan(latitude) / (8 Earth radii)",
-    ),
-] = 1000
+_STEPS_ALONG = sourced(
+    1000,
+    "steps of the survey's longer side",
+    "into which edges are divided, since straight ones become curves on another map: over a survey of "
+    "10 km a step's middle is 0.01 mm off at 80 degrees of latitude; fewer show on wide surveys, more "
+    "take time for each edge",
+    "chosen; a parallel's bend in a step: step² tan(latitude) / (8 Earth radii)",
+)
 
 
 @dataclass(frozen=True)

@@ -15,48 +15,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
 
 Floats32 = NDArray[np.float32]
 Labels = NDArray[np.int16]
 Bytes = NDArray[np.uint8]
-_LEVELS: Annotated[
-    int,
-    Because(
-        "halvings",
-        "differences of colour are spread over 2^4 px and more to either side, detail over a pixel or two: "
-        "with fewer, steps of brightness are seen; with more, each seam asks for more of its neighbours and "
-        "takes more time",
-        "chosen; the method: Burt and Adelson 1983, ACM Transactions on Graphics 2",
-    ),
-] = 4
+_LEVELS = sourced(
+    4,
+    "halvings",
+    "differences of colour are spread over 2^4 px and more to either side, detail over a pixel or two: "
+    "with fewer, steps of brightness are seen; with more, each seam asks for more of its neighbours and "
+    "takes more time",
+    "chosen; the method: Burt and Adelson 1983, ACM Transactions on Graphics 2",
+)
 STEP_PX: Final = 1 << _LEVELS
-_HALO_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "how far a blend by bands looks about a seam: with less, pixels would depend on where windows end; "
-        "more is composed for nothing",
-        "two px to either side at each level, down and up again: 2 (1 + 2 + 4 + 8) twice, rounded up to "
-        "whole steps",
-    ),
-] = 4 * STEP_PX
-_LEAST_WEIGHT: Annotated[
-    np.float32,
-    Because(
-        "of a full weight",
-        "an owner's own pixels have in a feather, so that its very edge, where nothing else is, keeps its "
-        "colour; with more, a faint edge shows beside a neighbour, with none such pixels would be black",
-        CHOSEN,
-    ),
-] = np.float32(1e-4)
+_HALO_PX: int = sourced(
+    4 * STEP_PX,
+    "px",
+    "how far a blend by bands looks about a seam: with less, pixels would depend on where windows end; "
+    "more is composed for nothing",
+    "two px to either side at each level, down and up again: 2 (1 + 2 + 4 + 8) twice, rounded up to "
+    "whole steps",
+)
+_LEAST_WEIGHT: np.float32 = tuned(
+    np.float32(1e-4),
+    "of a full weight",
+    "an owner's own pixels have in a feather, so that its very edge, where nothing else is, keeps its "
+    "colour; with more, a faint edge shows beside a neighbour, with none such pixels would be black",
+)
 
 
 @dataclass(frozen=True)

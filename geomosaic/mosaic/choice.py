@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.shadows import settled
@@ -25,62 +24,43 @@ from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_PLACE_PX: Annotated[
-    int,
-    Because(
-        "px of a frame on the ground",
-        "side of the places looked at: wider ones hold more land on which both grounds are alike, in smaller "
-        "ones a house has no surroundings",
-        CHOSEN,
-    ),
-] = 192
-_BLOCK_PX: Annotated[
-    int,
-    Because(
-        "px of a frame on the ground",
-        "side of the squares that are compared: larger ones are alike by their land's large forms, smaller "
-        "ones are alike by chance",
-        CHOSEN,
-    ),
-] = 32
-_MOST_PLACES: Annotated[
-    int,
-    Because(
-        "places",
-        "each takes two frames off the disk; some 30 squares of each make the median good to a hundredth, "
-        "more take time",
-        CHOSEN,
-    ),
-] = 60
-_NEIGHBOURS: Annotated[
-    int, Because("frames", "nearest to each, between which seams may run: on all four sides", CHOSEN)
-] = 4
-_APART_M: Annotated[
-    float,
-    Because(
-        "m",
-        "by which grounds differ where they are compared: less moves what frames show by a pixel or two",
-        CHOSEN,
-    ),
-] = 1.0
-_LEAST_LESS: Annotated[
-    float,
-    Because(
-        "of 1 - correlation",
-        "by which frames must differ less on what stands: the median of each is good to a hundredth, so less "
-        "is noise; with more, towns of a few houses lie on their terrain",
-        CHOSEN,
-    ),
-] = 0.03
-_NOTHING_ALIKE: Annotated[
-    float,
-    Because(
-        "1 - correlation",
-        "from which on frames show nothing alike: woods that wind moves leave 0.98, and squares of as many "
-        "pixels are alike by a few hundredths by chance",
-        "chosen; seen of a flight over woods by the sea",
-    ),
-] = 0.9
+_PLACE_PX = tuned(
+    192,
+    "px of a frame on the ground",
+    "side of the places looked at: wider ones hold more land on which both grounds are alike, in smaller "
+    "ones a house has no surroundings",
+)
+_BLOCK_PX = tuned(
+    32,
+    "px of a frame on the ground",
+    "side of the squares that are compared: larger ones are alike by their land's large forms, smaller "
+    "ones are alike by chance",
+)
+_MOST_PLACES = tuned(
+    60,
+    "places",
+    "each takes two frames off the disk; some 30 squares of each make the median good to a hundredth, "
+    "more take time",
+)
+_NEIGHBOURS = tuned(4, "frames", "nearest to each, between which seams may run: on all four sides")
+_APART_M = tuned(
+    1.0,
+    "m",
+    "by which grounds differ where they are compared: less moves what frames show by a pixel or two",
+)
+_LEAST_LESS = tuned(
+    0.03,
+    "of 1 - correlation",
+    "by which frames must differ less on what stands: the median of each is good to a hundredth, so less "
+    "is noise; with more, towns of a few houses lie on their terrain",
+)
+_NOTHING_ALIKE = sourced(
+    0.9,
+    "1 - correlation",
+    "from which on frames show nothing alike: woods that wind moves leave 0.98, and squares of as many "
+    "pixels are alike by a few hundredths by chance",
+    "chosen; seen of a flight over woods by the sea",
+)
 
 
 @dataclass(frozen=True)

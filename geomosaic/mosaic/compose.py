@@ -9,13 +9,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.mosaic.blended import (
@@ -48,26 +47,21 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
 
-WINDOW_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of the windows that are blended: smaller ones are more margin than window, with 64 px about "
-        "them already 1.56 times their area; larger ones take memory in each thread",
-        "docs/results.md, seams and blends, a real flight of 28 frames: with 1024 px 9 % less time by "
-        "bands, and 2 GB of memory",
-    ),
-] = 512
+WINDOW_PX = sourced(
+    512,
+    "px",
+    "side of the windows that are blended: smaller ones are more margin than window, with 64 px about "
+    "them already 1.56 times their area; larger ones take memory in each thread",
+    "docs/results.md, seams and blends, a real flight of 28 frames: with 1024 px 9 % less time by "
+    "bands, and 2 GB of memory",
+)
 AUTO = "auto"
-AUTO_FEATHER_PX: Annotated[
-    int,
-    Because(
-        "px of the mosaic",
-        "the feather's width where none is given: with less, steps of brightness are seen as lines; with "
-        "more, detail that doesn't fit is doubled along a wider strip",
-        CHOSEN,
-    ),
-] = 48
+AUTO_FEATHER_PX = tuned(
+    48,
+    "px of the mosaic",
+    "the feather's width where none is given: with less, steps of brightness are seen as lines; with "
+    "more, detail that doesn't fit is doubled along a wider strip",
+)
 
 
 def compose(

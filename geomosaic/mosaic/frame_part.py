@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import Decoded, decode
 from geomosaic.mosaic.hidden import Clear
@@ -22,25 +22,20 @@ from geomosaic.projection.lattice import Seen
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
 
 Floats32 = NDArray[np.float32]
-TILE_PX: Annotated[
-    int,
-    Because(
-        "px of the mosaic",
-        "side of the squares that a frame is resampled in: the ground's lattice begins anew in each, so a "
-        "pixel is the same whatever is asked for with it; smaller ones take longer, larger ones more memory",
-        CHOSEN,
-    ),
-] = 512
+TILE_PX = tuned(
+    512,
+    "px of the mosaic",
+    "side of the squares that a frame is resampled in: the ground's lattice begins anew in each, so a "
+    "pixel is the same whatever is asked for with it; smaller ones take longer, larger ones more memory",
+)
 
-_NODES_OFF_PX: Annotated[
-    float,
-    Because(
-        "px of the frame",
-        "how far beyond its four nodes a place may lie: with less, pixels near the frame's edge might be "
-        "taken for far inside, with more, more are looked at one by one",
-        "chosen; docs/design.md, composition: 0.05 px where a shutter's table breaks",
-    ),
-] = 1.0
+_NODES_OFF_PX = sourced(
+    1.0,
+    "px of the frame",
+    "how far beyond its four nodes a place may lie: with less, pixels near the frame's edge might be "
+    "taken for far inside, with more, more are looked at one by one",
+    "chosen; docs/design.md, composition: 0.05 px where a shutter's table breaks",
+)
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.mosaic.frame_part import FramePart
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership, owner_share
@@ -17,15 +16,12 @@ from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Shown, Window
 
 Floats32 = NDArray[np.float32]
-_NEARER_PER_M: Annotated[
-    np.float32,
-    Because(
-        "shares per m",
-        "what a metre to the nadir point counts beside a pixel's share in an owner: nothing, unless no "
-        "owner sees it; a larger one moves seams, a smaller one is the same",
-        CHOSEN,
-    ),
-] = np.float32(1e-7)
+_NEARER_PER_M: np.float32 = tuned(
+    np.float32(1e-7),
+    "shares per m",
+    "what a metre to the nadir point counts beside a pixel's share in an owner: nothing, unless no "
+    "owner sees it; a larger one moves seams, a smaller one is the same",
+)
 
 
 @dataclass(frozen=True)

@@ -5,80 +5,59 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.views import FrameView
 
-MAX_GIGAPIXELS: Annotated[
-    float,
-    Because(
-        "gigapixels",
-        "1,000 km² at 0.1 m, some 380,000 windows to plan, as many as fit into 300 MB: larger ones are "
-        "refused unless asked for, since mostly a wrong position or height makes them; a smaller limit "
-        "refuses true surveys",
-        CHOSEN,
-    ),
-] = 100.0
-MOST_PIXELS_PER_FRAME_PIXEL: Annotated[
-    float,
-    Because(
-        "px of the mosaic per px of all frames",
-        "a larger mosaic would be nearly all empty, by a frame flung far away or a ground pixel far too "
-        "fine: one line flown across a diagonal fills a hundredth of what it spans, and must pass",
-        CHOSEN,
-    ),
-] = 200.0
-_ROUNDED: Annotated[
-    float,
-    Because(
-        "share of the frames' ground pixel",
-        "how far the automatic ground pixel may be from it for the sake of a round number: less than 4.8 % "
-        "finds none of two digits for some, more loses resolution, or takes room for nothing",
-        "chosen; rounding to two digits is 0.05 / 1.05 = 4.8 % off at most",
-    ),
-] = 0.05
-_FINER: Annotated[
-    float,
-    Because(
-        "of the frames' ground pixel",
-        "a finer one is warned of, since it takes four times the room and more for nothing; with a larger "
-        "share, grids a little finer than the frames would be warned of too",
-        CHOSEN,
-    ),
-] = 0.5
-_COARSER: Annotated[
-    float,
-    Because(
-        "times the frames' ground pixel",
-        "a coarser one is warned of: an overview may want four, beyond it 15 of 16 pixels are lost, mostly "
-        "by a slip",
-        CHOSEN,
-    ),
-] = 4.0
-_LEFT_OUT_SHARE: Annotated[
-    float,
-    Because(
-        "share of the frames",
-        "that may be left out at most because they lie too far away: more would drop a part of the survey, "
-        "fewer let a few wrong positions stop all",
-        CHOSEN,
-    ),
-] = 0.1
-_STRETCHED: Annotated[
-    float,
-    Because(
-        "times the grid without a frame",
-        "a grid that one frame makes so much larger is warned of: less names the frame at the end of every "
-        "short line, more keeps silent about positions that are wrong",
-        CHOSEN,
-    ),
-] = 4.0
+MAX_GIGAPIXELS = tuned(
+    100.0,
+    "gigapixels",
+    "1,000 km² at 0.1 m, some 380,000 windows to plan, as many as fit into 300 MB: larger ones are "
+    "refused unless asked for, since mostly a wrong position or height makes them; a smaller limit "
+    "refuses true surveys",
+)
+MOST_PIXELS_PER_FRAME_PIXEL = tuned(
+    200.0,
+    "px of the mosaic per px of all frames",
+    "a larger mosaic would be nearly all empty, by a frame flung far away or a ground pixel far too "
+    "fine: one line flown across a diagonal fills a hundredth of what it spans, and must pass",
+)
+_ROUNDED = sourced(
+    0.05,
+    "share of the frames' ground pixel",
+    "how far the automatic ground pixel may be from it for the sake of a round number: less than 4.8 % "
+    "finds none of two digits for some, more loses resolution, or takes room for nothing",
+    "chosen; rounding to two digits is 0.05 / 1.05 = 4.8 % off at most",
+)
+_FINER = tuned(
+    0.5,
+    "of the frames' ground pixel",
+    "a finer one is warned of, since it takes four times the room and more for nothing; with a larger "
+    "share, grids a little finer than the frames would be warned of too",
+)
+_COARSER = tuned(
+    4.0,
+    "times the frames' ground pixel",
+    "a coarser one is warned of: an overview may want four, beyond it 15 of 16 pixels are lost, mostly "
+    "by a slip",
+)
+_LEFT_OUT_SHARE = tuned(
+    0.1,
+    "share of the frames",
+    "that may be left out at most because they lie too far away: more would drop a part of the survey, "
+    "fewer let a few wrong positions stop all",
+)
+_STRETCHED = tuned(
+    4.0,
+    "times the grid without a frame",
+    "a grid that one frame makes so much larger is warned of: less names the frame at the end of every "
+    "short line, more keeps silent about positions that are wrong",
+)
 
 
 def auto_gsd_m(ground_pixel_m: float) -> float:

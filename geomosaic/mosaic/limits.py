@@ -4,41 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.projection.footprint import FEW, sightings
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-OFF_VERTICAL_DEG: Annotated[
-    float,
-    Because(
-        "degrees",
-        "off the vertical, beyond which a frame gives no pixels: there an error of the ground's height moves "
-        "the map by 1.7 times as much, and a house covers 1.7 times its height",
-        "chosen; the tangent of the angle",
-    ),
-] = 60.0
-COARSER: Annotated[
-    float,
-    Because(
-        "times the mosaic's pixel",
-        "beyond which a frame sees the ground too coarsely to give pixels: 15 of 16 of them would be "
-        "invented",
-        "chosen; the square",
-    ),
-] = 4.0
-_FAR_INSIDE: Annotated[
-    float,
-    Because("times the limit", "beyond which it no longer matters how good a place is seen", "definition"),
-] = 2.0
+OFF_VERTICAL_DEG = sourced(
+    60.0,
+    "degrees",
+    "off the vertical, beyond which a frame gives no pixels: there an error of the ground's height moves "
+    "the map by 1.7 times as much, and a house covers 1.7 times its height",
+    "chosen; the tangent of the angle",
+)
+COARSER = sourced(
+    4.0,
+    "times the mosaic's pixel",
+    "beyond which a frame sees the ground too coarsely to give pixels: 15 of 16 of them would be invented",
+    "chosen; the square",
+)
+_FAR_INSIDE = sourced(
+    2.0,
+    "times the limit",
+    "beyond which it no longer matters how good a place is seen",
+    "definition",
+)
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.hidden import Hidden
 from geomosaic.mosaic.model import OutputGrid, Trimmed
@@ -22,58 +21,43 @@ from geomosaic.projection.warp import frame_from_map
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_LEAST_CELL_PX: Annotated[
-    int,
-    Because(
-        "px of the mosaic",
-        "finer cells would follow single leaves, and take as long as the composition",
-        CHOSEN,
-    ),
-] = 8
-_MOST_CELL_PX: Annotated[
-    int,
-    Because(
-        "px of the mosaic",
-        "coarser ones could not follow a road; what has more cells than fit takes more memory",
-        CHOSEN,
-    ),
-] = 512
-_CELLS_ACROSS: Annotated[
-    int,
-    Because(
-        "cells along a frame's longer side",
-        "fine enough for seams to keep to roads and around crowns; finer ones take more than a "
-        "tenth of the time of the composition",
-        "docs/results.md, seams of 28 frames of 16 MP",
-    ),
-] = 250
-_MOST_CELLS: Annotated[
-    int,
-    Because(
-        "cells of a mosaic",
-        "128 MB of owners and distances at most: larger mosaics have larger cells",
-        CHOSEN,
-    ),
-] = 16_000_000
-_APART: Annotated[
-    int,
-    Because(
-        "cells",
-        "between places that go through the equations where the ground is smooth, bilinear between them: "
-        "farther apart a shutter's turns would move what is seen by whole cells, nearer ones take longer",
-        "chosen; computed of a flight with a rolling shutter and a tie surface: a seventh of the time, off "
-        "by 0.01 px of the frame in the median and 2.5 px at most, where a cell has 8",
-    ),
-] = 4
-_AROUND_AREA_PX: Annotated[
-    int,
-    Because(
-        "px of the mosaic",
-        "as far as bands of frequencies look about an area; by a wider feather, the nearest frame"
-        " is what lies beyond",
-        "mosaic.blends: halo of multi_band",
-    ),
-] = 64
+_LEAST_CELL_PX = tuned(
+    8,
+    "px of the mosaic",
+    "finer cells would follow single leaves, and take as long as the composition",
+)
+_MOST_CELL_PX = tuned(
+    512,
+    "px of the mosaic",
+    "coarser ones could not follow a road; what has more cells than fit takes more memory",
+)
+_CELLS_ACROSS = sourced(
+    250,
+    "cells along a frame's longer side",
+    "fine enough for seams to keep to roads and around crowns; finer ones take more than a "
+    "tenth of the time of the composition",
+    "docs/results.md, seams of 28 frames of 16 MP",
+)
+_MOST_CELLS = tuned(
+    16_000_000,
+    "cells of a mosaic",
+    "128 MB of owners and distances at most: larger mosaics have larger cells",
+)
+_APART = sourced(
+    4,
+    "cells",
+    "between places that go through the equations where the ground is smooth, bilinear between them: "
+    "farther apart a shutter's turns would move what is seen by whole cells, nearer ones take longer",
+    "chosen; computed of a flight with a rolling shutter and a tie surface: a seventh of the time, off "
+    "by 0.01 px of the frame in the median and 2.5 px at most, where a cell has 8",
+)
+_AROUND_AREA_PX = sourced(
+    64,
+    "px of the mosaic",
+    "as far as bands of frequencies look about an area; by a wider feather, the nearest frame"
+    " is what lies beyond",
+    "mosaic.blends: halo of multi_band",
+)
 
 
 @dataclass(frozen=True)

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import colorsys
-from typing import Annotated
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
-_TURN: Annotated[
-    float,
-    Because(
-        "share of the circle of hues",
-        "from one number to the next: by the golden section any few numbers in a row differ well",
-        "Knuth 1998, The Art of Computer Programming 3, section 6.4, exercise 9",
-    ),
-] = 0.618_033_988_749_895
-_SATURATION: Annotated[
-    float,
-    Because("1", "of every colour: with less they look alike, with more they hide what lies below", CHOSEN),
-] = 0.75
-_SHADES: Annotated[
-    tuple[float, ...], Because("1", "of numbers in turn: hues that come near again differ in shade", CHOSEN)
-] = (0.95, 0.825, 0.7)
+_TURN = sourced(
+    0.618_033_988_749_895,
+    "share of the circle of hues",
+    "from one number to the next: by the golden section any few numbers in a row differ well",
+    "Knuth 1998, The Art of Computer Programming 3, section 6.4, exercise 9",
+)
+_SATURATION = tuned(
+    0.75,
+    "1",
+    "of every colour: with less they look alike, with more they hide what lies below",
+)
+_SHADES: tuple[float, ...] = tuned(
+    (0.95, 0.825, 0.7),
+    "1",
+    "of numbers in turn: hues that come near again differ in shade",
+)
 
 
 def frame_colour(number: int) -> tuple[int, int, int]:

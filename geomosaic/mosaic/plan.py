@@ -6,13 +6,12 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.mosaic.cells import Cells, window_cells
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
@@ -22,15 +21,13 @@ from geomosaic.mosaic.sight import SeenCells
 from geomosaic.mosaic.window import Part, Step, Window
 
 Bools = NDArray[np.bool_]
-_SQUARE_PX: Annotated[
-    int,
-    Because(
-        "px of the mosaic",
-        "side of the squares whose windows are planned together: in smaller ones calls on small arrays take "
-        "longer than their work, larger ones hold frames that most of their windows have nothing of",
-        "chosen; measured with windows of 512 px",
-    ),
-] = 2048
+_SQUARE_PX = sourced(
+    2048,
+    "px of the mosaic",
+    "side of the squares whose windows are planned together: in smaller ones calls on small arrays take "
+    "longer than their work, larger ones hold frames that most of their windows have nothing of",
+    "chosen; measured with windows of 512 px",
+)
 
 
 def windows(grid: OutputGrid, side_px: int) -> list[Window]:

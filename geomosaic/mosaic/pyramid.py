@@ -9,41 +9,34 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import IO, Annotated, Any
+from typing import IO, Any
 
 import cv2
 import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
-TILE_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of a tile of a GeoTIFF: smaller ones are many to look up, larger ones much to read for a pixel",
-        "GDAL, COG driver: BLOCKSIZE's default",
-    ),
-] = 512
-_MOST_OVERVIEWS: Annotated[
-    int,
-    Because(
-        "halvings",
-        "a block of 512 rows is halved so often that its part of the smallest overview is four rows",
-        CHOSEN,
-    ),
-] = 7
-_EFFORT: Annotated[
-    int,
-    Because(
-        "ISA-L's level",
-        "of images whose neighbours were taken off: 1 is as fast and gains 1 % less, 3 takes a quarter "
-        "longer and gains half a percent",
-        "measured: 41 tiles of a real flight, 2.0 ms each to 56.0 % of their bytes; zlib's level 1 9.7 ms, "
-        "52.1 %; libdeflate's level 1 5.1 ms, 55.1 %, its level 3, which GDAL has, 7.1 ms, 53.8 %",
-    ),
-] = 2
+TILE_PX = sourced(
+    512,
+    "px",
+    "side of a tile of a GeoTIFF: smaller ones are many to look up, larger ones much to read for a pixel",
+    "GDAL, COG driver: BLOCKSIZE's default",
+)
+_MOST_OVERVIEWS = tuned(
+    7,
+    "halvings",
+    "a block of 512 rows is halved so often that its part of the smallest overview is four rows",
+)
+_EFFORT = sourced(
+    2,
+    "ISA-L's level",
+    "of images whose neighbours were taken off: 1 is as fast and gains 1 % less, 3 takes a quarter "
+    "longer and gains half a percent",
+    "measured: 41 tiles of a real flight, 2.0 ms each to 56.0 % of their bytes; zlib's level 1 9.7 ms, "
+    "52.1 %; libdeflate's level 1 5.1 ms, 55.1 %, its level 3, which GDAL has, 7.1 ms, 53.8 %",
+)
 Flags = NDArray[np.bool_]
 
 

@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.blends import STEP_PX
 from geomosaic.mosaic.model import OutputGrid
@@ -26,15 +26,12 @@ from geomosaic.projection.warp import GroundWindow, ground_window
 Floats32 = NDArray[np.float32]
 CELL_PX: Final = STEP_PX
 """Of the mosaic: by cells of this side it is planned which frames can matter where."""
-_LATTICES: Annotated[
-    int,
-    Because(
-        "windows",
-        "whose ground is kept, 40 kB each of 512 px: fewer are made anew for the next flight line, more are "
-        "memory in each worker",
-        CHOSEN,
-    ),
-] = 256
+_LATTICES = tuned(
+    256,
+    "windows",
+    "whose ground is kept, 40 kB each of 512 px: fewer are made anew for the next flight line, more are "
+    "memory in each worker",
+)
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.plugins import SEAMS_GROUP, Named
 from geomosaic.mosaic.seam_parts import Part, to_8_bits
@@ -21,34 +21,26 @@ from geomosaic.spread import AtOnce, Spread
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 _cv2: Any = cv2  # its stubs leave the stitching module out
-_ON_OBJECTS: Annotated[
-    np.float32,
-    Because(
-        "grey levels of 8 bits in each band",
-        "a seam on an object counts as one along which frames differ by so much; a path through a"
-        " whole image of grass differs by 10",
-        CHOSEN,
-    ),
-] = np.float32(40.0)
-_MANY_CELLS: Annotated[
-    int,
-    Because(
-        "cells that two frames may both give",
-        "above them the seam is first cut in cells twice as large, then in the cells about it: two fifths of "
-        "the time for seams along which frames differ no more; with less, small parts that need no help are "
-        "made coarse",
-        "computed on a flight of 18 frames: length times difference 2 % less; 8 % more with half of it",
-    ),
-] = 16_000
-_ABOUT_CELLS: Annotated[
-    int,
-    Because(
-        "cells to either side",
-        "of a seam in larger cells, within which it is cut in the small ones: two of the larger; fewer hold "
-        "it to their steps, more take time",
-        CHOSEN,
-    ),
-] = 4
+_ON_OBJECTS: np.float32 = tuned(
+    np.float32(40.0),
+    "grey levels of 8 bits in each band",
+    "a seam on an object counts as one along which frames differ by so much; a path through a"
+    " whole image of grass differs by 10",
+)
+_MANY_CELLS = sourced(
+    16_000,
+    "cells that two frames may both give",
+    "above them the seam is first cut in cells twice as large, then in the cells about it: two fifths of "
+    "the time for seams along which frames differ no more; with less, small parts that need no help are "
+    "made coarse",
+    "computed on a flight of 18 frames: length times difference 2 % less; 8 % more with half of it",
+)
+_ABOUT_CELLS = tuned(
+    4,
+    "cells to either side",
+    "of a seam in larger cells, within which it is cut in the small ones: two of the larger; fewer hold "
+    "it to their steps, more take time",
+)
 
 
 Seam = Callable[[Ownership, Sequence[Part], Spread], Ownership]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.ownership import Ownership, frame_cells
 from geomosaic.mosaic.scene import Scene, bounds_window, distances_m
 from geomosaic.mosaic.tones import Tones, evened
@@ -23,81 +23,39 @@ from geomosaic.survey.small import Spare
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_BAND: Annotated[
-    float,
-    Because(
-        "share of the side of a frame's own part",
-        "how much farther from its nadir point than from the nearest a frame may give the ground:"
-        " with more, frames look aside there and houses lean; with less, no way is left around "
-        "them",
-        CHOSEN,
-    ),
-] = 0.5
-_LEAST_BAND_CELLS: Annotated[
-    float,
-    Because(
-        "cells",
-        "of frames that overlap much: narrower bands leave a seam no choice",
-        CHOSEN,
-    ),
-] = 6.0
-_EDGE_PX: Annotated[
-    float,
-    Because(
-        "px of a frame",
-        "its outermost ones are the darkest and least sharp",
-        CHOSEN,
-    ),
-] = 16.0
-_HIGH_M: Annotated[
-    float,
-    Because(
-        "m over the ground",
-        "what stands is higher: cars and hedges lean too little to matter, a storey is 2.5",
-        CHOSEN,
-    ),
-] = 2.0
-_WIDEST_M: Annotated[
-    float,
-    Because(
-        "m",
-        "houses are narrower; hills are wider, so that they are no objects",
-        CHOSEN,
-    ),
-] = 60.0
-_FINE_M: Annotated[
-    float,
-    Because(
-        "m between a surface's nodes",
-        "coarser surfaces show no houses, but ridges between their nodes",
-        CHOSEN,
-    ),
-] = 2.0
-_SOME: Annotated[
-    int,
-    Because(
-        "cells each way",
-        "of which one is asked how bright a part is: a thousand of a part say it, all would take longer than "
-        "to cut",
-        CHOSEN,
-    ),
-] = 4
-_LEAST_WHITE: Annotated[
-    float,
-    Because(
-        "the values' own",
-        "so that black images divide nothing by zero",
-        CHOSEN,
-    ),
-] = 1e-6
-_WHITE: Annotated[
-    float,
-    Because(
-        "grey levels",
-        "of 8 bits: what all values are brought to before they are compared",
-        "definition",
-    ),
-] = 255.0
+_BAND = tuned(
+    0.5,
+    "share of the side of a frame's own part",
+    "how much farther from its nadir point than from the nearest a frame may give the ground:"
+    " with more, frames look aside there and houses lean; with less, no way is left around "
+    "them",
+)
+_LEAST_BAND_CELLS = tuned(6.0, "cells", "of frames that overlap much: narrower bands leave a seam no choice")
+_EDGE_PX = tuned(16.0, "px of a frame", "its outermost ones are the darkest and least sharp")
+_HIGH_M = tuned(
+    2.0,
+    "m over the ground",
+    "what stands is higher: cars and hedges lean too little to matter, a storey is 2.5",
+)
+_WIDEST_M = tuned(60.0, "m", "houses are narrower; hills are wider, so that they are no objects")
+_FINE_M = tuned(
+    2.0,
+    "m between a surface's nodes",
+    "coarser surfaces show no houses, but ridges between their nodes",
+)
+_SOME = tuned(
+    4,
+    "cells each way",
+    "of which one is asked how bright a part is: a thousand of a part say it, all would take longer than "
+    "to cut",
+)
+_LEAST_WHITE = tuned(1e-6, "the values' own", "so that black images divide nothing by zero")
+_WHITE = sourced(
+    255.0,
+    "grey levels",
+    "of 8 bits: what all values are brought to before they are compared",
+    "definition",
+)
 
 
 @dataclass(frozen=True)

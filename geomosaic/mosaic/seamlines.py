@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import cv2
 import numpy as np
 import rasterio
@@ -11,34 +9,17 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.features import shapes
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.mosaic.model import Hole, Holes, OutputGrid, Seamline
 from geomosaic.mosaic.window import Window
 
-_MOST_LABELS: Annotated[
-    int,
-    Because(
-        "cells",
-        "of the raster that outlines are drawn from: 16 MB, some seconds of drawing",
-        CHOSEN,
-    ),
-] = 4_000_000
-_SIMPLIFY_LABELS: Annotated[
-    float,
-    Because(
-        "cells",
-        "outlines leave their corners by no more, so that stairs become lines",
-        CHOSEN,
-    ),
-] = 1.0
-_MOST_LISTED: Annotated[
-    int,
-    Because(
-        "holes",
-        "the largest ones: what a person looks at",
-        CHOSEN,
-    ),
-] = 20
+_MOST_LABELS = tuned(
+    4_000_000,
+    "cells",
+    "of the raster that outlines are drawn from: 16 MB, some seconds of drawing",
+)
+_SIMPLIFY_LABELS = tuned(1.0, "cells", "outlines leave their corners by no more, so that stairs become lines")
+_MOST_LISTED = tuned(20, "holes", "the largest ones: what a person looks at")
 
 
 class SeamLabels:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.hidden import Hidden
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
@@ -22,58 +21,41 @@ from geomosaic.projection.warp import frame_from_map
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
-_SIDES_PX: Annotated[
-    tuple[int, ...],
-    Because(
-        "px of the mosaic",
-        "sides of the cells of what is hidden, the one next to the distance of the ground's nodes: they "
-        "share planning cells, and the cells of ownership, without a rest",
-        "powers of two up to the smallest cell of mosaic.ownership",
-    ),
-] = (8, 4, 2, 1)
-_STEP_M: Annotated[
-    float,
-    Because(
-        "m below the line of sight",
-        "somewhere in what is hidden: lower steps are kerbs, cars and noise of a matched surface, and hide "
-        "less than a few pixels; with more, sheds and hedges are seen through",
-        CHOSEN,
-    ),
-] = 1.0
-_EDGE_M: Annotated[
-    float,
-    Because(
-        "m below the line of sight",
-        "that is hidden beside what is more than a step below it: with less, noise frays the shadow's edge, "
-        "with more, the edge of what hides is shown again beyond it",
-        CHOSEN,
-    ),
-] = 0.25
-_LEAST_M2: Annotated[
-    float,
-    Because(
-        "m2",
-        "of what is hidden, or seen amid it: smaller islands are noise of the surface, and the seams about "
-        "them are seen",
-        CHOSEN,
-    ),
-] = 1.0
-_ABOUT_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "about what is hidden that count as hidden too, if another frame sees them: a surface's edges are "
-        "half a cell off, and without, what hides is doubled beside them",
-        "computed of a simulated town on its true surface: within 1 m of walls and trees SSIM 0.762, without "
-        "0.759, with all frames giving what they can't see 0.732",
-    ),
-] = 1
-_PER_M: Annotated[
-    float, Because("steps per m", "in which it is told how far below a line of sight places lie", CHOSEN)
-] = 10.0
-_BEYOND: Annotated[
-    int, Because("steps", "that stand for what a frame doesn't show at all", "the highest of a byte")
-] = 255
+_SIDES_PX: tuple[int, ...] = sourced(
+    (8, 4, 2, 1),
+    "px of the mosaic",
+    "sides of the cells of what is hidden, the one next to the distance of the ground's nodes: they "
+    "share planning cells, and the cells of ownership, without a rest",
+    "powers of two up to the smallest cell of mosaic.ownership",
+)
+_STEP_M = tuned(
+    1.0,
+    "m below the line of sight",
+    "somewhere in what is hidden: lower steps are kerbs, cars and noise of a matched surface, and hide "
+    "less than a few pixels; with more, sheds and hedges are seen through",
+)
+_EDGE_M = tuned(
+    0.25,
+    "m below the line of sight",
+    "that is hidden beside what is more than a step below it: with less, noise frays the shadow's edge, "
+    "with more, the edge of what hides is shown again beyond it",
+)
+_LEAST_M2 = tuned(
+    1.0,
+    "m2",
+    "of what is hidden, or seen amid it: smaller islands are noise of the surface, and the seams about "
+    "them are seen",
+)
+_ABOUT_CELLS = sourced(
+    1,
+    "cells",
+    "about what is hidden that count as hidden too, if another frame sees them: a surface's edges are "
+    "half a cell off, and without, what hides is doubled beside them",
+    "computed of a simulated town on its true surface: within 1 m of walls and trees SSIM 0.762, without "
+    "0.759, with all frames giving what they can't see 0.732",
+)
+_PER_M = tuned(10.0, "steps per m", "in which it is told how far below a line of sight places lie")
+_BEYOND = sourced(255, "steps", "that stand for what a frame doesn't show at all", "the highest of a byte")
 
 
 @dataclass(frozen=True)

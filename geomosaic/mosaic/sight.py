@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import decode, may_be_masked
 from geomosaic.mosaic.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
@@ -19,15 +18,12 @@ from geomosaic.survey.model import Frame
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_BLOCK: Annotated[
-    int,
-    Because(
-        "cells",
-        "side of a block that is looked at as one where the frame's edge is farther off: in larger ones more "
-        "cells lie along an edge, smaller ones are more to look at",
-        CHOSEN,
-    ),
-] = 4
+_BLOCK = tuned(
+    4,
+    "cells",
+    "side of a block that is looked at as one where the frame's edge is farther off: in larger ones more "
+    "cells lie along an edge, smaller ones are more to look at",
+)
 
 
 @dataclass(frozen=True)

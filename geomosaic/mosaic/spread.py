@@ -6,23 +6,20 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Annotated, Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from geomosaic import spread
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Made = TypeVar("Made", covariant=True)
-_LATEST: Annotated[
-    int,
-    Because(
-        "results",
-        "held in this process where nothing is on the disk: fewer are made again, though windows along "
-        "Hilbert's curve come back to few; more are memory",
-        CHOSEN,
-    ),
-] = 12
+_LATEST = tuned(
+    12,
+    "results",
+    "held in this process where nothing is on the disk: fewer are made again, though windows along "
+    "Hilbert's curve come back to few; more are memory",
+)
 
 
 class Kept(Protocol[Made]):

@@ -8,26 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from geomosaic.ccd.model import Floats
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.projection.resample import KERNEL_RADIUS_PX
 
 Floats32 = NDArray[np.float32]
-_STEPS: Annotated[
-    int,
-    Because(
-        "steps of a pixel",
-        "for which weights are tabled: 0.002 px off at most; fewer are seen beside offsets good to "
-        "0.01 px, more take memory",
-        CHOSEN,
-    ),
-] = 256
+_STEPS = tuned(
+    256,
+    "steps of a pixel",
+    "for which weights are tabled: 0.002 px off at most; fewer are seen beside offsets good to "
+    "0.01 px, more take memory",
+)
 
 
 def _bilinear(t: Floats) -> Floats:

@@ -3,62 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.layout import Places
 from geomosaic.ccd.model import Flags, Floats
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.strip_lines import Lines
 from geomosaic.mosaic.strip_taps import between
 
 Floats32 = NDArray[np.float32]
-_ROWS: Annotated[
-    int,
-    Because(
-        "px",
-        "of a piece that is resampled at once: of this size it stays in the processor's cache",
-        CHOSEN,
-    ),
-] = 32
-_STRETCHES: Annotated[
-    int,
-    Because(
-        "stretches of columns",
-        "of a piece: together as wide as TH-1's strips; with more, weights reach over more columns where "
-        "places slope",
-        CHOSEN,
-    ),
-] = 64
-_STRETCH_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "of columns that lie off their places alike, at most, and then a half, a quarter of it: more save "
-        "little time and are more than a narrow part has",
-        CHOSEN,
-    ),
-] = 64
-_ALIKE_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which places may slope within a stretch, so that none is off by more than half of it: with "
-        "more, seams show it, with less, narrower stretches take more time",
-        "as fine as OpenCV's steps, cv2.INTER_TAB_SIZE",
-    ),
-] = 1.0 / 32.0
-_BEYOND_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "beyond a strip's edges, from which on a place isn't looked at, but some other of its piece: half a "
-        "stretch at least, since its middle may lie outside; more makes weights reach far",
-        CHOSEN,
-    ),
-] = 64.0
+_ROWS = tuned(
+    32,
+    "px",
+    "of a piece that is resampled at once: of this size it stays in the processor's cache",
+)
+_STRETCHES = tuned(
+    64,
+    "stretches of columns",
+    "of a piece: together as wide as TH-1's strips; with more, weights reach over more columns where "
+    "places slope",
+)
+_STRETCH_PX = tuned(
+    64,
+    "px",
+    "of columns that lie off their places alike, at most, and then a half, a quarter of it: more save "
+    "little time and are more than a narrow part has",
+)
+_ALIKE_PX: float = sourced(
+    1.0 / 32.0,
+    "px",
+    "by which places may slope within a stretch, so that none is off by more than half of it: with "
+    "more, seams show it, with less, narrower stretches take more time",
+    "as fine as OpenCV's steps, cv2.INTER_TAB_SIZE",
+)
+_BEYOND_PX = tuned(
+    64.0,
+    "px",
+    "beyond a strip's edges, from which on a place isn't looked at, but some other of its piece: half a "
+    "stretch at least, since its middle may lie outside; more makes weights reach far",
+)
 
 
 @dataclass(frozen=True, eq=False)

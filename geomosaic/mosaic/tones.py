@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.views import FrameView
@@ -34,87 +34,54 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.intp]
 
-_ACROSS: Annotated[
-    int,
-    Because(
-        "places along a frame's longer side",
-        "some hundred in each overlap, where a gain takes one",
-        CHOSEN,
-    ),
-] = 24
-_LEAST_SIDE_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "of the reduced image that is sampled: of smaller ones a place would be a mean of a "
-        "tree and the field beside it",
-        CHOSEN,
-    ),
-] = 64
-_TELLING: Annotated[
-    tuple[float, float],
-    Because(
-        "grey levels of 8 bits",
-        "between them a camera shows how bright the ground is: below is noise, above it may be "
-        "saturated; of other types all but nothing and the most they hold",
-        CHOSEN,
-    ),
-] = (6.0, 249.0)
-_WHITE: Annotated[
-    float,
-    Because(
-        "grey levels of 8 bits",
-        "what pictures bend towards: at 255 white would not move at all and its odds have no end; far "
-        "beyond, bright land is cut at 255 again",
-        "the number of grey levels",
-    ),
-] = 256.0
+_ACROSS = tuned(
+    24,
+    "places along a frame's longer side",
+    "some hundred in each overlap, where a gain takes one",
+)
+_LEAST_SIDE_PX = tuned(
+    64,
+    "px",
+    "of the reduced image that is sampled: of smaller ones a place would be a mean of a "
+    "tree and the field beside it",
+)
+_TELLING: tuple[float, float] = tuned(
+    (6.0, 249.0),
+    "grey levels of 8 bits",
+    "between them a camera shows how bright the ground is: below is noise, above it may be "
+    "saturated; of other types all but nothing and the most they hold",
+)
+_WHITE = sourced(
+    256.0,
+    "grey levels of 8 bits",
+    "what pictures bend towards: at 255 white would not move at all and its odds have no end; far "
+    "beyond, bright land is cut at 255 again",
+    "the number of grey levels",
+)
 _HELD: Final = "before the images speak, weakly, so that no block grows darker from end to end: "
-_GAIN_SD: Annotated[
-    float, Because("natural logarithm of brightness", _HELD + "half a stop of exposure either way", CHOSEN)
-] = 0.2
-_SLOPE_SD: Annotated[
-    float,
-    Because(
-        "natural logarithm of brightness, from a frame's middle to its corner",
-        _HELD + "land looks a tenth brighter with the sun behind the camera",
-        CHOSEN,
-    ),
-] = 0.1
-_VIGNETTE_SD: Annotated[
-    float,
-    Because(
-        "natural logarithm of brightness, from a frame's middle to its corner",
-        _HELD + "corners are at most half as bright",
-        CHOSEN,
-    ),
-] = 0.5
-_INDEPENDENT: Annotated[
-    float,
-    Because(
-        "places",
-        "of a frame that say something of their own: light changes over a field, not from place "
-        "to place; with more, frames that overlap little would follow noise",
-        CHOSEN,
-    ),
-] = 25.0
-_LEAST_SD: Annotated[
-    float,
-    Because(
-        "natural logarithm of brightness",
-        "a half per cent, a grey level of 8 bits: places that agree better by chance would count "
-        "for too much",
-        CHOSEN,
-    ),
-] = 0.005
-_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "of weights, which leave cars and glitter out: enough for them to settle",
-        CHOSEN,
-    ),
-] = 8
+_GAIN_SD = tuned(0.2, "natural logarithm of brightness", _HELD + "half a stop of exposure either way")
+_SLOPE_SD = tuned(
+    0.1,
+    "natural logarithm of brightness, from a frame's middle to its corner",
+    _HELD + "land looks a tenth brighter with the sun behind the camera",
+)
+_VIGNETTE_SD = tuned(
+    0.5,
+    "natural logarithm of brightness, from a frame's middle to its corner",
+    _HELD + "corners are at most half as bright",
+)
+_INDEPENDENT = tuned(
+    25.0,
+    "places",
+    "of a frame that say something of their own: light changes over a field, not from place "
+    "to place; with more, frames that overlap little would follow noise",
+)
+_LEAST_SD = tuned(
+    0.005,
+    "natural logarithm of brightness",
+    "a half per cent, a grey level of 8 bits: places that agree better by chance would count for too much",
+)
+_ROUNDS = tuned(8, "rounds", "of weights, which leave cars and glitter out: enough for them to settle")
 
 
 @dataclass(frozen=True)

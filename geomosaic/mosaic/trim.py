@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, auto
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rasterio.features import shapes
 
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.area import Area, rings_of
 from geomosaic.mosaic.limits import Limits
@@ -32,37 +32,29 @@ Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-OFF_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which land must lie elsewhere to count as off: a map is called wrong beyond it; in any town rims "
-        "of roofs are unsure by one or two",
-        CHOSEN,
-    ),
-] = 3.0
-_MOST_PLACES: Annotated[
-    int,
-    Because(
-        "places",
-        "of the mosaic at which the angles and the ground's deviations are looked up, linear between: more "
-        "only take time and memory",
-        CHOSEN,
-    ),
-] = 1_000_000
-_WIDE_CELLS: Annotated[
-    int,
-    Because("cells", "along the longer side of all that frames see, by which its area is counted", CHOSEN),
-] = 1000
-_HORIZON_DEG: Annotated[
-    float,
-    Because(
-        "degrees",
-        "off the vertical, beyond which it is the horizon and no land: with it, any share that is trimmed is "
-        "100 %",
-        CHOSEN,
-    ),
-] = 85.0
+OFF_PX = tuned(
+    3.0,
+    "px",
+    "by which land must lie elsewhere to count as off: a map is called wrong beyond it; in any town rims "
+    "of roofs are unsure by one or two",
+)
+_MOST_PLACES = tuned(
+    1_000_000,
+    "places",
+    "of the mosaic at which the angles and the ground's deviations are looked up, linear between: more "
+    "only take time and memory",
+)
+_WIDE_CELLS = tuned(
+    1000,
+    "cells",
+    "along the longer side of all that frames see, by which its area is counted",
+)
+_HORIZON_DEG = tuned(
+    85.0,
+    "degrees",
+    "off the vertical, beyond which it is the horizon and no land: with it, any share that is trimmed is "
+    "100 %",
+)
 HORIZON: Final = Limits(float(np.tan(np.radians(_HORIZON_DEG))), np.inf)
 
 

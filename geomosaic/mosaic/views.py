@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.hidden import Hidden
@@ -24,24 +23,18 @@ from geomosaic.projection.ground import GroundSurface
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_SAMPLES_PER_SIDE: Annotated[
-    int,
-    Because(
-        "places",
-        "along each side of a frame, whose bounds on the map are theirs: between them a bent edge"
-        " reaches farther by less than the share to spare",
-        CHOSEN,
-    ),
-] = 17
-_SPARE: Annotated[
-    float,
-    Because(
-        "share of a frame's bounds",
-        "bounds are those of places along a frame's edges, and a bent edge reaches a little "
-        "farther: with less, what it shows may be cut there",
-        CHOSEN,
-    ),
-] = 0.02
+_SAMPLES_PER_SIDE = tuned(
+    17,
+    "places",
+    "along each side of a frame, whose bounds on the map are theirs: between them a bent edge"
+    " reaches farther by less than the share to spare",
+)
+_SPARE = tuned(
+    0.02,
+    "share of a frame's bounds",
+    "bounds are those of places along a frame's edges, and a bent edge reaches a little "
+    "farther: with less, what it shows may be cut there",
+)
 
 
 @dataclass(frozen=True)

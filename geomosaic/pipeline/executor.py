@@ -25,10 +25,10 @@ from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import SpawnContext
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from geomosaic import __version__
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.pipeline.freed import give_back
 
@@ -38,15 +38,12 @@ ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _WORKERS_ENVIRONMENT = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM", "PYTHONSAFEPATH")
 """What is 1 for processes that are started: threads, and that no module is taken from the current folder."""
 
-_REST_S: Annotated[
-    float,
-    Because(
-        "s",
-        "without a task, once or twice, after which a worker gives back what it keeps for the next one: it "
-        "goes on waiting while the parent does what it does alone, as in an adjustment",
-        CHOSEN,
-    ),
-] = 2.0
+_REST_S = tuned(
+    2.0,
+    "s",
+    "without a task, once or twice, after which a worker gives back what it keeps for the next one: it "
+    "goes on waiting while the parent does what it does alone, as in an adjustment",
+)
 
 DASK_TIMEOUT_S = 10.0
 DASK_PATIENCE_S = 30.0

@@ -13,9 +13,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.addresses import Address
 from geomosaic.doors.plain import read_json
 from geomosaic.doors.remote import MOST_FILES, Remote, copy, listed, look
@@ -36,27 +36,23 @@ _KINDS: Final = re.compile(
     re.IGNORECASE,
 )
 """Frames, masks, strips; positions, control, cameras; elevation models, areas and what goes with them."""
-_CONNECTIONS: Annotated[
-    int,
-    Because(
-        "requests at once",
-        "one waits for an answer most of its time, while more than a few share the same line, and servers "
-        "refuse too many; each holds a piece of 8 MB",
-        CHOSEN,
-    ),
-] = 6
-_MOST_BYTES: Annotated[
-    int,
-    Because(
-        "bytes a file",
-        "strips of 130,000 lines and elevation models of a county have some GB; what is larger is given by "
-        "mistake, or to fill the disk",
-        CHOSEN,
-    ),
-] = 16 << 30
-_SPARE_BYTES: Annotated[
-    int, Because("bytes", "of the disk that are left free: a full one harms other programs", CHOSEN)
-] = 256 << 20
+_CONNECTIONS = tuned(
+    6,
+    "requests at once",
+    "one waits for an answer most of its time, while more than a few share the same line, and servers "
+    "refuse too many; each holds a piece of 8 MB",
+)
+_MOST_BYTES: int = tuned(
+    16 << 30,
+    "bytes a file",
+    "strips of 130,000 lines and elevation models of a county have some GB; what is larger is given by "
+    "mistake, or to fill the disk",
+)
+_SPARE_BYTES: int = tuned(
+    256 << 20,
+    "bytes",
+    "of the disk that are left free: a full one harms other programs",
+)
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import Reference, decode, encode, write
@@ -37,24 +37,18 @@ class _Sized(typing.Protocol):
 
 Sized = TypeVar("Sized", bound=_Sized)
 
-_MEMORY_BYTES: Annotated[
-    int,
-    Because(
-        "bytes, on the disk where that is less",
-        "what a process keeps of results that it was referred to: the keypoints of 40 frames, so that pairs "
-        "of neighbours find both; less reads files again, more is memory in each worker",
-        CHOSEN,
-    ),
-] = 128 << 20
-_LENT_BYTES: Annotated[
-    int,
-    Because(
-        "bytes of a function's arguments",
-        "what goes along with each item; arguments above are written once and read once by each worker: a "
-        "file costs a worker about 0.2 ms, as much as to unpickle 100 kB",
-        CHOSEN,
-    ),
-] = 100_000
+_MEMORY_BYTES: int = tuned(
+    128 << 20,
+    "bytes, on the disk where that is less",
+    "what a process keeps of results that it was referred to: the keypoints of 40 frames, so that pairs "
+    "of neighbours find both; less reads files again, more is memory in each worker",
+)
+_LENT_BYTES = tuned(
+    100_000,
+    "bytes of a function's arguments",
+    "what goes along with each item; arguments above are written once and read once by each worker: a "
+    "file costs a worker about 0.2 ms, as much as to unpickle 100 kB",
+)
 _LENGTH: Final = struct.Struct("<Q")
 _ALIGNED_BYTES: Final = 64
 """From where to where arrays begin: any number's size goes into it."""

@@ -4,53 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import Geod
 
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 Floats = NDArray[np.float64]
-_ESTIMATED_SD_SHARE: Annotated[
-    float,
-    Because(
-        "share of the height above the ground",
-        "deviation of a height that is not given: a degree of tilt makes 1.7 % of it, hills more; a smaller "
-        "one holds poses to a guess, a larger one leaves the scale to whatever is given besides",
-        CHOSEN,
-    ),
-] = 0.1
-_LEAST_ABOVE_M: Annotated[
-    float,
-    Because(
-        "m",
-        "nobody surveys from lower, and cameras that don't know write 0; a larger one would disregard true "
-        "heights of low flights",
-        CHOSEN,
-    ),
-] = 1.0
-_ON_THE_GROUND: Annotated[
-    float,
-    Because(
-        "share of the usual height above the ground",
-        "a frame that lies lower can't be true, it would show a few metres: 0 would let it pass a little "
-        "above the ground, a larger one doubts frames over a summit",
-        CHOSEN,
-    ),
-] = 0.05
-_FAR: Annotated[
-    float,
-    Because(
-        "times the usual height above the ground",
-        "once a height can't be true, those so much higher or lower are in doubt too: heights differ by "
-        "less within a survey that goes over hills at one height; a larger one leaves wrong ones in, a "
-        "smaller one drops true ones",
-        CHOSEN,
-    ),
-] = 2.5
+_ESTIMATED_SD_SHARE = tuned(
+    0.1,
+    "share of the height above the ground",
+    "deviation of a height that is not given: a degree of tilt makes 1.7 % of it, hills more; a smaller "
+    "one holds poses to a guess, a larger one leaves the scale to whatever is given besides",
+)
+_LEAST_ABOVE_M = tuned(
+    1.0,
+    "m",
+    "nobody surveys from lower, and cameras that don't know write 0; a larger one would disregard true "
+    "heights of low flights",
+)
+_ON_THE_GROUND = tuned(
+    0.05,
+    "share of the usual height above the ground",
+    "a frame that lies lower can't be true, it would show a few metres: 0 would let it pass a little "
+    "above the ground, a larger one doubts frames over a summit",
+)
+_FAR = tuned(
+    2.5,
+    "times the usual height above the ground",
+    "once a height can't be true, those so much higher or lower are in doubt too: heights differ by "
+    "less within a survey that goes over hills at one height; a larger one leaves wrong ones in, a "
+    "smaller one drops true ones",
+)
 
 
 def or_nan(value: float | None) -> float:

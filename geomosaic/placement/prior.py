@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import or_nan
@@ -19,34 +18,26 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-UNKNOWN_YAW_SD_DEG: Annotated[
-    float,
-    Because(
-        "deg",
-        "deviation of a heading of which nothing is known: it may be any, so that a smaller one would pull "
-        "to north",
-        "half a turn, the farthest that two headings can differ",
-    ),
-] = 180.0
-COURSE_YAW_SD_DEG: Annotated[
-    float,
-    Because(
-        "deg",
-        "deviation of a heading taken from the course over ground, and the least of one that nobody "
-        "observed: a crosswind of a third of the airspeed turns a platform by as much; a smaller one pulls "
-        "frames flown in wind, a larger one forgets that most fly ahead",
-        CHOSEN,
-    ),
-] = 20.0
-YAW_LIES_DEG: Annotated[
-    float,
-    Because(
-        "degrees",
-        "least that a heading is off to be called wrong: compasses are off by as much beside motors, and "
-        "nobody minds",
-        CHOSEN,
-    ),
-] = 8.0
+UNKNOWN_YAW_SD_DEG = sourced(
+    180.0,
+    "deg",
+    "deviation of a heading of which nothing is known: it may be any, so that a smaller one would pull "
+    "to north",
+    "half a turn, the farthest that two headings can differ",
+)
+COURSE_YAW_SD_DEG = tuned(
+    20.0,
+    "deg",
+    "deviation of a heading taken from the course over ground, and the least of one that nobody "
+    "observed: a crosswind of a third of the airspeed turns a platform by as much; a smaller one pulls "
+    "frames flown in wind, a larger one forgets that most fly ahead",
+)
+YAW_LIES_DEG = tuned(
+    8.0,
+    "degrees",
+    "least that a heading is off to be called wrong: compasses are off by as much beside motors, and "
+    "nobody minds",
+)
 
 
 def heading_limits_rad(poses: Poses) -> Floats:

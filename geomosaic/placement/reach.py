@@ -3,51 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-_MOST_TILT_RAD: Annotated[
-    float,
-    Because(
-        "rad",
-        "deviation of a tilt that is counted at most, half the height on the ground: for a tilt that nobody "
-        "knows the formula for small angles would have frames reach everywhere, while less would look for "
-        "neighbours too near",
-        CHOSEN,
-    ),
-] = 0.5
-_MOST_YAW_RAD: Annotated[
-    float,
-    Because(
-        "rad",
-        "deviation of a heading that is counted at most: turned by any angle, a place stays within twice "
-        "its distance from the nadir point, which three of these reach; more pairs distant frames in vain, "
-        "less misses true neighbours",
-        CHOSEN,
-    ),
-] = 1.0
+_MOST_TILT_RAD = tuned(
+    0.5,
+    "rad",
+    "deviation of a tilt that is counted at most, half the height on the ground: for a tilt that nobody "
+    "knows the formula for small angles would have frames reach everywhere, while less would look for "
+    "neighbours too near",
+)
+_MOST_YAW_RAD = tuned(
+    1.0,
+    "rad",
+    "deviation of a heading that is counted at most: turned by any angle, a place stays within twice "
+    "its distance from the nadir point, which three of these reach; more pairs distant frames in vain, "
+    "less misses true neighbours",
+)
 
-LEAST_HEIGHT_M: Annotated[
-    float, Because("m", "of a frame above the ground, where it is said to stand on it or below it", CHOSEN)
-] = 1.0
+LEAST_HEIGHT_M = tuned(1.0, "m", "of a frame above the ground, where it is said to stand on it or below it")
 
 
-_MOST_FOCAL: Annotated[
-    float,
-    Because(
-        "share of the focal length",
-        "deviation that is counted at most: an assumed lens has it, and sees half as much again or less",
-        CHOSEN,
-    ),
-] = 0.5
+_MOST_FOCAL = tuned(
+    0.5,
+    "share of the focal length",
+    "deviation that is counted at most: an assumed lens has it, and sees half as much again or less",
+)
 
 
 def half_extent_m(camera: Camera, height_m: float) -> float:

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 Floats = NDArray[np.float64]
-_STIFFNESS: Annotated[
-    Floats,
-    Because(
-        "cubes of a step of time",
-        "tried, from a spline through every point to a straight line through all, four in each power of "
-        "ten: the likelihood is flat about its top, so that more say the same; a shorter row cuts off calm "
-        "or shaky flights",
-        CHOSEN,
-    ),
-] = 10.0 ** np.linspace(-4.0, 6.0, 41)
+_STIFFNESS: Floats = tuned(
+    10.0 ** np.linspace(-4.0, 6.0, 41),
+    "cubes of a step of time",
+    "tried, from a spline through every point to a straight line through all, four in each power of "
+    "ten: the likelihood is flat about its top, so that more say the same; a shorter row cuts off calm "
+    "or shaky flights",
+)
 
 
 @dataclass(frozen=True)

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-FEW: Annotated[
-    float,
-    Because(
-        "share of the frames",
-        "that may look otherwise than the rest before the survey is of two kinds: with less, a single frame "
-        "of the take-off decides; with more, the nadir frames among many oblique ones don't count",
-        CHOSEN,
-    ),
-] = 0.1
+FEW = tuned(
+    0.1,
+    "share of the frames",
+    "that may look otherwise than the rest before the survey is of two kinds: with less, a single frame "
+    "of the take-off decides; with more, the nadir frames among many oblique ones don't count",
+)
 
 
 def ground_from_image(pose: Pose, camera: Camera, ground: GroundSurface, image_px: Floats) -> Floats:

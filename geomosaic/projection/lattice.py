@@ -8,7 +8,7 @@ is off in its middle, and where that is too much its pixels go through the equat
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,41 +17,34 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import Sight, bare_window
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-STEP_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of a cell between exact nodes: half of it would compute four times as many, twice of it sends "
-        "more cells through the equations pixel by pixel",
-        "chosen; docs/design.md, composition: with both limits it takes a fifth of the time of all pixels",
-    ),
-] = 8
-_MOST_OFF_PX: Annotated[
-    float,
-    Because(
-        "px of the frame",
-        "how far a cell's middle may be off and stay bilinear: a larger one shows where the ground or a "
-        "shutter's table breaks, a smaller one sends most cells through the equations, while OpenCV's "
-        "resampling rounds to 1/32 px",
-        "chosen; docs/design.md, composition, of a flight with a rolling shutter and a tie surface: 12 % of "
-        "the cells are computed, one pixel in a thousand is more than 0.012 px off, the worst 0.05",
-    ),
-] = 0.005
-_CELLS_AT_ONCE: Annotated[
-    int,
-    Because(
-        "cells",
-        "16,384 pixels, what stays in the processor's cache: more fall out of it, fewer cost more calls",
-        CHOSEN,
-    ),
-] = 256
+STEP_PX = sourced(
+    8,
+    "px",
+    "side of a cell between exact nodes: half of it would compute four times as many, twice of it sends "
+    "more cells through the equations pixel by pixel",
+    "chosen; docs/design.md, composition: with both limits it takes a fifth of the time of all pixels",
+)
+_MOST_OFF_PX = sourced(
+    0.005,
+    "px of the frame",
+    "how far a cell's middle may be off and stay bilinear: a larger one shows where the ground or a "
+    "shutter's table breaks, a smaller one sends most cells through the equations, while OpenCV's "
+    "resampling rounds to 1/32 px",
+    "chosen; docs/design.md, composition, of a flight with a rolling shutter and a tie surface: 12 % of "
+    "the cells are computed, one pixel in a thousand is more than 0.012 px off, the worst 0.05",
+)
+_CELLS_AT_ONCE = tuned(
+    256,
+    "cells",
+    "16,384 pixels, what stays in the processor's cache: more fall out of it, fewer cost more calls",
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.projection.warp import GroundWindow, frame_from_map
 
 Floats32 = NDArray[np.float32]
@@ -20,23 +20,19 @@ RESAMPLING: Final = {
     "lanczos": cv2.INTER_LANCZOS4,
 }
 """OpenCV's interpolations by name; its cubic is Keys' with a = -0.75."""
-KERNEL_RADIUS_PX: Annotated[
-    dict[str, int],
-    Because(
-        "px",
-        "how far each interpolation looks: with less, masked pixels and repeated edges of a part bleed into "
-        "the image, more makes masks wider than they are",
-        "OpenCV's kernels of 2, 4 and 8 px a side (INTER_LINEAR, INTER_CUBIC, INTER_LANCZOS4)",
-    ),
-] = {"bilinear": 1, "cubic": 2, "lanczos": 4}
-_MOST_CHANNELS: Annotated[
-    int,
-    Because(
-        "bands",
-        "resampled in one call: OpenCV refuses more; fewer compute the weights of places once more",
-        "found out: cv2.remap of OpenCV 5.0 raises on five with cubic",
-    ),
-] = 4
+KERNEL_RADIUS_PX: dict[str, int] = sourced(
+    {"bilinear": 1, "cubic": 2, "lanczos": 4},
+    "px",
+    "how far each interpolation looks: with less, masked pixels and repeated edges of a part bleed into "
+    "the image, more makes masks wider than they are",
+    "OpenCV's kernels of 2, 4 and 8 px a side (INTER_LINEAR, INTER_CUBIC, INTER_LANCZOS4)",
+)
+_MOST_CHANNELS = sourced(
+    4,
+    "bands",
+    "resampled in one call: OpenCV refuses more; fewer compute the weights of places once more",
+    "found out: cv2.remap of OpenCV 5.0 raises on five with cubic",
+)
 
 
 def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: str) -> NDArray[Any]:

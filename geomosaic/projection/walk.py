@@ -8,23 +8,20 @@ nodes, in which heights along it are a parabola.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
-_BEYOND: Annotated[
-    float,
-    Because(
-        "cells",
-        "past the border of a square that a ray leaves, so that it is in the next one: rounding of places "
-        "among ten thousands of cells is smaller by far, and nothing is that narrow",
-        CHOSEN,
-    ),
-] = 1e-7
+_BEYOND = tuned(
+    1e-7,
+    "cells",
+    "past the border of a square that a ray leaves, so that it is in the next one: rounding of places "
+    "among ten thousands of cells is smaller by far, and nothing is that narrow",
+)
 
 
 def pyramid(up_m: NDArray[Any]) -> list[NDArray[Any]]:

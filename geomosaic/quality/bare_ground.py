@@ -4,50 +4,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import footprint, ground_from_image
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-_CELLS: Annotated[
-    int,
-    Because(
-        "cells a side of a frame",
-        "in which tie points are looked for: of fewer a pond lies in none, in more honest ground has none",
-        CHOSEN,
-    ),
-] = 8
-_SEEN_BY: Annotated[
-    int, Because("other frames", "that have to see ground of which tie points are missed", CHOSEN)
-] = 2
-_BARE: Annotated[
-    float,
-    Because(
-        "share of the ground that two others see too",
-        "without tie points to be worth a word: of fields, roads and villages up to 3 % are, of water 75 %",
-        "ten simulated surveys of 20 frames against their true cover",
-    ),
-] = 0.05
-_BARE_PART: Annotated[
-    float,
-    Because(
-        "of a frame's ground",
-        "in one piece without tie points that is worth a word, however large the survey: six cells, which "
-        "chance doesn't leave side by side",
-        CHOSEN,
-    ),
-] = 0.1
-_FARTHEST_M: Annotated[
-    float, Because("m", "from a survey's centre that ground is looked at: beyond any horizon", CHOSEN)
-] = 1e6
+_CELLS = tuned(
+    8,
+    "cells a side of a frame",
+    "in which tie points are looked for: of fewer a pond lies in none, in more honest ground has none",
+)
+_SEEN_BY = tuned(2, "other frames", "that have to see ground of which tie points are missed")
+_BARE = sourced(
+    0.05,
+    "share of the ground that two others see too",
+    "without tie points to be worth a word: of fields, roads and villages up to 3 % are, of water 75 %",
+    "ten simulated surveys of 20 frames against their true cover",
+)
+_BARE_PART = tuned(
+    0.1,
+    "of a frame's ground",
+    "in one piece without tie points that is worth a word, however large the survey: six cells, which "
+    "chance doesn't leave side by side",
+)
+_FARTHEST_M = tuned(1e6, "m", "from a survey's centre that ground is looked at: beyond any horizon")
 
 
 @dataclass(frozen=True)

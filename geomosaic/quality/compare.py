@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
 from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.figures import Figures, Similarity, figures, touching_patches
@@ -23,34 +23,25 @@ from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_t
 
 Floats = NDArray[np.float64]
 
-_BLOCK_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of the blocks that rasters are compared by, so that memory doesn't grow with the mosaic: with "
-        "the usual margin of 192 px a block is 1.6 times its own pixels, smaller ones read more twice, "
-        "larger ones take memory",
-        CHOSEN,
-    ),
-] = 1536
-_FAR_SCALE: Annotated[
-    float,
-    Because(
-        "share",
-        "a similarity that changes scale by more is none of two images of the same ground: few patches, "
-        "matched by chance",
-        CHOSEN,
-    ),
-] = 0.2
-_GLANCE_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "longer side of the reduced images whose means and contrasts say one gain and offset: a million "
-        "pixels say them closely, more take time to read",
-        CHOSEN,
-    ),
-] = 1024
+_BLOCK_PX = tuned(
+    1536,
+    "px",
+    "side of the blocks that rasters are compared by, so that memory doesn't grow with the mosaic: with "
+    "the usual margin of 192 px a block is 1.6 times its own pixels, smaller ones read more twice, "
+    "larger ones take memory",
+)
+_FAR_SCALE = tuned(
+    0.2,
+    "share",
+    "a similarity that changes scale by more is none of two images of the same ground: few patches, "
+    "matched by chance",
+)
+_GLANCE_PX = tuned(
+    1024,
+    "px",
+    "longer side of the reduced images whose means and contrasts say one gain and offset: a million "
+    "pixels say them closely, more take time to read",
+)
 
 
 @dataclass(frozen=True)

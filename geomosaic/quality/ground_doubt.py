@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.trim import OFF_PX, looked_at, whole_of
@@ -21,33 +21,24 @@ from geomosaic.surface.terrain import TERRAIN
 Floats = NDArray[np.float64]
 MATCHED: Final = (WALLED, TERRAIN)
 """Kinds of ground that were matched between the frames."""
-SHARE: Annotated[
-    float,
-    Because(
-        "share of the mosaic's land",
-        "as people judge a map: a corner of it may be worse, a strip along a side may not; with less strips "
-        "pass, with more a corner decides",
-        CHOSEN,
-    ),
-] = 0.99
-_MOST_PLACES: Annotated[
-    int,
-    Because(
-        "places",
-        "of the mosaic that are asked, evenly: a thousand of them are the share that may be worse; more "
-        "only take time and memory",
-        CHOSEN,
-    ),
-] = 100_000
-_WITHIN_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "where the search for the displacement ends, and what is said where even that isn't kept: far "
-        "beyond any limit, so that it never hides a figure that matters",
-        CHOSEN,
-    ),
-] = 1e6
+SHARE = tuned(
+    0.99,
+    "share of the mosaic's land",
+    "as people judge a map: a corner of it may be worse, a strip along a side may not; with less strips "
+    "pass, with more a corner decides",
+)
+_MOST_PLACES = tuned(
+    100_000,
+    "places",
+    "of the mosaic that are asked, evenly: a thousand of them are the share that may be worse; more "
+    "only take time and memory",
+)
+_WITHIN_PX = tuned(
+    1e6,
+    "px",
+    "where the search for the displacement ends, and what is said where even that isn't kept: far "
+    "beyond any limit, so that it never hides a figure that matters",
+)
 
 
 @dataclass(frozen=True)

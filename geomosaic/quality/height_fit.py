@@ -9,52 +9,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 Floats = NDArray[np.float64]
 HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
-_MOST_POINTS: Annotated[
-    int, Because("points", "that a fit goes by: more take time and change millimetres", CHOSEN)
-] = 200_000
-_ROUNDS: Annotated[
-    int,
-    Because("rounds", "at most: a fit that settles does so in three to eight; more follow chance", CHOSEN),
-] = 20
-_SETTLED: Annotated[
-    float, Because("pixels", "of a step in plan that ends it: less than what is told of it", CHOSEN)
-] = 0.01
-_FARTHEST: Annotated[
-    float,
-    Because(
-        "robust deviations",
-        "off what most points say is no noise: trees that grew, walls; with less, what a shift would mend is "
-        "left out first",
-        CHOSEN,
-    ),
-] = 3.0
-_STEEPEST: Annotated[
-    float,
-    Because(
-        "m per m",
-        "slope from which on a point says nothing of a shift: heights beside walls and crowns are chance",
-        CHOSEN,
-    ),
-] = 1.0
-_SHIFT_SD_M: Annotated[
-    float,
-    Because(
-        "m",
-        "usual shift in plan between two georeferences: level land, which shows none, keeps it at 0; a "
-        "smaller one would hold what hills do show",
-        "usual deviation of a position by GPS alone",
-    ),
-] = 5.0
+_MOST_POINTS = tuned(200_000, "points", "that a fit goes by: more take time and change millimetres")
+_ROUNDS = tuned(20, "rounds", "at most: a fit that settles does so in three to eight; more follow chance")
+_SETTLED = tuned(0.01, "pixels", "of a step in plan that ends it: less than what is told of it")
+_FARTHEST = tuned(
+    3.0,
+    "robust deviations",
+    "off what most points say is no noise: trees that grew, walls; with less, what a shift would mend is "
+    "left out first",
+)
+_STEEPEST = tuned(
+    1.0,
+    "m per m",
+    "slope from which on a point says nothing of a shift: heights beside walls and crowns are chance",
+)
+_SHIFT_SD_M = sourced(
+    5.0,
+    "m",
+    "usual shift in plan between two georeferences: level land, which shows none, keeps it at 0; a "
+    "smaller one would hold what hills do show",
+    "usual deviation of a position by GPS alone",
+)
 
 
 @dataclass(frozen=True)

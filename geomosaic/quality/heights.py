@@ -5,36 +5,31 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-SLOPES_DEG: Annotated[
-    tuple[float, ...],
-    Because(
-        "degrees",
-        "between classes of slope: level, gentle, steep, walls and rims; more classes have too few points",
-        CHOSEN,
-    ),
-] = (5.0, 15.0, 35.0, 60.0)
+SLOPES_DEG: tuple[float, ...] = tuned(
+    (5.0, 15.0, 35.0, 60.0),
+    "degrees",
+    "between classes of slope: level, gentle, steep, walls and rims; more classes have too few points",
+)
 _KINDS: Final = {
     0: "never classified", 1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation",
     5: "high vegetation", 6: "building", 9: "water", 10: "rail", 11: "road", 17: "bridge",
 }  # fmt: skip
 """ASPRS, LAS specification 1.4 R15, table 17."""
-NOISE: Annotated[
-    tuple[int, ...],
-    Because(
-        "ASPRS classes",
-        "that are no surface: low and high noise; counted, they would be the surface's blunders",
-        "LAS specification 1.4 R15, table 17",
-    ),
-] = (7, 18)
+NOISE: tuple[int, ...] = sourced(
+    (7, 18),
+    "ASPRS classes",
+    "that are no surface: low and high noise; counted, they would be the surface's blunders",
+    "LAS specification 1.4 R15, table 17",
+)
 
 
 @dataclass(frozen=True)

@@ -4,50 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 from geomosaic.ccd.model import Floats, StripOffsets
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.quality.strips import BLOCK_LINES, StripQuality
 
-HIGHEST_HZ: Annotated[
-    float,
-    Because(
-        "Hz",
-        "end of the spectra: what shakes a platform is slower, and offsets are smoothed over lines, so that "
-        "beyond it they only show how",
-        CHOSEN,
-    ),
-] = 100.0
-_FINER: Annotated[
-    int,
-    Because(
-        "steps of frequency for one of the series",
-        "padding, so that a tone between two steps shows at its height: Hann's window loses 15 % of it "
-        "without, 4 % with two, 1 % with four; more take memory",
-        "sin(pi d) / (pi d (1 - d²)) of Hann's window at d of half a step",
-    ),
-] = 4
-_LEAST_SAMPLES: Annotated[
-    int,
-    Because(
-        "samples",
-        "of a series whose spectrum means anything: fewer have a dozen frequencies, of which the trend "
-        "takes the lowest; more leave short scenes without",
-        CHOSEN,
-    ),
-] = 32
-_LEAST_KNOWN: Annotated[
-    float,
-    Because(
-        "share of the blocks between the first and the last measured",
-        "with less, straight lines over gaps make most of the spectrum; with more, clouded scenes have none",
-        CHOSEN,
-    ),
-] = 0.5
+HIGHEST_HZ = tuned(
+    100.0,
+    "Hz",
+    "end of the spectra: what shakes a platform is slower, and offsets are smoothed over lines, so that "
+    "beyond it they only show how",
+)
+_FINER = sourced(
+    4,
+    "steps of frequency for one of the series",
+    "padding, so that a tone between two steps shows at its height: Hann's window loses 15 % of it "
+    "without, 4 % with two, 1 % with four; more take memory",
+    "sin(pi d) / (pi d (1 - d²)) of Hann's window at d of half a step",
+)
+_LEAST_SAMPLES = tuned(
+    32,
+    "samples",
+    "of a series whose spectrum means anything: fewer have a dozen frequencies, of which the trend "
+    "takes the lowest; more leave short scenes without",
+)
+_LEAST_KNOWN = tuned(
+    0.5,
+    "share of the blocks between the first and the last measured",
+    "with less, straight lines over gaps make most of the spectrum; with more, clouded scenes have none",
+)
 
 
 @dataclass(frozen=True)

@@ -7,28 +7,24 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import read_text
 from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.geodesy.local import LocalFrame
 
 _NUMBERS = ("lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg")
 
-_MAX_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a positions.csv: 200,000 frames; fewer refuse large surveys, and without a limit a wrong file "
-        "fills the memory",
-        CHOSEN,
-    ),
-] = 64 << 20
+_MAX_BYTES: int = tuned(
+    64 << 20,
+    "bytes",
+    "of a positions.csv: 200,000 frames; fewer refuse large surveys, and without a limit a wrong file "
+    "fills the memory",
+)
 
 
 def read_poses(path: Path, names: Sequence[str], work_frame: LocalFrame) -> Poses:

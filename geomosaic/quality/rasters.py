@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +13,17 @@ from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality.ssim import luma
 
-_RESAMPLING_TOLERANCE_PX: Annotated[
-    float,
-    Because(
-        "px of the mosaic",
-        "how far GDAL may approximate the way between two grids: its own 0.125 would show beside "
-        "displacements that are good to 0.02, less takes time and says the same",
-        CHOSEN,
-    ),
-] = 0.005
+_RESAMPLING_TOLERANCE_PX = tuned(
+    0.005,
+    "px of the mosaic",
+    "how far GDAL may approximate the way between two grids: its own 0.125 would show beside "
+    "displacements that are good to 0.02, less takes time and says the same",
+)
 
 
 def open_map(path: Path) -> Raster:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.points import is_point_cloud, open_points
 from geomosaic.doors.raster import Raster
 from geomosaic.errors import FileError, InputError
@@ -24,22 +24,17 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel
 
 Floats = NDArray[np.float64]
-_MOST_POINTS: Annotated[
-    int,
-    Because(
-        "points",
-        "of a cloud that are compared, evenly chosen, 200 MB: more take memory, fewer are as good",
-        CHOSEN,
-    ),
-] = 5_000_000
-_BLOCK_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of the blocks that a raster is read by, to 2000 px a side: larger ones would lose detail",
-        "survey.dem",
-    ),
-] = 512
+_MOST_POINTS = tuned(
+    5_000_000,
+    "points",
+    "of a cloud that are compared, evenly chosen, 200 MB: more take memory, fewer are as good",
+)
+_BLOCK_PX = sourced(
+    512,
+    "px",
+    "side of the blocks that a raster is read by, to 2000 px a side: larger ones would lose detail",
+    "survey.dem",
+)
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import printable
 from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
@@ -31,19 +31,17 @@ class Criterion:
     question: str
 
 
-CCIR_500_1: Annotated[
-    tuple[Level, ...],
-    Because(
-        "scores",
-        "the five levels that people score a mosaic by, so that scores compare with the paper's",
-        "CCIR Recommendation 500-1, by table 1 of Yue et al. 2021 (IRLA20200529)",
+CCIR_500_1: tuple[Level, ...] = sourced(
+    (
+        Level(5, "Excellent", "no loss of quality to be seen"),
+        Level(4, "Good", "a loss can be seen but does not hinder viewing"),
+        Level(3, "Fair", "a clear loss that hinders viewing slightly"),
+        Level(2, "Poor", "hinders viewing"),
+        Level(1, "Bad", "hinders viewing very seriously"),
     ),
-] = (
-    Level(5, "Excellent", "no loss of quality to be seen"),
-    Level(4, "Good", "a loss can be seen but does not hinder viewing"),
-    Level(3, "Fair", "a clear loss that hinders viewing slightly"),
-    Level(2, "Poor", "hinders viewing"),
-    Level(1, "Bad", "hinders viewing very seriously"),
+    "scores",
+    "the five levels that people score a mosaic by, so that scores compare with the paper's",
+    "CCIR Recommendation 500-1, by table 1 of Yue et al. 2021 (IRLA20200529)",
 )
 
 CRITERIA = (
@@ -54,8 +52,8 @@ CRITERIA = (
     Criterion("overall", "The mosaic as a whole"),
 )
 
-_MOST_BYTES: Annotated[int, Because("bytes", "of a file of scores: the form saves some 500", CHOSEN)] = 64_000
-_MOST_LETTERS: Annotated[int, Because("letters", "of a run's or viewer's name: fits one line", CHOSEN)] = 200
+_MOST_BYTES = tuned(64_000, "bytes", "of a file of scores: the form saves some 500")
+_MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: fits one line")
 _MEND: Final = "give files that a report's score form saved"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,44 +10,36 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, ImageResiduals
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.quality.misalignment import pair_misalignments
 
 Floats = NDArray[np.float64]
 
-DOWN_WEIGHTED: Annotated[
-    float,
-    Because(
-        "of the weight of a tie point without a residual",
-        "below half of it a tie point is doubted",
-        CHOSEN,
-    ),
-] = 0.5
-WORST_PAIRS: Annotated[
-    int,
-    Because("pairs", "that are looked at in the pixels: as many as a person looks through", CHOSEN),
-] = 20
-SAMPLED_TIES: Annotated[
-    int,
-    Because(
-        "tie points",
-        "that a plan shows: enough to see where the ground has none, in 100 KB",
-        CHOSEN,
-    ),
-] = 4000
-_MIX: Annotated[
-    tuple[int, int, int],
-    Because(
-        "odd numbers of 64 bits",
-        "make one number of frame, col and row that no two places of a survey share but by a chance of 1e-8",
-        "the golden ratio's, and primes 2 and 5 of xxHash",
-    ),
-] = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
-_SHIFT: Annotated[
-    int, Because("bits", "by which high bits come down into low ones while mixing", "splitmix64: 27 to 31")
-] = 29
+DOWN_WEIGHTED = tuned(
+    0.5,
+    "of the weight of a tie point without a residual",
+    "below half of it a tie point is doubted",
+)
+WORST_PAIRS = tuned(20, "pairs", "that are looked at in the pixels: as many as a person looks through")
+SAMPLED_TIES = tuned(
+    4000,
+    "tie points",
+    "that a plan shows: enough to see where the ground has none, in 100 KB",
+)
+_MIX: tuple[int, int, int] = sourced(
+    (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9),
+    "odd numbers of 64 bits",
+    "make one number of frame, col and row that no two places of a survey share but by a chance of 1e-8",
+    "the golden ratio's, and primes 2 and 5 of xxHash",
+)
+_SHIFT = sourced(
+    29,
+    "bits",
+    "by which high bits come down into low ones while mixing",
+    "splitmix64: 27 to 31",
+)
 
 
 def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, ...]:

@@ -3,51 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SSIM: Final = "Wang, Bovik, Sheikh and Simoncelli 2004, section III.C"
-WINDOW_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of the window of local means: the index is defined by it, other windows give other figures "
-        "than those published",
-        _SSIM,
-    ),
-] = 11
-_SIGMA_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of the window's Gaussian weights: the index is defined by it",
-        _SSIM,
-    ),
-] = 1.5
-_K1: Annotated[
-    float,
-    Because(
-        "share of the range of values",
-        "keeps the means' comparison from dividing by nothing in the dark: the index is defined by it",
-        _SSIM,
-    ),
-] = 0.01
-_K2: Annotated[
-    float,
-    Because(
-        "share of the range of values",
-        "the same for contrast and structure where the ground is smooth: without it, noise decides there",
-        _SSIM,
-    ),
-] = 0.03
+WINDOW_PX = sourced(
+    11,
+    "px",
+    "side of the window of local means: the index is defined by it, other windows give other figures "
+    "than those published",
+    _SSIM,
+)
+_SIGMA_PX = sourced(
+    1.5,
+    "px",
+    "deviation of the window's Gaussian weights: the index is defined by it",
+    _SSIM,
+)
+_K1 = sourced(
+    0.01,
+    "share of the range of values",
+    "keeps the means' comparison from dividing by nothing in the dark: the index is defined by it",
+    _SSIM,
+)
+_K2 = sourced(
+    0.03,
+    "share of the range of values",
+    "the same for contrast and structure where the ground is smooth: without it, noise decides there",
+    _SSIM,
+)
 
 
 @dataclass(frozen=True)

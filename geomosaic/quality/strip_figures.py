@@ -8,50 +8,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from geomosaic.ccd.model import LABELS, MEASURED, Flags, Floats, StripOffsets
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.strips import StripGeometry
 
-LIMIT_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "a scene with a larger misplacement is no good; another limit gives rates that don't compare with "
-        "the paper's",
-        "Cheng et al. 2018 (Spacecraft Recovery & Remote Sensing 39(2), 84-92), table 1",
-    ),
-] = 1.0
-SEGMENT_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "whose root mean square is held against the limit: over a whole scene a fault of some thousand "
-        "lines drowns, over a few lines chance decides",
-        CHOSEN,
-    ),
-] = 512
-_INTERVAL_90: Annotated[
-    float,
-    Because(
-        "deviations",
-        "on both sides of a normal value's mean, within which 90 % lie: what share of the truth is there "
-        "says whether stated deviations are right",
-        "Phi^-1(0.95)",
-    ),
-] = 1.6449
-_LEAST_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "of a segment that must be known for its figure, half a block of the check: with fewer, one bad "
-        "patch misplaces a scene; with more, clouds leave segments unjudged",
-        CHOSEN,
-    ),
-] = 32
+LIMIT_PX = sourced(
+    1.0,
+    "px",
+    "a scene with a larger misplacement is no good; another limit gives rates that don't compare with "
+    "the paper's",
+    "Cheng et al. 2018 (Spacecraft Recovery & Remote Sensing 39(2), 84-92), table 1",
+)
+SEGMENT_LINES = tuned(
+    512,
+    "lines",
+    "whose root mean square is held against the limit: over a whole scene a fault of some thousand "
+    "lines drowns, over a few lines chance decides",
+)
+_INTERVAL_90 = sourced(
+    1.6449,
+    "deviations",
+    "on both sides of a normal value's mean, within which 90 % lie: what share of the truth is there "
+    "says whether stated deviations are right",
+    "Phi^-1(0.95)",
+)
+_LEAST_LINES = tuned(
+    32,
+    "lines",
+    "of a segment that must be known for its figure, half a block of the check: with fewer, one bad "
+    "patch misplaces a scene; with more, clouds leave segments unjudged",
+)
 
 
 @dataclass(frozen=True)

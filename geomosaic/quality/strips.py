@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from geomosaic.ccd.model import (
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.strip_figures import (
     LIMIT_PX,
@@ -33,104 +32,71 @@ from geomosaic.quality.strip_figures import (
 )
 from geomosaic.quality.strip_resampling import laid_on
 
-BLOCK_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "that one residual is given for: two rows of patches, which fewer don't hold; over more, fast jitter "
-        "is lost in the mean",
-        CHOSEN,
-    ),
-] = 64
-_PIECE_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "4,096, read and laid on one another at once: more take memory, fewer read their margins more often",
-        CHOSEN,
-    ),
-] = 64 * BLOCK_LINES
-_MARGIN_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "read before and after a piece, whole blocks: they hold what offsets, search and spline reach "
-        "beyond it; with less, patches at the ends of pieces are lost, more is read for nothing",
-        CHOSEN,
-    ),
-] = 2 * BLOCK_LINES
-_PATCH_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "side of a patch: three fit into an overlap of 96 px and two into a block; smaller ones are found "
-        "by chance, larger ones leave nothing to agree with",
-        CHOSEN,
-    ),
-] = 28
-_SEARCH_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "how far off the ground is looked for: offsets that are farther off count as unmeasured; with more, "
-        "low texture finds peaks by chance",
-        CHOSEN,
-    ),
-] = 14
-_LEAST_CORRELATION: Annotated[
-    float,
-    Because(
-        "1",
-        "least coefficient of a patch that counts: with less, ground and cloud are taken for each other; "
-        "with more, low contrast is left unmeasured",
-        CHOSEN,
-    ),
-] = 0.5
-_AGREE_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "by which patches of a block, or a block and its neighbour, may differ and still say the same: half "
-        "of the limit, so that ground and clouds apart are distinguished; less calls relief and noise a "
-        "disagreement",
-        CHOSEN,
-    ),
-] = 0.5
-_LEAST_AGREEING: Annotated[
-    float,
-    Because(
-        "share of a block's patches",
-        "that must say the same: where fewer do, clouds and ground lie beside each other; with all of them, "
-        "one bad patch leaves a block unmeasured",
-        CHOSEN,
-    ),
-] = 0.75
-_LEAST_PATCHES: Annotated[
-    int,
-    Because(
-        "patches of a block",
-        "that must say the same: one alone agrees with itself; more leave narrow overlaps unmeasured",
-        CHOSEN,
-    ),
-] = 2
-_LEAST_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "least deviation of a patch in the mean: stated ones may be smaller than what resampling leaves, "
-        "and a few patches would decide alone; a larger one makes all alike",
-        CHOSEN,
-    ),
-] = 0.01
-_LEAST_SHARE: Annotated[
-    float,
-    Because(
-        "share of a patch's pixels",
-        "in the lines that are asked for: with less, lines that don't count speak for those that do; with "
-        "all of it, patches at each change of label are lost",
-        CHOSEN,
-    ),
-] = 0.9
+BLOCK_LINES = tuned(
+    64,
+    "lines",
+    "that one residual is given for: two rows of patches, which fewer don't hold; over more, fast jitter "
+    "is lost in the mean",
+)
+_PIECE_LINES: int = tuned(
+    64 * BLOCK_LINES,
+    "lines",
+    "4,096, read and laid on one another at once: more take memory, fewer read their margins more often",
+)
+_MARGIN_LINES: int = tuned(
+    2 * BLOCK_LINES,
+    "lines",
+    "read before and after a piece, whole blocks: they hold what offsets, search and spline reach "
+    "beyond it; with less, patches at the ends of pieces are lost, more is read for nothing",
+)
+_PATCH_PX = tuned(
+    28,
+    "px",
+    "side of a patch: three fit into an overlap of 96 px and two into a block; smaller ones are found "
+    "by chance, larger ones leave nothing to agree with",
+)
+_SEARCH_PX = tuned(
+    14,
+    "px",
+    "how far off the ground is looked for: offsets that are farther off count as unmeasured; with more, "
+    "low texture finds peaks by chance",
+)
+_LEAST_CORRELATION = tuned(
+    0.5,
+    "1",
+    "least coefficient of a patch that counts: with less, ground and cloud are taken for each other; "
+    "with more, low contrast is left unmeasured",
+)
+_AGREE_PX = tuned(
+    0.5,
+    "px",
+    "by which patches of a block, or a block and its neighbour, may differ and still say the same: half "
+    "of the limit, so that ground and clouds apart are distinguished; less calls relief and noise a "
+    "disagreement",
+)
+_LEAST_AGREEING = tuned(
+    0.75,
+    "share of a block's patches",
+    "that must say the same: where fewer do, clouds and ground lie beside each other; with all of them, "
+    "one bad patch leaves a block unmeasured",
+)
+_LEAST_PATCHES = tuned(
+    2,
+    "patches of a block",
+    "that must say the same: one alone agrees with itself; more leave narrow overlaps unmeasured",
+)
+_LEAST_SD_PX = tuned(
+    0.01,
+    "px",
+    "least deviation of a patch in the mean: stated ones may be smaller than what resampling leaves, "
+    "and a few patches would decide alone; a larger one makes all alike",
+)
+_LEAST_SHARE = tuned(
+    0.9,
+    "share of a patch's pixels",
+    "in the lines that are asked for: with less, lines that don't count speak for those that do; with "
+    "all of it, patches at each change of label are lost",
+)
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import check_on_earth
@@ -23,10 +22,7 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.intp]
-_PICTURE_PX: Annotated[
-    int,
-    Because("px", "longer side of the difference as a page shows it: with more, pages get heavy", CHOSEN),
-] = 700
+_PICTURE_PX = tuned(700, "px", "longer side of the difference as a page shows it: with more, pages get heavy")
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.trim import OFF_PX
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
@@ -179,24 +178,19 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
 }
 """Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""
-_DISREGARDED: Annotated[
-    float,
-    Because(
-        "of the weight of a tie point without a residual",
-        "below it a tie point has next to no say: by chance three in a thousand; a larger one counts honest "
-        "ones too, a smaller one overlooks that images disagree",
-        "chosen; the chance: 10^(-5 / 2), Student's distribution of pairs with 5 degrees of freedom",
-    ),
-] = 0.1
+_DISREGARDED = sourced(
+    0.1,
+    "of the weight of a tie point without a residual",
+    "below it a tie point has next to no say: by chance three in a thousand; a larger one counts honest "
+    "ones too, a smaller one overlooks that images disagree",
+    "chosen; the chance: 10^(-5 / 2), Student's distribution of pairs with 5 degrees of freedom",
+)
 
-_WORTH_A_WORD: Annotated[
-    float,
-    Because(
-        "share of the land",
-        "that may be off, from which on the verdict says so even if it is good: less is a corner",
-        CHOSEN,
-    ),
-] = 0.01
+_WORTH_A_WORD = tuned(
+    0.01,
+    "share of the land",
+    "that may be off, from which on the verdict says so even if it is good: less is a corner",
+)
 
 
 @dataclass(frozen=True)

@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.recording.thumbnail import thumbnail
 
 Floats = NDArray[np.float64]
 
-SIDE_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "of each half of a chip, at the frames' full resolution: shows what the ground is and how far a tie "
-        "point is off; 20 of them take some 2 MB",
-        CHOSEN,
-    ),
-] = 400
-_WORST: Annotated[
-    float,
-    Because(
-        "share of a pair's tie points",
-        "that miss most: where most of these lie, a chip is cut",
-        CHOSEN,
-    ),
-] = 0.2
+SIDE_PX = tuned(
+    400,
+    "px",
+    "of each half of a chip, at the frames' full resolution: shows what the ground is and how far a tie "
+    "point is off; 20 of them take some 2 MB",
+)
+_WORST = tuned(0.2, "share of a pair's tie points", "that miss most: where most of these lie, a chip is cut")
 
 
 @dataclass(frozen=True)

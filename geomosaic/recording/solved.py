@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import log_turn
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.turned import righted
@@ -25,12 +25,8 @@ from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-_FARTHEST_M: Annotated[
-    float, Because("m", "from a survey's centre that a frame can be: beyond the Earth's other side", CHOSEN)
-] = 1e8
-_OFF: Annotated[
-    float, Because("1", "by which rows of a rotation may be off unit length and square", CHOSEN)
-] = 1e-6
+_FARTHEST_M = tuned(1e8, "m", "from a survey's centre that a frame can be: beyond the Earth's other side")
+_OFF = tuned(1e-6, "1", "by which rows of a rotation may be off unit length and square")
 POSE = (
     *("lon_deg", "lat_deg", "height_ellipsoidal_m", "easting_m", "northing_m"),
     *("yaw_deg", "pitch_deg", "roll_deg", "sd_e_m", "sd_n_m", "sd_u_m"),

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from geomosaic.adjustment.procedure.blunder_detection import HALF_TURN_DEG, headings_off_deg
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed
@@ -25,7 +25,7 @@ from geomosaic.recording.solved import Solved
 from geomosaic.recording.tabled import warned
 from geomosaic.survey.names import some
 
-_LEAST_OTHERS: Annotated[int, Because("frames", "of a line that say how it stands", CHOSEN)] = 3
+_LEAST_OTHERS = tuned(3, "frames", "of a line that say how it stands")
 
 
 @dataclass(frozen=True)

@@ -8,41 +8,34 @@ height have it at the same place.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.surface.costs import PER_BIT, UNSEEN_COST
 
 Bytes = NDArray[np.uint8]
 Costs = NDArray[np.uint16]
 Steps = NDArray[np.int16]
-_SLOPE_BITS: Annotated[
-    float,
-    Because(
-        "bits",
-        "that a step up or down costs: with less, noise is taken for relief; with more, slopes become stairs",
-        CHOSEN,
-    ),
-] = 1.5
-_JUMP_BITS: Annotated[
-    float,
-    Because(
-        "bits",
-        "that a jump costs, however high: with less, single cells leap off; with more, edges of houses and "
-        "crowns are cut across",
-        CHOSEN,
-    ),
-] = 7.0
-_DISTINCT_CELLS: Annotated[
-    int,
-    Because(
-        "cells", "side of the window in which heights are told from chance: single cells can't be", CHOSEN
-    ),
-] = 13
+_SLOPE_BITS = tuned(
+    1.5,
+    "bits",
+    "that a step up or down costs: with less, noise is taken for relief; with more, slopes become stairs",
+)
+_JUMP_BITS = tuned(
+    7.0,
+    "bits",
+    "that a jump costs, however high: with less, single cells leap off; with more, edges of houses and "
+    "crowns are cut across",
+)
+_DISTINCT_CELLS = tuned(
+    13,
+    "cells",
+    "side of the window in which heights are told from chance: single cells can't be",
+)
 _SLOPE_COST: Final = np.uint8(PER_BIT * _SLOPE_BITS)
 _JUMP_COST: Final = np.uint8(PER_BIT * _JUMP_BITS)
 _TURN: Final = np.uint8(32)

@@ -7,12 +7,11 @@ any other at any height; if all are compared with it, level land becomes noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.surface.census import NOT_SEEN, Bits
 from geomosaic.surface.costs import AGREEING, CHANCE_BITS, sampled
 from geomosaic.surface.verticals import Block, Verticals
@@ -20,32 +19,23 @@ from geomosaic.surface.visibility import Asked
 
 Floats = NDArray[np.float64]
 Steps = NDArray[np.int16]
-_EVERY_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "of a square between those in which frames are compared: every one takes sixteen times as long",
-        CHOSEN,
-    ),
-] = 4
-_MARGIN_BITS: Annotated[
-    float,
-    Because(
-        "bits",
-        "by which the frame that agrees best may agree better than the steepest that still comes first: a "
-        "steep one sees more beside walls; frames 3 px off agree worse by 2 to 4",
-        CHOSEN,
-    ),
-] = 0.5
-_LEAST_SHARE: Annotated[
-    float,
-    Because(
-        "share",
-        "of the likeness of the frame most like the first that others need, to be asked before those less "
-        "like it",
-        CHOSEN,
-    ),
-] = 0.5
+_EVERY_CELLS = tuned(
+    4,
+    "cells",
+    "of a square between those in which frames are compared: every one takes sixteen times as long",
+)
+_MARGIN_BITS = tuned(
+    0.5,
+    "bits",
+    "by which the frame that agrees best may agree better than the steepest that still comes first: a "
+    "steep one sees more beside walls; frames 3 px off agree worse by 2 to 4",
+)
+_LEAST_SHARE = tuned(
+    0.5,
+    "share",
+    "of the likeness of the frame most like the first that others need, to be asked before those less "
+    "like it",
+)
 
 
 def agreeing(

@@ -6,35 +6,30 @@ window of 5 x 5 pixels.
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
 Bytes = NDArray[np.uint8]
 Bits = NDArray[np.uint32]
-_RADIUS_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "of the window about a pixel: 24 bits, which a float's 32 hold for OpenCV to resample; with 1 px "
-        "eight bits tell places apart badly, with 3 px edges of houses are smeared and two words are needed",
-        CHOSEN,
-    ),
-] = 2
-_SMOOTHED_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of the bell that pixels are smoothed by first: without it noise decides what is brighter "
-        "on roofs and in shadows; a wider one blurs edges",
-        "computed of two simulated towns: roofs off by more than 1 m 4 % without, 0.3 % with 0.6 to 0.75, 2 "
-        "% with 1; edges of walls 34 %, 26 %, 30 %",
-    ),
-] = 0.65
+_RADIUS_PX = tuned(
+    2,
+    "px",
+    "of the window about a pixel: 24 bits, which a float's 32 hold for OpenCV to resample; with 1 px "
+    "eight bits tell places apart badly, with 3 px edges of houses are smeared and two words are needed",
+)
+_SMOOTHED_PX = sourced(
+    0.65,
+    "px",
+    "deviation of the bell that pixels are smoothed by first: without it noise decides what is brighter "
+    "on roofs and in shadows; a wider one blurs edges",
+    "computed of two simulated towns: roofs off by more than 1 m 4 % without, 0.3 % with 0.6 to 0.75, 2 "
+    "% with 1; edges of walls 34 %, 26 %, 30 %",
+)
 _REACH_PX: Final = _RADIUS_PX + 1  # of a corner of the window, turned
 BITS: Final = (2 * _RADIUS_PX + 1) ** 2 - 1
 """Of a census that are used; the highest of all 32 is kept for what is not seen."""

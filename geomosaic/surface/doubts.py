@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.surface.fused import Counted
 from geomosaic.surface.levels import Level
 
-_LEAST_MATCHED: Annotated[
-    float,
-    Because("share", "of the cells that frames look at, below which the surface is hardly one", CHOSEN),
-] = 0.3
-_MOST_AT_END: Annotated[
-    float,
-    Because("share", "of the cells that were matched at an end of what is searched, or past it", CHOSEN),
-] = 0.1
+_LEAST_MATCHED = tuned(
+    0.3,
+    "share",
+    "of the cells that frames look at, below which the surface is hardly one",
+)
+_MOST_AT_END = tuned(0.1, "share", "of the cells that were matched at an end of what is searched, or past it")
 
 
 def doubts(counted: Counted, level: Level, known: str) -> Iterator[tuple[str, str]]:

@@ -6,47 +6,35 @@ a ramp. What is raised on all sides is raised itself.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
-_REACH_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "along each of eight directions in which a known cell is looked for: houses 10 m high hide 12 m of "
-        "ground from frames that look at it by 50 degrees",
-        CHOSEN,
-    ),
-] = 32
-_ENCLOSED: Annotated[
-    int,
-    Because("directions", "that have a known cell, from which on what they have is taken over", CHOSEN),
-] = 6
-_SHARE_AROUND: Annotated[
-    float,
-    Because(
-        "share",
-        "of the cells around that are known, from which on they have a lower side: fewer, as on water and in "
-        "woods, are partly chance, of which the lowest are wrong",
-        CHOSEN,
-    ),
-] = 0.25
-_EVENED_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "side of the window whose median evens held heights out, which leap from line to line; a mean would "
-        "be a ramp again",
-        CHOSEN,
-    ),
-] = 5
+_REACH_CELLS = tuned(
+    32,
+    "cells",
+    "along each of eight directions in which a known cell is looked for: houses 10 m high hide 12 m of "
+    "ground from frames that look at it by 50 degrees",
+)
+_ENCLOSED = tuned(6, "directions", "that have a known cell, from which on what they have is taken over")
+_SHARE_AROUND = tuned(
+    0.25,
+    "share",
+    "of the cells around that are known, from which on they have a lower side: fewer, as on water and in "
+    "woods, are partly chance, of which the lowest are wrong",
+)
+_EVENED_CELLS = tuned(
+    5,
+    "cells",
+    "side of the window whose median evens held heights out, which leap from line to line; a mean would "
+    "be a ramp again",
+)
 AROUND_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
 """About some cells, from where their heights come."""
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.fused import RIM_CELLS, Part
@@ -20,15 +20,12 @@ from geomosaic.surface.tile import Heights, unseen
 Floats32 = NDArray[np.float32]
 _BAND_ROWS: Final = 256
 """Of cells that are worked on at once; an even number."""
-_KEPT: Annotated[
-    float,
-    Because(
-        "share",
-        "of the height over the base that is kept with every doubling of the distance to a sure cell: with 1 "
-        "a roof's height would run out to sea, with less holes in a roof become pits",
-        CHOSEN,
-    ),
-] = 0.6
+_KEPT = tuned(
+    0.6,
+    "share",
+    "of the height over the base that is kept with every doubling of the distance to a sure cell: with 1 "
+    "a roof's height would run out to sea, with less holes in a roof become pits",
+)
 
 
 def rimmed(tile: Tile, cells: Cells, base: GroundSurface, near: Iterable[tuple[Tile, Heights]]) -> Heights:

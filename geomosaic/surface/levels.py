@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.joined import up_on
@@ -19,48 +19,33 @@ from geomosaic.surface.verticals import Sighted
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-TILE_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "side of a tile, which with the 8 about it that are refined is so many squares of 32: a smaller one "
-        "is more margin than tile, a larger one takes more memory, a worker's 100 MB",
-        CHOSEN,
-    ),
-] = 304
-_BELOW: Annotated[
-    float,
-    Because(
-        "flying heights",
-        "how far below the base heights are looked for: ditches, and land beside woods whose crowns the base "
-        "follows",
-        CHOSEN,
-    ),
-] = 0.1
-_ABOVE: Annotated[
-    float,
-    Because(
-        "flying heights", "how far above it, at least: what stands higher is in the way of the flight", CHOSEN
-    ),
-] = 0.3
-_TALL_M: Annotated[
-    float,
-    Because("m", "houses and trees, whatever the flying height: a lower ceiling cuts their tops", CHOSEN),
-] = 15.0
-_HIGHEST: Annotated[
-    float, Because("flying heights", "nearer to the camera than that nothing is matched", CHOSEN)
-] = 0.6
+TILE_CELLS = tuned(
+    304,
+    "cells",
+    "side of a tile, which with the 8 about it that are refined is so many squares of 32: a smaller one "
+    "is more margin than tile, a larger one takes more memory, a worker's 100 MB",
+)
+_BELOW = tuned(
+    0.1,
+    "flying heights",
+    "how far below the base heights are looked for: ditches, and land beside woods whose crowns the base "
+    "follows",
+)
+_ABOVE = tuned(
+    0.3,
+    "flying heights",
+    "how far above it, at least: what stands higher is in the way of the flight",
+)
+_TALL_M = tuned(15.0, "m", "houses and trees, whatever the flying height: a lower ceiling cuts their tops")
+_HIGHEST = tuned(0.6, "flying heights", "nearer to the camera than that nothing is matched")
 
 
-MOST_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "of the rectangle about a surface: 8 bytes each go to every worker that lays frames on it, 9 are "
-        "held while it is made; 160 frames of 10 MP have as many at 4 ground pixels",
-        CHOSEN,
-    ),
-] = 16_000_000
+MOST_CELLS = tuned(
+    16_000_000,
+    "cells",
+    "of the rectangle about a surface: 8 bytes each go to every worker that lays frames on it, 9 are "
+    "held while it is made; 160 frames of 10 MP have as many at 4 ground pixels",
+)
 
 
 @dataclass(frozen=True)
@@ -117,9 +102,7 @@ class Task:
     frames: tuple[int, ...]
 
 
-_PLACES: Annotated[
-    int, Because("places", "of a tile along each side at which frames are asked whether they see it", CHOSEN)
-] = 9
+_PLACES = tuned(9, "places", "of a tile along each side at which frames are asked whether they see it")
 _BY: Final = 2
 """Fine cells along a coarse one's side."""
 

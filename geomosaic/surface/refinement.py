@@ -7,64 +7,49 @@ it; a parabola through the three.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.surface.squares import Squares, by_first
 from geomosaic.surface.verticals import Verticals
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
-_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "each at half the distance of the one before: with one, heights stay off by a tenth of a step; a "
-        "third would move them by a hundredth",
-        CHOSEN,
-    ),
-] = 2
-_SIDE_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "side of the window in which frames are compared: smaller ones follow noise, larger ones round off "
-        "edges",
-        CHOSEN,
-    ),
-] = 3
+_ROUNDS = tuned(
+    2,
+    "rounds",
+    "each at half the distance of the one before: with one, heights stay off by a tenth of a step; a "
+    "third would move them by a hundredth",
+)
+_SIDE_CELLS = tuned(
+    3,
+    "cells",
+    "side of the window in which frames are compared: smaller ones follow noise, larger ones round off edges",
+)
 _RIM_CELLS: Final = _SIDE_CELLS // 2
-_AGREEING: Annotated[
-    int,
-    Because(
-        "frames",
-        "that count besides the first one, the ones most like it: one of four may be behind a wall",
-        CHOSEN,
-    ),
-] = 3
-_NOISE_GREY: Annotated[
-    float,
-    Because(
-        "grey levels",
-        "of a picture's noise: what varies by less is blank, and is alike by chance",
-        CHOSEN,
-    ),
-] = 2.0
-SURE: Annotated[
-    float,
-    Because(
-        "correlation",
-        "of what frames show, from which on a height is taken over: of those above nine in ten are right to "
-        "1 m, of those below six in ten or fewer",
-        "computed of a simulated town, 120 m x 120 m, cells of 0.4 m: 10 % off above 0.6, 31 % from 0.5 to "
-        "0.6, 58 % below 0.3",
-    ),
-] = 0.6
+_AGREEING = tuned(
+    3,
+    "frames",
+    "that count besides the first one, the ones most like it: one of four may be behind a wall",
+)
+_NOISE_GREY = tuned(
+    2.0,
+    "grey levels",
+    "of a picture's noise: what varies by less is blank, and is alike by chance",
+)
+SURE = sourced(
+    0.6,
+    "correlation",
+    "of what frames show, from which on a height is taken over: of those above nine in ten are right to "
+    "1 m, of those below six in ten or fewer",
+    "computed of a simulated town, 120 m x 120 m, cells of 0.4 m: 10 % off above 0.6, 31 % from 0.5 to "
+    "0.6, 58 % below 0.3",
+)
 
 UNSEEN: Final = -1.0
 """How alike frames are where no two see a cell."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.surface.verticals import Block, Verticals
 from geomosaic.surface.visibility import Asked
 
@@ -18,12 +18,11 @@ Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Shown = tuple[Bytes, Mask | None]
-_AT_ONCE: Annotated[
-    int,
-    Because(
-        "points", "that are looked at in one go: fewer cost calls, more don't stay in a core's cache", CHOSEN
-    ),
-] = 1 << 16
+_AT_ONCE: int = tuned(
+    1 << 16,
+    "points",
+    "that are looked at in one go: fewer cost calls, more don't stay in a core's cache",
+)
 _NOBODY: Final = -1
 
 

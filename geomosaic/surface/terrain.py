@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
@@ -27,124 +27,96 @@ Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
 TERRAIN: Final = "terrain"
 """The kind of ground that such a model is."""
-WIDEST_M: Annotated[
-    float,
-    Because(
-        "m",
-        "width of what may stand on the ground: wider halls and woods without a gap stay, with more, tops of "
-        "hills go where land is rough",
-        "Pingel et al. 2013, section 3.1: windows of 18 m radius for towns; some more here for halls",
-    ),
-] = 50.0
-_SQUARE_M: Annotated[
-    float,
-    Because(
-        "m",
-        "side of the squares whose low cells are opened: with larger ones lanes and gaps between crowns are "
-        "lost, smaller ones take time and show noise",
-        "Pingel et al. 2013, section 3.1: cells of 1 m",
-    ),
-] = 1.0
-_LOW: Annotated[
-    float,
-    Because(
-        "share",
-        "of a square's cells that lie lower than what stands for it: with less, blunders count as "
-        "ground, with half, shrubs and rims of crowns",
-        CHOSEN,
-    ),
-] = 0.25
-_PIT_M: Annotated[
-    float,
-    Because(
-        "m",
-        "by which single squares lie below all around and count as blunders: with more, pits pull the ground "
-        "down; less is a ditch",
-        CHOSEN,
-    ),
-] = 1.0
-_SLOPES: Annotated[
-    tuple[float, float],
-    Because(
-        "m per m",
-        "by which land may rise beyond what was taken off: 0.5 is steep for land, 0.2 is rough for what is "
-        "left of it without its hills. With 0.2 at once steep hills lose their sides, with 0.5 alone woods "
-        "keep the leaves in their gaps",
-        "computed of six simulated towns, hills of 10 and 25 m: of the cells under trees 98.4 % are within "
-        "0.3 m, with 0.2 at once 96.0 %, with 0.5 alone 93.5 %, with 0.5 and 0.1 97.4 %",
-    ),
-] = (0.5, 0.2)
-_STEP_M: Annotated[
-    float,
-    Because(
-        "m",
-        "that rise besides the slope, at least: kerbs, furrows and noise; with less, rough land goes, with "
-        "more, hedges stay",
-        "Zhang et al. 2003, table 2: 0.2 to 0.5 m; computed of the same towns: 0.15, 0.2 and 0.3 m are alike",
-    ),
-] = 0.2
-_HILLS_M: Annotated[
-    float,
-    Because(
-        "m",
-        "deviation of the Gaussian that makes hills of the first time's ground: narrower, what stayed by "
-        "mistake is taken off with them; wider, sides of hills are left",
-        "computed of the same towns: 5 and 10 m are alike",
-    ),
-] = 10.0
-_OFF_M: Annotated[
-    float,
-    Because(
-        "m",
-        "by which a cell may miss the ground between squares and still be ground, at least: with 0.5 rims of "
-        "crowns and walls count and lift what lies between, with less, rough land goes",
-        "computed of the same towns: before rims were left out, under houses 43 to 84 % were within 0.3 m, "
-        "with 0.5 m 29 to 69 %; with them left out both are alike",
-    ),
-] = 0.3
-_OFF_PER_SLOPE: Annotated[
-    float,
-    Because(
-        "m",
-        "more for a slope of 1, where half a square lies as much higher than its middle",
-        "half of _SQUARE_M; Pingel et al. 2013, section 3.3, scale so too",
-    ),
-] = 0.5
-_NOISES: Annotated[
-    float,
-    Because(
-        "deviations", "of heights that are noise and no step: of all cells 3 in a thousand exceed it", CHOSEN
-    ),
-] = 3.0
-_RIM_M: Annotated[
-    float,
-    Because(
-        "m",
-        "about what stands that is no ground: matching smears edges over two or three cells; without, houses "
-        "and crowns lift the ground around and beneath them",
-        "computed of the same towns: under trees 96 to 100 % are within 0.3 m, with 0 m 63 to 97 %, with 2 m "
-        "55 to 97 %, since gaps of woods are gone",
-    ),
-] = 1.0
-_EVENED: Annotated[
-    int,
-    Because(
-        "rounds",
-        "of means of four neighbours at each size of a gap's filling: with fewer, coarser squares are seen "
-        "in it, more change nothing",
-        CHOSEN,
-    ),
-] = 30
-_BEND: Annotated[
-    float,
-    Because(
-        "1 / m",
-        "curvature of land that nothing shows: what was laid over a gap is off by half of it times the "
-        "squared distance from ground that was seen",
-        "computed of the same towns: 68 % are within 0.06 m at 3 to 5 m, 0.08 at 5 to 8, 0.16 at 8 to 12, "
-        "0.28 at 12 to 20, nine in ten within what this says",
-    ),
-] = 0.008
+WIDEST_M = sourced(
+    50.0,
+    "m",
+    "width of what may stand on the ground: wider halls and woods without a gap stay, with more, tops of "
+    "hills go where land is rough",
+    "Pingel et al. 2013, section 3.1: windows of 18 m radius for towns; some more here for halls",
+)
+_SQUARE_M = sourced(
+    1.0,
+    "m",
+    "side of the squares whose low cells are opened: with larger ones lanes and gaps between crowns are "
+    "lost, smaller ones take time and show noise",
+    "Pingel et al. 2013, section 3.1: cells of 1 m",
+)
+_LOW = tuned(
+    0.25,
+    "share",
+    "of a square's cells that lie lower than what stands for it: with less, blunders count as "
+    "ground, with half, shrubs and rims of crowns",
+)
+_PIT_M = tuned(
+    1.0,
+    "m",
+    "by which single squares lie below all around and count as blunders: with more, pits pull the ground "
+    "down; less is a ditch",
+)
+_SLOPES: tuple[float, float] = sourced(
+    (0.5, 0.2),
+    "m per m",
+    "by which land may rise beyond what was taken off: 0.5 is steep for land, 0.2 is rough for what is "
+    "left of it without its hills. With 0.2 at once steep hills lose their sides, with 0.5 alone woods "
+    "keep the leaves in their gaps",
+    "computed of six simulated towns, hills of 10 and 25 m: of the cells under trees 98.4 % are within "
+    "0.3 m, with 0.2 at once 96.0 %, with 0.5 alone 93.5 %, with 0.5 and 0.1 97.4 %",
+)
+_STEP_M = sourced(
+    0.2,
+    "m",
+    "that rise besides the slope, at least: kerbs, furrows and noise; with less, rough land goes, with "
+    "more, hedges stay",
+    "Zhang et al. 2003, table 2: 0.2 to 0.5 m; computed of the same towns: 0.15, 0.2 and 0.3 m are alike",
+)
+_HILLS_M = sourced(
+    10.0,
+    "m",
+    "deviation of the Gaussian that makes hills of the first time's ground: narrower, what stayed by "
+    "mistake is taken off with them; wider, sides of hills are left",
+    "computed of the same towns: 5 and 10 m are alike",
+)
+_OFF_M = sourced(
+    0.3,
+    "m",
+    "by which a cell may miss the ground between squares and still be ground, at least: with 0.5 rims of "
+    "crowns and walls count and lift what lies between, with less, rough land goes",
+    "computed of the same towns: before rims were left out, under houses 43 to 84 % were within 0.3 m, "
+    "with 0.5 m 29 to 69 %; with them left out both are alike",
+)
+_OFF_PER_SLOPE = sourced(
+    0.5,
+    "m",
+    "more for a slope of 1, where half a square lies as much higher than its middle",
+    "half of _SQUARE_M; Pingel et al. 2013, section 3.3, scale so too",
+)
+_NOISES = tuned(
+    3.0,
+    "deviations",
+    "of heights that are noise and no step: of all cells 3 in a thousand exceed it",
+)
+_RIM_M = sourced(
+    1.0,
+    "m",
+    "about what stands that is no ground: matching smears edges over two or three cells; without, houses "
+    "and crowns lift the ground around and beneath them",
+    "computed of the same towns: under trees 96 to 100 % are within 0.3 m, with 0 m 63 to 97 %, with 2 m "
+    "55 to 97 %, since gaps of woods are gone",
+)
+_EVENED = tuned(
+    30,
+    "rounds",
+    "of means of four neighbours at each size of a gap's filling: with fewer, coarser squares are seen "
+    "in it, more change nothing",
+)
+_BEND = sourced(
+    0.008,
+    "1 / m",
+    "curvature of land that nothing shows: what was laid over a gap is off by half of it times the "
+    "squared distance from ground that was seen",
+    "computed of the same towns: 68 % are within 0.06 m at 3 to 5 m, 0.08 at 5 to 8, 0.16 at 8 to 12, "
+    "0.28 at 12 to 20, nine in ten within what this says",
+)
 _CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE: Final = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
 _NEIGHBOURS: Final = _CROSS.astype(np.float32) / _CROSS.sum()

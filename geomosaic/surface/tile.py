@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.aggregation import aggregated, cheapest, distinctness, ring
 from geomosaic.surface.agreement import agreeing
@@ -26,88 +25,61 @@ from geomosaic.survey.small import means, padded
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
-MARGIN_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "about a tile, so that paths have gone some way where its own cells begin: with less, tiles are seen "
-        "in the surface",
-        CHOSEN,
-    ),
-] = 16
-_LOOKED_AT_CELLS: Annotated[
-    int,
-    Because(
-        "cells", "about a tile that are refined as well: as far as `sharpening` looks, and windows", CHOSEN
-    ),
-] = 8
-_NEAR_HEIGHTS: Annotated[
-    int,
-    Because(
-        "heights",
-        "about those of the level above, at least: with less, what is narrower than its cells is lost, as "
-        "masts and the rims of crowns",
-        CHOSEN,
-    ),
-] = 24
-_PAST_HEIGHTS: Annotated[
-    int,
-    Because(
-        "heights",
-        "past the lowest and the highest that the level above has about a cell, half of them to either side",
-        CHOSEN,
-    ),
-] = 8
-_MOST_HEIGHTS: Annotated[
-    int,
-    Because(
-        "heights",
-        "of a tile with high walls: more take time in proportion",
-        "computed of seven simulated towns, cells of 0.2 and 0.4 m: with 64 no class is better by more than "
-        "0.2 %",
-    ),
-] = 40
-_ABOUT_CELLS: Annotated[
-    int, Because("cells", "side of the window in which the level above is asked for its heights", CHOSEN)
-] = 5
-_WALLS_SHARE: Annotated[
-    float, Because("share", "of cells that the heights of a tile suffice for: outliers don't count", CHOSEN)
-] = 0.995
-_BLOCK_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "side of the squares of a tile that ask the same frames: over larger ones other frames see better, "
-        "smaller ones take longer",
-        CHOSEN,
-    ),
-] = 32
-_FRAMES: Annotated[
-    int,
-    Because(
-        "frames",
-        "that a cell's height comes from: with three, errors are a third larger; with seven, edges of houses "
-        "are worse and time grows",
-        "computed of a simulated town: edges of walls off by more than 1 m 26 % with five, 28 % with seven",
-    ),
-] = 5
-_CANDIDATES: Annotated[
-    int,
-    Because(
-        "frames",
-        "of which those are asked that agree: with fewer, those of one group may not be among them",
-        CHOSEN,
-    ),
-] = 6
-_AGREED_HEIGHTS: Annotated[
-    int,
-    Because(
-        "heights",
-        "about the level above's at which frames are asked whether they agree: it is good to half of its "
-        "cells, which are two",
-        CHOSEN,
-    ),
-] = 5
+MARGIN_CELLS = tuned(
+    16,
+    "cells",
+    "about a tile, so that paths have gone some way where its own cells begin: with less, tiles are seen "
+    "in the surface",
+)
+_LOOKED_AT_CELLS = tuned(
+    8,
+    "cells",
+    "about a tile that are refined as well: as far as `sharpening` looks, and windows",
+)
+_NEAR_HEIGHTS = tuned(
+    24,
+    "heights",
+    "about those of the level above, at least: with less, what is narrower than its cells is lost, as "
+    "masts and the rims of crowns",
+)
+_PAST_HEIGHTS = tuned(
+    8,
+    "heights",
+    "past the lowest and the highest that the level above has about a cell, half of them to either side",
+)
+_MOST_HEIGHTS = sourced(
+    40,
+    "heights",
+    "of a tile with high walls: more take time in proportion",
+    "computed of seven simulated towns, cells of 0.2 and 0.4 m: with 64 no class is better by more than "
+    "0.2 %",
+)
+_ABOUT_CELLS = tuned(5, "cells", "side of the window in which the level above is asked for its heights")
+_WALLS_SHARE = tuned(0.995, "share", "of cells that the heights of a tile suffice for: outliers don't count")
+_BLOCK_CELLS = tuned(
+    32,
+    "cells",
+    "side of the squares of a tile that ask the same frames: over larger ones other frames see better, "
+    "smaller ones take longer",
+)
+_FRAMES = sourced(
+    5,
+    "frames",
+    "that a cell's height comes from: with three, errors are a third larger; with seven, edges of houses "
+    "are worse and time grows",
+    "computed of a simulated town: edges of walls off by more than 1 m 26 % with five, 28 % with seven",
+)
+_CANDIDATES = tuned(
+    6,
+    "frames",
+    "of which those are asked that agree: with fewer, those of one group may not be among them",
+)
+_AGREED_HEIGHTS = tuned(
+    5,
+    "heights",
+    "about the level above's at which frames are asked whether they agree: it is good to half of its "
+    "cells, which are two",
+)
 
 
 @dataclass(frozen=True)

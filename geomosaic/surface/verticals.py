@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
@@ -27,26 +27,20 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Block = tuple[slice, slice]
 WHOLE: Final = (slice(None), slice(None))
-NODE_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "between nodes that go through the collinearity equations, bilinear between: a lens bends by less "
-        "than 0.03 px over as much, and nodes cost nothing beside the cells",
-        CHOSEN,
-    ),
-] = 8
+NODE_CELLS = tuned(
+    8,
+    "cells",
+    "between nodes that go through the collinearity equations, bilinear between: a lens bends by less "
+    "than 0.03 px over as much, and nodes cost nothing beside the cells",
+)
 
 
-_REACH_SHARES: Annotated[
-    tuple[float, ...],
-    Because(
-        "share",
-        "of the heights that are looked at by which a vertical is fitted: where the highest are out of a "
-        "lens's sight, those nearer to the base; without, frames see nothing near their rims",
-        CHOSEN,
-    ),
-] = (1.0, 0.25, 0.05)
+_REACH_SHARES: tuple[float, ...] = tuned(
+    (1.0, 0.25, 0.05),
+    "share",
+    "of the heights that are looked at by which a vertical is fitted: where the highest are out of a "
+    "lens's sight, those nearer to the base; without, frames see nothing near their rims",
+)
 
 
 @dataclass(frozen=True)

@@ -4,42 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.surface.verticals import WHOLE, Block, Verticals
 
 Floats32 = NDArray[np.float32]
 Asked = Sequence[tuple[Block, Sequence[int]]]
-_REACH_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "along a line of sight in which something may stand before a place: with less, high houses far off "
-        "are seen through, more takes time in proportion",
-        CHOSEN,
-    ),
-] = 16
-_NEAREST_CELLS: Annotated[
-    float, Because("cells", "away from a place: what is nearer leans, and hides itself", CHOSEN)
-] = 1.5
-_TOLERANCE_CELLS: Annotated[
-    float, Because("cells", "of height by which a place may be too low and still count as seen", CHOSEN)
-] = 1.0
+_REACH_CELLS = tuned(
+    16,
+    "cells",
+    "along a line of sight in which something may stand before a place: with less, high houses far off "
+    "are seen through, more takes time in proportion",
+)
+_NEAREST_CELLS = tuned(1.5, "cells", "away from a place: what is nearer leans, and hides itself")
+_TOLERANCE_CELLS = tuned(1.0, "cells", "of height by which a place may be too low and still count as seen")
 
-_MOST_HIDDEN: Annotated[
-    float,
-    Because(
-        "share",
-        "of a block's cells that less than two frames see: yards between houses have less, crowns whose "
-        "heights are not known well yet more",
-        CHOSEN,
-    ),
-] = 0.3
+_MOST_HIDDEN = tuned(
+    0.3,
+    "share",
+    "of a block's cells that less than two frames see: yards between houses have less, crowns whose "
+    "heights are not known well yet more",
+)
 
 
 def asked_frames(

@@ -7,9 +7,9 @@ value, so each default is on the careful side of what the source is known to rea
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 
 @dataclass(frozen=True)
@@ -84,14 +84,11 @@ MAKERS_DISTORTION: Final = DistortionAccuracy(
     0.002, "calibrated in the works: focus, warmth and landings since then move a corner by some pixels"
 )
 
-RTK_SD_FLOOR_M: Annotated[
-    tuple[float, float],
-    Because(
-        "m, horizontal and vertical",
-        "RTK's own deviations leave out the antenna's lever arm and the shutter's delay: taken as they "
-        "are, positions would outweigh the images; a higher floor throws away what RTK knows",
-        CHOSEN,
-    ),
-] = (0.02, 0.03)
+RTK_SD_FLOOR_M: tuple[float, float] = tuned(
+    (0.02, 0.03),
+    "m, horizontal and vertical",
+    "RTK's own deviations leave out the antenna's lever arm and the shutter's delay: taken as they "
+    "are, positions would outweigh the images; a higher floor throws away what RTK knows",
+)
 
 CONTROL: Final = PositionAccuracy(0.03, 0.05, "an RTK rover on the ground")

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import printable
 from geomosaic.doors.plain import read_json, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
@@ -18,15 +18,12 @@ from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
 from geomosaic.survey.shutters import UNREPORTED_SD_S
 
-_MAX_BYTES: Annotated[
-    dict[str, int],
-    Because(
-        "bytes by suffix",
-        "of a camera file: JSON may be a whole reconstruction, YAML holds some cameras and takes half a "
-        "minute a megabyte; without a limit another file would take the memory or the time",
-        CHOSEN,
-    ),
-] = {".json": 128 << 20, ".yaml": 256 << 10}
+_MAX_BYTES: dict[str, int] = tuned(
+    {".json": 128 << 20, ".yaml": 256 << 10},
+    "bytes by suffix",
+    "of a camera file: JSON may be a whole reconstruction, YAML holds some cameras and takes half a "
+    "minute a megabyte; without a limit another file would take the memory or the time",
+)
 _OPENSFM_MODELS: Final = {
     "perspective": "brown",
     "simple_radial": "brown",

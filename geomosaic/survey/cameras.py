@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.focal_lengths import (
@@ -38,24 +38,18 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
-_MAX_ASPECT_DIFFERENCE: Annotated[
-    float,
-    Because(
-        "share of the ratio of the sides",
-        "between a camera and a frame of another size: resizing rounds sides to whole pixels; with more a "
-        "cropped image would get the lens of the whole one",
-        CHOSEN,
-    ),
-] = 0.003
-_UNLIKE_TAGS: Annotated[
-    float,
-    Because(
-        "ratio",
-        "between the focal lengths of a camera file and the tags beyond which one is wrong: tags are good "
-        "to a twentieth, another unit is off by far more",
-        CHOSEN,
-    ),
-] = 1.5
+_MAX_ASPECT_DIFFERENCE = tuned(
+    0.003,
+    "share of the ratio of the sides",
+    "between a camera and a frame of another size: resizing rounds sides to whole pixels; with more a "
+    "cropped image would get the lens of the whole one",
+)
+_UNLIKE_TAGS = tuned(
+    1.5,
+    "ratio",
+    "between the focal lengths of a camera file and the tags beyond which one is wrong: tags are good "
+    "to a twentieth, another unit is off by far more",
+)
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -24,29 +24,23 @@ from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import Table
 
 Floats = NDArray[np.float64]
-_MOST_POINTS: Annotated[
-    int,
-    Because(
-        "points", "one every two minutes for four months of working days; each adds to the solve", CHOSEN
-    ),
-] = 20_000
-_ROUNDED_M: Annotated[
-    float,
-    Because(
-        "m",
-        "two lines that are as far apart as is refused may come out nearer by so much: places are read "
-        "from decimal degrees; a metre to the digit is refused",
-        CHOSEN,
-    ),
-] = 1e-6
-LEAST_POINTS: Annotated[
-    int,
-    Because(
-        "points",
-        "that lay a block without positions onto the map; one leaves turn and scale open",
-        "a similarity of the plane has four unknowns",
-    ),
-] = 2
+_MOST_POINTS = tuned(
+    20_000,
+    "points",
+    "one every two minutes for four months of working days; each adds to the solve",
+)
+_ROUNDED_M = tuned(
+    1e-6,
+    "m",
+    "two lines that are as far apart as is refused may come out nearer by so much: places are read "
+    "from decimal degrees; a metre to the digit is refused",
+)
+LEAST_POINTS = sourced(
+    2,
+    "points",
+    "that lay a block without positions onto the map; one leaves turn and scale open",
+    "a similarity of the plane has four unknowns",
+)
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 
 

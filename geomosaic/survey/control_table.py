@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs
 from geomosaic.survey.head import has_numbers, names_known, read_head
@@ -34,15 +34,12 @@ ALIASES: Final[Aliases] = {
 """Columns of a table of control points; a point has one line per image it was measured in, or one."""
 
 GIVE_CRS: Final = "write its EPSG code in the first line of the --gcp file, such as EPSG:32632"
-_MOST_LINES: Annotated[
-    int,
-    Because(
-        "lines",
-        "of a file of control: the most points in ten images each; without a limit a file of another "
-        "kind would take memory and time",
-        CHOSEN,
-    ),
-] = 200_000
+_MOST_LINES = tuned(
+    200_000,
+    "lines",
+    "of a file of control: the most points in ten images each; without a limit a file of another "
+    "kind would take memory and time",
+)
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 _MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(?=\s|$)", re.IGNORECASE)
 """Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""

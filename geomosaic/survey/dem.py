@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,40 +12,31 @@ from rasterio.enums import Resampling
 from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import DEM, READ_CACHE_BYTES, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_MOST_PIXELS: Annotated[
-    int,
-    Because(
-        "px a side",
-        "of a DEM that are read: as many as the ground gets nodes (projection.ground.MOST_NODES); more "
-        "would not be used, fewer lose relief",
-        CHOSEN,
-    ),
-] = 2000
-_AROUND: Annotated[
-    int,
-    Because(
-        "px",
-        "beside the window, by which those in it are judged: with fewer a fill or a spike at its edge has "
-        "nothing around it to judge it by",
-        CHOSEN,
-    ),
-] = 32
-_METRES: Annotated[
-    dict[str, float],
-    Because(
-        "m by the unit's name",
-        "what heights are multiplied by: names of the metre, and none, which is taken for it; other units "
-        "are refused",
-        CHOSEN,
-    ),
-] = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
+_MOST_PIXELS = tuned(
+    2000,
+    "px a side",
+    "of a DEM that are read: as many as the ground gets nodes (projection.ground.MOST_NODES); more "
+    "would not be used, fewer lose relief",
+)
+_AROUND = tuned(
+    32,
+    "px",
+    "beside the window, by which those in it are judged: with fewer a fill or a spike at its edge has "
+    "nothing around it to judge it by",
+)
+_METRES: dict[str, float] = tuned(
+    {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0},
+    "m by the unit's name",
+    "what heights are multiplied by: names of the metre, and none, which is taken for it; other units "
+    "are refused",
+)
 
 
 @dataclass(frozen=True)

@@ -7,38 +7,29 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import printable
 from geomosaic.survey.exif_tags import Tags, tags_from_block
 
 _FLOAT: Final = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_LONGEST_ITEM: Annotated[
-    int,
-    Because(
-        "characters",
-        "of a metadata item that is read: those wanted have under a hundred, and patterns take time by "
-        "length",
-        CHOSEN,
-    ),
-] = 1000
-_FIRST_YEAR: Annotated[
-    int,
-    Because(
-        "year",
-        "an earlier one is of a clock that was never set: its times would order the frames wrongly",
-        CHOSEN,
-    ),
-] = 1900
-_MM_PER_UNIT: Annotated[
-    dict[float, float],
-    Because(
-        "mm by FocalPlaneResolutionUnit",
-        "of the unit in which a focal plane's pixels are counted",
-        "CIPA DC-008 (EXIF) for inch and cm; ExifTool's list of tags for 4 and 5, which are not in it",
-    ),
-] = {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001}
+_LONGEST_ITEM = tuned(
+    1000,
+    "characters",
+    "of a metadata item that is read: those wanted have under a hundred, and patterns take time by length",
+)
+_FIRST_YEAR = tuned(
+    1900,
+    "year",
+    "an earlier one is of a clock that was never set: its times would order the frames wrongly",
+)
+_MM_PER_UNIT: dict[float, float] = sourced(
+    {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001},
+    "mm by FocalPlaneResolutionUnit",
+    "of the unit in which a focal plane's pixels are counted",
+    "CIPA DC-008 (EXIF) for inch and cm; ExifTool's list of tags for 4 and 5, which are not in it",
+)
 
 
 @dataclass(frozen=True)

@@ -4,62 +4,91 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
 Tags = dict[str, str | tuple[float, ...]]
 """EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
 
 _TAGS: Final = "CIPA DC-008 (EXIF), section 4.6"
 _FIELDS: Final = "TIFF 6.0 (Adobe 1992), section 2"
-_MAIN: Annotated[
-    dict[int, str],
-    Because(
-        "tag",
-        "names of the main directory's that report camera and time, or where the other two directories are",
-        _TAGS,
-    ),
-] = {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS"}
-_EXIF: Annotated[
-    dict[int, str], Because("tag", "names of the EXIF directory's that report time, lens and size", _TAGS)
-] = {
-    0x9003: "DateTimeOriginal", 0x9004: "DateTimeDigitized",
-    0x9010: "OffsetTime", 0x9011: "OffsetTimeOriginal", 0x9012: "OffsetTimeDigitized",
-    0x9290: "SubSecTime", 0x9291: "SubSecTimeOriginal", 0x9292: "SubSecTimeDigitized",
-    0x920A: "FocalLength", 0xA002: "PixelXDimension", 0xA003: "PixelYDimension",
-    0xA20E: "FocalPlaneXResolution", 0xA210: "FocalPlaneResolutionUnit", 0xA405: "FocalLengthIn35mmFilm",
-}  # fmt: skip
-_GPS: Annotated[dict[int, str], Because("tag", "names of the GPS directory's that hold the place", _TAGS)] = {
-    1: "GPSLatitudeRef", 2: "GPSLatitude", 3: "GPSLongitudeRef", 4: "GPSLongitude",
-    5: "GPSAltitudeRef", 6: "GPSAltitude",
-}  # fmt: skip
-_KINDS: Annotated[
-    dict[int, str], Because("field type", "numpy's type of each; others are passed over", _FIELDS)
-] = {
-    1: "u1", 2: "text", 3: "u2", 4: "u4", 5: "u4", 7: "u1", 8: "i2", 9: "i4", 10: "i4", 11: "f4", 12: "f8",
-}  # fmt: skip
-_RATIONALS: Annotated[
-    tuple[int, int], Because("field type", "two numbers each, one divided by the other", _FIELDS)
-] = (5, 10)
-_MOST_ENTRIES: Annotated[
-    int,
-    Because(
-        "entries",
-        "of a directory that are looked at: cameras write some 60, a damaged count says up to 65,535",
-        CHOSEN,
-    ),
-] = 1000
-_LONGEST_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a value that is read: the longest wanted is a camera's name, a damaged length says up to 4 GB",
-        CHOSEN,
-    ),
-] = 1000
+_MAIN: dict[int, str] = sourced(
+    {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS"},
+    "tag",
+    "names of the main directory's that report camera and time, or where the other two directories are",
+    _TAGS,
+)
+_EXIF: dict[int, str] = sourced(
+    {
+        0x9003: "DateTimeOriginal",
+        0x9004: "DateTimeDigitized",
+        0x9010: "OffsetTime",
+        0x9011: "OffsetTimeOriginal",
+        0x9012: "OffsetTimeDigitized",
+        0x9290: "SubSecTime",
+        0x9291: "SubSecTimeOriginal",
+        0x9292: "SubSecTimeDigitized",
+        0x920A: "FocalLength",
+        0xA002: "PixelXDimension",
+        0xA003: "PixelYDimension",
+        0xA20E: "FocalPlaneXResolution",
+        0xA210: "FocalPlaneResolutionUnit",
+        0xA405: "FocalLengthIn35mmFilm",
+    },
+    "tag",
+    "names of the EXIF directory's that report time, lens and size",
+    _TAGS,
+)
+_GPS: dict[int, str] = sourced(
+    {
+        1: "GPSLatitudeRef",
+        2: "GPSLatitude",
+        3: "GPSLongitudeRef",
+        4: "GPSLongitude",
+        5: "GPSAltitudeRef",
+        6: "GPSAltitude",
+    },
+    "tag",
+    "names of the GPS directory's that hold the place",
+    _TAGS,
+)
+_KINDS: dict[int, str] = sourced(
+    {
+        1: "u1",
+        2: "text",
+        3: "u2",
+        4: "u4",
+        5: "u4",
+        7: "u1",
+        8: "i2",
+        9: "i4",
+        10: "i4",
+        11: "f4",
+        12: "f8",
+    },
+    "field type",
+    "numpy's type of each; others are passed over",
+    _FIELDS,
+)
+_RATIONALS: tuple[int, int] = sourced(
+    (5, 10),
+    "field type",
+    "two numbers each, one divided by the other",
+    _FIELDS,
+)
+_MOST_ENTRIES = tuned(
+    1000,
+    "entries",
+    "of a directory that are looked at: cameras write some 60, a damaged count says up to 65,535",
+)
+_LONGEST_BYTES = tuned(
+    1000,
+    "bytes",
+    "of a value that is read: the longest wanted is a camera's name, a damaged length says up to 4 GB",
+)
 
 
 def tags_from_block(block: bytes) -> Tags:

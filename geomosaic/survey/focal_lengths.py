@@ -4,35 +4,50 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import CHOSEN, sourced, tuned
 from geomosaic.survey.header import FrameHeader
 
-FILM_DIAGONAL_MM: Annotated[
-    float,
-    Because(
-        "mm",
-        "of an image of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
-        "CIPA DCG-001",
-    ),
-] = math.hypot(36.0, 24.0)
-SENSOR_WIDTHS_MM: Annotated[
-    dict[str, float],
-    Because(
-        "mm",
-        "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
-        "wrong one makes the focal length wrong by as much",
-        "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
-        "35.9; M3E: Theta-Limited/DroneModels; L2D-20c: OpenSfM, opensfm/data/sensor_data.json; S.O.D.A.: "
-        "its EXIF, 5472 px at 416.7 px/mm",
-    ),
-] = {
-    "fc300c": 6.17, "fc300s": 6.17, "fc300x": 6.17, "fc330": 6.17, "fc220": 6.17, "fc350": 6.17,
-    "fc550": 17.3, "fc6310": 13.2, "fc6310r": 13.2, "fc6310s": 13.2, "fc6510": 13.2, "fc6520": 17.3,
-    "l1d-20c": 13.2, "fc3411": 13.2, "l2d-20c": 17.5, "m3e": 17.46, "zenmusep1": 35.9, "s.o.d.a.": 13.13,
-    "dsc-wx220": 6.17, "ilce-6000": 23.5, "ilce-7rm2": 35.9, "e-p1": 17.3, "e-p2": 17.3, "e-pl1": 17.3,
-}  # fmt: skip
+FILM_DIAGONAL_MM: float = sourced(
+    math.hypot(36.0, 24.0),
+    "mm",
+    "of an image of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
+    "CIPA DCG-001",
+)
+SENSOR_WIDTHS_MM: dict[str, float] = sourced(
+    {
+        "fc300c": 6.17,
+        "fc300s": 6.17,
+        "fc300x": 6.17,
+        "fc330": 6.17,
+        "fc220": 6.17,
+        "fc350": 6.17,
+        "fc550": 17.3,
+        "fc6310": 13.2,
+        "fc6310r": 13.2,
+        "fc6310s": 13.2,
+        "fc6510": 13.2,
+        "fc6520": 17.3,
+        "l1d-20c": 13.2,
+        "fc3411": 13.2,
+        "l2d-20c": 17.5,
+        "m3e": 17.46,
+        "zenmusep1": 35.9,
+        "s.o.d.a.": 13.13,
+        "dsc-wx220": 6.17,
+        "ilce-6000": 23.5,
+        "ilce-7rm2": 35.9,
+        "e-p1": 17.3,
+        "e-p2": 17.3,
+        "e-pl1": 17.3,
+    },
+    "mm",
+    "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
+    "wrong one makes the focal length wrong by as much",
+    "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
+    "35.9; M3E: Theta-Limited/DroneModels; L2D-20c: OpenSfM, opensfm/data/sensor_data.json; S.O.D.A.: "
+    "its EXIF, 5472 px at 416.7 px/mm",
+)
 
 
 @dataclass(frozen=True)
@@ -46,109 +61,87 @@ class Sensor:
     shapes: tuple[float, ...] = ()
 
 
-_UNCOOLED: Annotated[
-    tuple[float, float],
-    Because(
-        "ratio of sides",
-        "of thermal sensors, by which their frames differ from those of the visual camera of the same name",
-        "data sheets: 640 x 512 and 336 x 256",
-    ),
-] = (640 / 512, 336 / 256)
-SENSORS: Annotated[
-    dict[str, Sensor],
-    Because(
-        "px, um, mm",
-        "pixel pitch of sensors by a part of EXIF's make and model, the first that fits: thermal cameras "
-        "report no focal plane or that of their visual camera, boards report no lens; a wrong pitch makes "
-        "the focal length wrong by as much",
-        "Theta-Limited/DroneModels: H20T, M2EA, Boson 12 um; XT, XT2 (Tau 2) 17 um. QGroundControl, "
-        "CameraMetaData.json: Duo Pro R 17 um. DJI, quoted by others: diagonal field H20T 40.6, H30T 45.2 "
-        "degrees, M3T 40 mm equivalent. Assumed: M30T as M3T, Vue TZ20 as Boson, other FLIR of these shapes "
-        "as Tau 2. Raspberry Pi, camera_hardware.adoc: modules 1 to 3, 3 wide, HQ",
-    ),
-] = {
-    "zh30t": Sensor((1280,), 12.0, 24.0, _UNCOOLED),
-    "h20t": Sensor((640,), 12.0, 13.5, _UNCOOLED),
-    "mavic2-enterprise-advanced": Sensor((640,), 12.0, 9.0, _UNCOOLED),
-    "m30t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
-    "m3t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
-    "xt2": Sensor((640, 336), 17.0, None, _UNCOOLED),
-    "tz20": Sensor((640,), 12.0, None, _UNCOOLED),
-    "boson": Sensor((640, 320), 12.0, None, _UNCOOLED),
-    "flir": Sensor((640, 336), 17.0, None, _UNCOOLED),
-    "vue pro": Sensor((640, 336), 17.0, None, _UNCOOLED),
-    "ov5647": Sensor((2592,), 1.4, 3.6),
-    "imx219": Sensor((3280,), 1.12, 3.04),
-    "imx708_wide": Sensor((4608,), 1.4, 2.75),
-    "imx708": Sensor((4608,), 1.4, 4.74),
-    "imx477": Sensor((4056,), 1.55),
-}
-_SHAPE: Annotated[
-    float,
-    Because("share of the ratio of sides", "336 x 256 and 4:3 differ by 1.6 %", CHOSEN),
-] = 0.01
-_ONE_LENGTH: Annotated[
-    set[str],
-    Because(
-        "model",
-        "of zoom cameras whose tag is the long end of the lens at any zoom: taken as true, it makes the "
-        "focal length up to nine times too long",
-        "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm; tag of 47 mm: frames of one flight",
-    ),
-] = {"zr10"}
-_ACTION_MAKES: Annotated[
-    set[str],
-    Because(
-        "make",
-        "of action cameras, which have several fields of view and no tag of the mode",
-        f"OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: {CHOSEN}",
-    ),
-] = {"gopro", "xiaoyi", "sjcam", "drift"}
-_WIDE_MODE_MM: Annotated[
-    float,
-    Because(
-        "mm, 35 mm equivalent",
-        "to which an action camera's frame is of its wide mode, whose lens is a fisheye; longer ones are of "
-        "modes that the camera crops or straightens",
-        "OpenSfM, opensfm/data/camera_calibration.yaml, GoPro: wide 15 (Hero 3) and 16 mm (Hero 2), medium "
-        "20 and 23 mm; Hero 8 without distortion, 0.477 of 36 mm: 17 mm",
-    ),
-] = 16.0
-_ACTION: Annotated[
-    float,
-    Because(
-        "focal length over longer side",
-        "of their wide modes, where no tag gives it",
-        "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Drift 0.47; gyroflow's "
-        "lens_profiles: Hero 11 wide 0.444; GoPro, HERO5 Black Field of View: 122.6 degrees, which is 0.467 "
-        "of an equidistant lens",
-    ),
-] = 0.47
-ALIKE: Annotated[
-    float,
-    Because(
-        "share",
-        "by which two sources of one focal length may differ: whole millimetres of 35 mm equivalents leave "
-        "some per cent, an image that was cut or taken by another lens differs by more",
-        CHOSEN,
-    ),
-] = 0.15
-_USUAL: Annotated[
-    float,
-    Because(
-        "focal length over longer side",
-        "where nothing reports one; the reach of the prior is wide on both sides",
-        "OpenSfM, default_focal_prior in opensfm/config.py: 0.85",
-    ),
-] = 0.85
-_WIDEST_FLAT: Annotated[
-    float,
-    Because(
-        "focal length over longer side",
-        "shorter ones are fisheyes, or the tag of another camera: no wider lens maps a plane to a plane",
-        "Voigtlaender Heliar-Hyper Wide 10 mm and Laowa 9 mm on 36 mm: 0.28 and 0.25",
-    ),
-] = 0.25
+_UNCOOLED: tuple[float, float] = sourced(
+    (640 / 512, 336 / 256),
+    "ratio of sides",
+    "of thermal sensors, by which their frames differ from those of the visual camera of the same name",
+    "data sheets: 640 x 512 and 336 x 256",
+)
+SENSORS: dict[str, Sensor] = sourced(
+    {
+        "zh30t": Sensor((1280,), 12.0, 24.0, _UNCOOLED),
+        "h20t": Sensor((640,), 12.0, 13.5, _UNCOOLED),
+        "mavic2-enterprise-advanced": Sensor((640,), 12.0, 9.0, _UNCOOLED),
+        "m30t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
+        "m3t": Sensor((640,), 12.0, 9.1, _UNCOOLED),
+        "xt2": Sensor((640, 336), 17.0, None, _UNCOOLED),
+        "tz20": Sensor((640,), 12.0, None, _UNCOOLED),
+        "boson": Sensor((640, 320), 12.0, None, _UNCOOLED),
+        "flir": Sensor((640, 336), 17.0, None, _UNCOOLED),
+        "vue pro": Sensor((640, 336), 17.0, None, _UNCOOLED),
+        "ov5647": Sensor((2592,), 1.4, 3.6),
+        "imx219": Sensor((3280,), 1.12, 3.04),
+        "imx708_wide": Sensor((4608,), 1.4, 2.75),
+        "imx708": Sensor((4608,), 1.4, 4.74),
+        "imx477": Sensor((4056,), 1.55),
+    },
+    "px, um, mm",
+    "pixel pitch of sensors by a part of EXIF's make and model, the first that fits: thermal cameras "
+    "report no focal plane or that of their visual camera, boards report no lens; a wrong pitch makes "
+    "the focal length wrong by as much",
+    "Theta-Limited/DroneModels: H20T, M2EA, Boson 12 um; XT, XT2 (Tau 2) 17 um. QGroundControl, "
+    "CameraMetaData.json: Duo Pro R 17 um. DJI, quoted by others: diagonal field H20T 40.6, H30T 45.2 "
+    "degrees, M3T 40 mm equivalent. Assumed: M30T as M3T, Vue TZ20 as Boson, other FLIR of these shapes "
+    "as Tau 2. Raspberry Pi, camera_hardware.adoc: modules 1 to 3, 3 wide, HQ",
+)
+_SHAPE = tuned(0.01, "share of the ratio of sides", "336 x 256 and 4:3 differ by 1.6 %")
+_ONE_LENGTH: set[str] = sourced(
+    {"zr10"},
+    "model",
+    "of zoom cameras whose tag is the long end of the lens at any zoom: taken as true, it makes the "
+    "focal length up to nine times too long",
+    "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm; tag of 47 mm: frames of one flight",
+)
+_ACTION_MAKES: set[str] = sourced(
+    {"gopro", "xiaoyi", "sjcam", "drift"},
+    "make",
+    "of action cameras, which have several fields of view and no tag of the mode",
+    f"OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: {CHOSEN}",
+)
+_WIDE_MODE_MM = sourced(
+    16.0,
+    "mm, 35 mm equivalent",
+    "to which an action camera's frame is of its wide mode, whose lens is a fisheye; longer ones are of "
+    "modes that the camera crops or straightens",
+    "OpenSfM, opensfm/data/camera_calibration.yaml, GoPro: wide 15 (Hero 3) and 16 mm (Hero 2), medium "
+    "20 and 23 mm; Hero 8 without distortion, 0.477 of 36 mm: 17 mm",
+)
+_ACTION = sourced(
+    0.47,
+    "focal length over longer side",
+    "of their wide modes, where no tag gives it",
+    "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Drift 0.47; gyroflow's "
+    "lens_profiles: Hero 11 wide 0.444; GoPro, HERO5 Black Field of View: 122.6 degrees, which is 0.467 "
+    "of an equidistant lens",
+)
+ALIKE = tuned(
+    0.15,
+    "share",
+    "by which two sources of one focal length may differ: whole millimetres of 35 mm equivalents leave "
+    "some per cent, an image that was cut or taken by another lens differs by more",
+)
+_USUAL = sourced(
+    0.85,
+    "focal length over longer side",
+    "where nothing reports one; the reach of the prior is wide on both sides",
+    "OpenSfM, default_focal_prior in opensfm/config.py: 0.85",
+)
+_WIDEST_FLAT = sourced(
+    0.25,
+    "focal length over longer side",
+    "shorter ones are fisheyes, or the tag of another camera: no wider lens maps a plane to a plane",
+    "Voigtlaender Heliar-Hyper Wide 10 mm and Laowa 9 mm on 36 mm: 0.28 and 0.25",
+)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import RUN_MARKER, check_name, printable, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
@@ -17,36 +17,27 @@ from geomosaic.survey.names import frame_name, natural_key
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
 _MASK_ENDINGS: Final = ("_mask", ".mask")
-_MOST_MASK_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a PNG mask: of two values, packed, one of 200 megapixels takes less than 1 MB, unpacked 200; a "
-        "larger file would take the memory",
-        CHOSEN,
-    ),
-] = 256 << 20
+_MOST_MASK_BYTES: int = tuned(
+    256 << 20,
+    "bytes",
+    "of a PNG mask: of two values, packed, one of 200 megapixels takes less than 1 MB, unpacked 200; a "
+    "larger file would take the memory",
+)
 _HOMES: Final = ("images", "dcim")
 """Where OpenDroneMap's projects and cameras' cards hold frames; what else they hold is made of them."""
 _PROJECT_FILES: Final = {"pos": "geo.txt", "gcp": "gcp_list.txt"}
-_DEEPEST: Annotated[
-    int,
-    Because(
-        "folders",
-        "deep that frames are sought: CARD/DCIM/100MEDIA has two, MicaSense's 0000SET/000 in a flight's "
-        "folder three; deeper ones are another survey's",
-        CHOSEN,
-    ),
-] = 4
-_MOST_FOLDERS: Annotated[
-    int,
-    Because(
-        "folders",
-        "looked at: 1,000 flights of two; a whole disk would be searched for minutes and its pictures be "
-        "taken for frames",
-        CHOSEN,
-    ),
-] = 2000
+_DEEPEST = tuned(
+    4,
+    "folders",
+    "deep that frames are sought: CARD/DCIM/100MEDIA has two, MicaSense's 0000SET/000 in a flight's "
+    "folder three; deeper ones are another survey's",
+)
+_MOST_FOLDERS = tuned(
+    2000,
+    "folders",
+    "looked at: 1,000 flights of two; a whole disk would be searched for minutes and its pictures be "
+    "taken for frames",
+)
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 

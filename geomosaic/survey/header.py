@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from rasterio.enums import ColorInterp
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
@@ -20,61 +20,48 @@ from geomosaic.survey.xmp import Xmp, parse_xmp
 JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
 DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
-_BYTES: Annotated[
-    dict[str, int], Because("bytes by type", "of a pixel of one band", "the types' bits, by 8")
-] = {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4}
-_MOST_SIDE_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "of a frame: OpenCV's remap counts pixels in 16 bits with a sign and fails beyond",
-        "OpenCV's documentation of remap: less than 32,767 px a side",
-    ),
-] = 32_766
-_MOST_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a frame's decoded pixels: the largest cameras have 3.6e9 (26,460 x 17,004 px in 4 bands of 16 "
-        "bits); more would take the memory",
-        CHOSEN,
-    ),
-] = 4 << 30
-_MOST_RATIO: Annotated[
-    int,
-    Because(
-        "ratio",
-        "of pixels to the bytes of their file that compression can reach: a header that states more is "
-        "damaged, and memory would be taken for it",
-        "DEFLATE: at most 1,032 (zlib, technical details); LZW: 4,096 codes (TIFF 6.0, section 13)",
-    ),
-] = 4000
-_SMALL_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of pixels that a file of any size may state: they do no harm, and images of one colour pack well",
-        CHOSEN,
-    ),
-] = 64 << 20
-_MOST_LOOKED_AT: Annotated[
-    int,
-    Because(
-        "blocks",
-        "of a TIFF whose places in the file are asked of GDAL, one by one; of more an even share, so that "
-        "damage in a few is missed",
-        CHOSEN,
-    ),
-] = 4096
-_EXIF_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a TIFF's beginning that are searched for EXIF: its directories mostly stand there, and where "
-        "they don't GDAL's items serve; more is read from every frame",
-        CHOSEN,
-    ),
-] = 8 << 20
+_BYTES: dict[str, int] = sourced(
+    {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4},
+    "bytes by type",
+    "of a pixel of one band",
+    "the types' bits, by 8",
+)
+_MOST_SIDE_PX = sourced(
+    32_766,
+    "px",
+    "of a frame: OpenCV's remap counts pixels in 16 bits with a sign and fails beyond",
+    "OpenCV's documentation of remap: less than 32,767 px a side",
+)
+_MOST_BYTES: int = tuned(
+    4 << 30,
+    "bytes",
+    "of a frame's decoded pixels: the largest cameras have 3.6e9 (26,460 x 17,004 px in 4 bands of 16 "
+    "bits); more would take the memory",
+)
+_MOST_RATIO = sourced(
+    4000,
+    "ratio",
+    "of pixels to the bytes of their file that compression can reach: a header that states more is "
+    "damaged, and memory would be taken for it",
+    "DEFLATE: at most 1,032 (zlib, technical details); LZW: 4,096 codes (TIFF 6.0, section 13)",
+)
+_SMALL_BYTES: int = tuned(
+    64 << 20,
+    "bytes",
+    "of pixels that a file of any size may state: they do no harm, and images of one colour pack well",
+)
+_MOST_LOOKED_AT = tuned(
+    4096,
+    "blocks",
+    "of a TIFF whose places in the file are asked of GDAL, one by one; of more an even share, so that "
+    "damage in a few is missed",
+)
+_EXIF_BYTES: int = tuned(
+    8 << 20,
+    "bytes",
+    "of a TIFF's beginning that are searched for EXIF: its directories mostly stand there, and where "
+    "they don't GDAL's items serve; more is read from every frame",
+)
 
 
 @dataclass(frozen=True)

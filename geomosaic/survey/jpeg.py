@@ -5,40 +5,33 @@ from __future__ import annotations
 import mmap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.errors import FileError
 
 _EXIF: Final = b"Exif\x00\x00"
 _XMP: Final = b"http://ns.adobe.com/xap/1.0/\x00"
 _EOI: Final = b"\xff\xd9"
 _MARKERS: Final = "ITU-T T.81, table B.1"
-_FRAME_HEADERS: Annotated[
-    frozenset[int],
-    Because(
-        "marker",
-        "segments that state the image's size; of the three between them two are tables and one is reserved",
-        _MARKERS,
-    ),
-] = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
-_PROGRESSIVE: Annotated[
-    frozenset[int],
-    Because(
-        "marker",
-        "frame headers of images that come in scans, each over the whole: no row of them is known to be "
-        "whole",
-        _MARKERS,
-    ),
-] = frozenset({0xC2, 0xC6, 0xCA, 0xCE})
-_WITHOUT_LENGTH: Annotated[
-    frozenset[int],
-    Because(
-        "marker",
-        "they stand alone: taken for a segment, what follows would be skipped as its content",
-        _MARKERS,
-    ),
-] = frozenset({0x01, *range(0xD0, 0xD8)})
+_FRAME_HEADERS: frozenset[int] = sourced(
+    frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}),
+    "marker",
+    "segments that state the image's size; of the three between them two are tables and one is reserved",
+    _MARKERS,
+)
+_PROGRESSIVE: frozenset[int] = sourced(
+    frozenset({0xC2, 0xC6, 0xCA, 0xCE}),
+    "marker",
+    "frame headers of images that come in scans, each over the whole: no row of them is known to be whole",
+    _MARKERS,
+)
+_WITHOUT_LENGTH: frozenset[int] = sourced(
+    frozenset({0x01, *range(0xD0, 0xD8)}),
+    "marker",
+    "they stand alone: taken for a segment, what follows would be skipped as its content",
+    _MARKERS,
+)
 _TRUNCATED: Final = "copy it again from the camera, or take it out of the folder"
 
 

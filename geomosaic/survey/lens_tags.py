@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import TERMS, fisheye_terms
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.survey.accuracy import FOCAL_LENGTH, MAKERS_DISTORTION
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import OFF_CENTRE, focal_length_can_be
 from geomosaic.survey.xmp import number, numbers
 
-_SQUARE: Annotated[
-    float,
-    Because(
-        "share of a fisheye's affine matrix",
-        "by which it may be none of square pixels: its two sizes are then taken in their mean, and more "
-        "would leave a stretch that no lens here has",
-        CHOSEN,
-    ),
-] = 0.01
+_SQUARE = tuned(
+    0.01,
+    "share of a fisheye's affine matrix",
+    "by which it may be none of square pixels: its two sizes are then taken in their mean, and more "
+    "would leave a stretch that no lens here has",
+)
 
 
 def dji_dewarp(header: FrameHeader, blank: Camera) -> Camera | None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import base64
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import LEAST_RECORDED, Turns
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import FASTEST, FASTEST_TURN, SLOWEST
 from geomosaic.survey.xmp import Xmp, numbers
@@ -19,66 +19,49 @@ Floats = NDArray[np.float64]
 CAMERA_FROM_UNIT: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The unit's axes are the body's, forward, right and down, and forward is the image's top: of all 24
 right-handed assignments the one that the images confirm, see docs/design.md."""
-UNIT_DELAY_S: Annotated[
-    float,
-    Because(
-        "s",
-        "by which the rates that a Sequoia writes lag: the middle row was read when the middle sample was "
-        "taken, and its true rates are those written so much later",
-        "docs/design.md, Gyroscope tags: 28 frames of a Sequoia, tie points' deviation 1.95 px with 40 ms, "
-        "1.59 with 42.5, 1.82 with 45",
-    ),
-] = 0.0425
-_SAMPLE: Annotated[
-    np.dtype[np.void],
-    Because(
-        "bytes",
-        "a record of the tag: 24 bytes, little endian",
-        "a Parrot Sequoia's files; docs/inputs.md, Rolling shutter",
-    ),
-] = np.dtype([("time_us", "<u8"), ("rad_per_s", "<f4", 3), ("flags", "<u4")])
-_MOST_SAMPLES: Annotated[
-    int,
-    Because(
-        "samples",
-        "of a frame: at 1 kHz one read within 0.18 s has 185; a tag with more is damaged or made to take "
-        "memory",
-        CHOSEN,
-    ),
-] = 4096
-_LONGEST: Annotated[
-    int,
-    Because(
-        "characters",
-        "of the tag that holds the most samples: four for three bytes, and padding",
-        "RFC 4648, section 4 (base64)",
-    ),
-] = 4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4
-_LEAST_SAMPLES: Annotated[int, Because("samples", "of a frame: fewer show no turn within it", CHOSEN)] = 8
-_SAMPLES_A_TURN: Annotated[
-    int,
-    Because(
-        "samples",
-        "from one tabled turn to the next: at 1 kHz the turn is smooth over 4 ms, since vibration has some "
-        "tens of Hz; more would cut it off, fewer only make longer tables",
-        CHOSEN,
-    ),
-] = 4
-_FARTHEST_RAD: Annotated[
-    float,
-    Because(
-        "rad", "a frame that turns farther while it is read shows nothing: the samples are wrong", CHOSEN
-    ),
-] = 0.25
-_EDGE: Annotated[
-    int,
-    Because(
-        "samples",
-        "whose mean goes on beyond the first and the last: of fewer the noise goes on, of more the rate of "
-        "a while ago",
-        CHOSEN,
-    ),
-] = 5
+UNIT_DELAY_S = sourced(
+    0.0425,
+    "s",
+    "by which the rates that a Sequoia writes lag: the middle row was read when the middle sample was "
+    "taken, and its true rates are those written so much later",
+    "docs/design.md, Gyroscope tags: 28 frames of a Sequoia, tie points' deviation 1.95 px with 40 ms, "
+    "1.59 with 42.5, 1.82 with 45",
+)
+_SAMPLE: np.dtype[np.void] = sourced(
+    np.dtype([("time_us", "<u8"), ("rad_per_s", "<f4", 3), ("flags", "<u4")]),
+    "bytes",
+    "a record of the tag: 24 bytes, little endian",
+    "a Parrot Sequoia's files; docs/inputs.md, Rolling shutter",
+)
+_MOST_SAMPLES = tuned(
+    4096,
+    "samples",
+    "of a frame: at 1 kHz one read within 0.18 s has 185; a tag with more is damaged or made to take memory",
+)
+_LONGEST: int = sourced(
+    4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4,
+    "characters",
+    "of the tag that holds the most samples: four for three bytes, and padding",
+    "RFC 4648, section 4 (base64)",
+)
+_LEAST_SAMPLES = tuned(8, "samples", "of a frame: fewer show no turn within it")
+_SAMPLES_A_TURN = tuned(
+    4,
+    "samples",
+    "from one tabled turn to the next: at 1 kHz the turn is smooth over 4 ms, since vibration has some "
+    "tens of Hz; more would cut it off, fewer only make longer tables",
+)
+_FARTHEST_RAD = tuned(
+    0.25,
+    "rad",
+    "a frame that turns farther while it is read shows nothing: the samples are wrong",
+)
+_EDGE = tuned(
+    5,
+    "samples",
+    "whose mean goes on beyond the first and the last: of fewer the noise goes on, of more the rate of "
+    "a while ago",
+)
 
 
 def turns_of(header: FrameHeader) -> Turns | None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
@@ -26,33 +25,24 @@ from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos import PosFile, PosRow
 
 Floats = NDArray[np.float64]
-_FAR_M: Annotated[
-    float,
-    Because(
-        "m",
-        "between a POS file and the frames' own GPS that warns, and within which exchanged columns fit: "
-        "GPS is off by tens of metres, other data by hundreds, a wrong CRS or line by more",
-        CHOSEN,
-    ),
-] = 1000.0
-_SWAPPED_M: Annotated[
-    float,
-    Because(
-        "m",
-        "median distance from the frames' own GPS from which columns may be swapped: with less, where "
-        "longitude and latitude are alike, a wrong CRS would be called that",
-        CHOSEN,
-    ),
-] = 50_000.0
-TOO_FAR_M: Annotated[
-    float,
-    Because(
-        "m",
-        "from the middle of the survey: no survey reaches so far, so the position is wrong or another "
-        "survey's; with less a long corridor would be refused",
-        CHOSEN,
-    ),
-] = 300_000.0
+_FAR_M = tuned(
+    1000.0,
+    "m",
+    "between a POS file and the frames' own GPS that warns, and within which exchanged columns fit: "
+    "GPS is off by tens of metres, other data by hundreds, a wrong CRS or line by more",
+)
+_SWAPPED_M = tuned(
+    50_000.0,
+    "m",
+    "median distance from the frames' own GPS from which columns may be swapped: with less, where "
+    "longitude and latitude are alike, a wrong CRS would be called that",
+)
+TOO_FAR_M = tuned(
+    300_000.0,
+    "m",
+    "from the middle of the survey: no survey reaches so far, so the position is wrong or another "
+    "survey's; with less a long corridor would be refused",
+)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.windows import Window
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded
@@ -21,14 +21,12 @@ from geomosaic.survey.small import HALF, Spare, brightness, means, padded
 
 Mask = NDArray[np.uint8]
 
-REDUCTIONS: Annotated[
-    tuple[int, ...],
-    Because(
-        "px by px that become one",
-        "by which a JPEG is reduced while it is decoded; others would be resampled, and blur",
-        "libjpeg: a block of 8 x 8 becomes one of 4, 2 or 1 px a side",
-    ),
-] = (1, 2, 4, 8)
+REDUCTIONS: tuple[int, ...] = sourced(
+    (1, 2, 4, 8),
+    "px by px that become one",
+    "by which a JPEG is reduced while it is decoded; others would be resampled, and blur",
+    "libjpeg: a block of 8 x 8 becomes one of 4, 2 or 1 px a side",
+)
 _MEND: Final = "copy it again from the camera, or take it out of the folder"
 
 

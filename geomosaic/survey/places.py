@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
@@ -24,38 +23,28 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, Table
 
 Floats = NDArray[np.float64]
-_PRJ_BYTES: Annotated[
-    int,
-    Because(
-        "bytes", "of a .prj file: a CRS in words has some thousand, a larger file is something else", CHOSEN
-    ),
-] = 64 << 10
-_FAR_OUTSIDE_M: Annotated[
-    float,
-    Because(
-        "m",
-        "outside a CRS's area of use from which it is another place's: areas are rounded boxes, and a "
-        "neighbouring zone may be wanted (UTM's are up to 668 km wide); with more a wrong zone passes",
-        CHOSEN,
-    ),
-] = 500_000.0
-_FAR_M: Annotated[
-    float,
-    Because(
-        "m",
-        "from the farthest frame's reach, or from a CRS's area of use: beyond, the CRS is another or columns "
-        "are swapped; with less, points beside frames with bad positions would be refused",
-        CHOSEN,
-    ),
-] = 5000.0
-_ENOUGH: Annotated[
-    int,
-    Because(
-        "points",
-        "of a table that are tried in each system a name may mean; all of a long one would take minutes",
-        CHOSEN,
-    ),
-] = 100
+_PRJ_BYTES: int = tuned(
+    64 << 10,
+    "bytes",
+    "of a .prj file: a CRS in words has some thousand, a larger file is something else",
+)
+_FAR_OUTSIDE_M = tuned(
+    500_000.0,
+    "m",
+    "outside a CRS's area of use from which it is another place's: areas are rounded boxes, and a "
+    "neighbouring zone may be wanted (UTM's are up to 668 km wide); with more a wrong zone passes",
+)
+_FAR_M = tuned(
+    5000.0,
+    "m",
+    "from the farthest frame's reach, or from a CRS's area of use: beyond, the CRS is another or columns "
+    "are swapped; with less, points beside frames with bad positions would be refused",
+)
+_ENOUGH = tuned(
+    100,
+    "points",
+    "of a table that are tried in each system a name may mean; all of a long one would take minutes",
+)
 NOWHERE: Floats = np.column_stack([[], []])
 """Longitudes and latitudes of no frames: none has a position, or they aren't known yet."""
 

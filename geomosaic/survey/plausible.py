@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.model import Attitude, Position, Warn
@@ -84,15 +84,12 @@ FASTEST: Final = Limit(1000.0, "m/s", "three times the speed of sound", "SR-71: 
 FASTEST_TURN: Final = Limit(
     35.0, "rad/s", "2000 degrees a second, where small gyroscopes end", "InvenSense MPU-6000, full scale"
 )
-_NEIGHBOURS: Annotated[
-    int,
-    Because(
-        "frames",
-        "that a frame's height is held against, in plan as in time: of fewer two wrong ones decide, more "
-        "reach over to another slope",
-        CHOSEN,
-    ),
-] = 8
+_NEIGHBOURS = tuned(
+    8,
+    "frames",
+    "that a frame's height is held against, in plan as in time: of fewer two wrong ones decide, more "
+    "reach over to another slope",
+)
 
 
 def plausible_positions(

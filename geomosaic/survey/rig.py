@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.xmp import Xmp, number
@@ -19,12 +19,12 @@ _OWN: Final = ("green", "red", "rededge", "red edge")
 """Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
 _SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
 """`IMG_0001_GRE`, `IMG_0001_4`: the capture's name and the band's."""
-LEAST_BANDS: Annotated[
-    int,
-    Because(
-        "bands", "of a capture: files of one band alone are frames of a camera, not of a rig", "what a rig is"
-    ),
-] = 2
+LEAST_BANDS = sourced(
+    2,
+    "bands",
+    "of a capture: files of one band alone are frames of a camera, not of a rig",
+    "what a rig is",
+)
 
 
 @dataclass(frozen=True)

@@ -3,44 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import SLOWEST
 from geomosaic.survey.xmp import number
 
 _LIST: Final = "OpenDroneMap's list (opendm/rollingshutter.py): its users, with a blinking light"
-READOUTS_S: Annotated[
-    dict[str, float],
-    Because(
-        "s",
-        "from the first row to the last by EXIF's model: without it lines flown to and fro shrink and "
-        "stretch",
-        _LIST,
-    ),
-] = {
-    "phantom vision fc200": 0.074, "fc300c": 0.033, "fc300s": 0.033, "fc300x": 0.033, "fc330": 0.033,
-    "fc350": 0.030, "fc7203": 0.020, "fc3170": 0.027, "fc3411": 0.032, "fc3582": 0.026, "l1d-20c": 0.056,
-    "e90": 0.044, "hero4 black": 0.030, "hero8 black": 0.017,
-}  # fmt: skip
-_READOUTS_BY_SIZE: Annotated[
-    dict[str, tuple[float, float, float]],
-    Because(
-        "megapixels from and to, s",
-        "images of other sizes than most by the model, of which other rows are read, or each",
-        _LIST,
-    ),
-] = {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)}
-READOUT_SD_SHARE: Annotated[
-    float,
-    Because(
-        "share of a readout by model",
-        "its deviation: whole milliseconds of 17 to 74, and a frame cut to another shape has fewer rows, "
-        "by a sixth from 3:2 to 16:9; a smaller one holds what may be wrong",
-        CHOSEN,
-    ),
-] = 0.1
+READOUTS_S: dict[str, float] = sourced(
+    {
+        "phantom vision fc200": 0.074,
+        "fc300c": 0.033,
+        "fc300s": 0.033,
+        "fc300x": 0.033,
+        "fc330": 0.033,
+        "fc350": 0.030,
+        "fc7203": 0.020,
+        "fc3170": 0.027,
+        "fc3411": 0.032,
+        "fc3582": 0.026,
+        "l1d-20c": 0.056,
+        "e90": 0.044,
+        "hero4 black": 0.030,
+        "hero8 black": 0.017,
+    },
+    "s",
+    "from the first row to the last by EXIF's model: without it lines flown to and fro shrink and stretch",
+    _LIST,
+)
+_READOUTS_BY_SIZE: dict[str, tuple[float, float, float]] = sourced(
+    {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)},
+    "megapixels from and to, s",
+    "images of other sizes than most by the model, of which other rows are read, or each",
+    _LIST,
+)
+READOUT_SD_SHARE = tuned(
+    0.1,
+    "share of a readout by model",
+    "its deviation: whole milliseconds of 17 to 74, and a frame cut to another shape has fewer rows, "
+    "by a sixth from 3:2 to 16:9; a smaller one holds what may be wrong",
+)
 GLOBAL_SHUTTERS: Final = {
     "fc6310", "fc6310r", "fc6310s", "fc6360", "fc6510", "m3e", "zenmusep1", "s.o.d.a.",
     "rededge", "rededge-m", "rededge-mx", "altum",
@@ -52,24 +55,19 @@ STILL_CAMERAS: Final = {
     "phase one", "samsung",
 }  # fmt: skip
 """Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are set not to."""
-UNREPORTED_SD_S: Annotated[
-    float,
-    Because(
-        "s",
-        "deviation of the readout of a camera of which nothing reports the shutter: none, or 0.02 to 0.1 s "
-        "as small cameras have; a smaller one hides what that leaves open",
-        CHOSEN,
-    ),
-] = 0.04
-_BANDS_AT_ONCE: Annotated[
-    set[tuple[str, int]],
-    Because(
-        "model and bands",
-        "of cameras that tag the time a line takes but expose all lines at once: followed, the tag would "
-        "bend each frame",
-        "docs/inputs.md, Rolling shutter: the one-band cameras of Parrot's Sequoia",
-    ),
-] = {("sequoia", 1)}
+UNREPORTED_SD_S = tuned(
+    0.04,
+    "s",
+    "deviation of the readout of a camera of which nothing reports the shutter: none, or 0.02 to 0.1 s "
+    "as small cameras have; a smaller one hides what that leaves open",
+)
+_BANDS_AT_ONCE: set[tuple[str, int]] = sourced(
+    {("sequoia", 1)},
+    "model and bands",
+    "of cameras that tag the time a line takes but expose all lines at once: followed, the tag would "
+    "bend each frame",
+    "docs/inputs.md, Rolling shutter: the one-band cameras of Parrot's Sequoia",
+)
 
 
 @dataclass(frozen=True)

@@ -3,43 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.survey.model import Frame
 
 Pixels = NDArray[np.uint8]
-HALF: Annotated[
-    int,
-    Because(
-        "px by px that become one",
-        "of the decode that all smaller images are means of: an eighth by libjpeg itself takes four fifths "
-        "of the time, since the file's codes are read all the same",
-        "measured: a JPEG of 9 MP, 36 ms at half its size, 28 ms at an eighth",
-    ),
-] = 2
-EIGHTH: Annotated[
-    int,
-    Because(
-        "px by px that become one",
-        "at which tones and seams look at frames of 9 MP and more, and the report: 0.4 MB a frame there",
-        "docs/design.md, decoded once",
-    ),
-] = 8
+HALF = sourced(
+    2,
+    "px by px that become one",
+    "of the decode that all smaller images are means of: an eighth by libjpeg itself takes four fifths "
+    "of the time, since the file's codes are read all the same",
+    "measured: a JPEG of 9 MP, 36 ms at half its size, 28 ms at an eighth",
+)
+EIGHTH = sourced(
+    8,
+    "px by px that become one",
+    "at which tones and seams look at frames of 9 MP and more, and the report: 0.4 MB a frame there",
+    "docs/design.md, decoded once",
+)
 
-LEAST_PX: Annotated[
-    int,
-    Because(
-        "px",
-        "shortest side of a JPEG that is worth it: a smaller one is decoded in 2 ms, and its eighth is too "
-        "small for anyone",
-        "measured: 9 MP take 36 ms; mosaic.tones wants 64 px",
-    ),
-] = 512
+LEAST_PX = sourced(
+    512,
+    "px",
+    "shortest side of a JPEG that is worth it: a smaller one is decoded in 2 ms, and its eighth is too "
+    "small for anyone",
+    "measured: 9 MP take 36 ms; mosaic.tones wants 64 px",
+)
 
 
 @dataclass(frozen=True)

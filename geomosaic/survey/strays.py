@@ -9,14 +9,14 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import unreported
 from geomosaic.survey.damage import Look
@@ -36,54 +36,41 @@ COPY: Final = Limit(
     "of small versions: a copy saved anew or in another size; neighbours have less",
     CHOSEN,
 )
-_COPY_GREYS: Annotated[
-    float,
-    Because(
-        "grey levels of 255",
-        "by which mean and contrast of copies differ at most: they are as bright, bands of one capture "
-        "aren't",
-        CHOSEN,
-    ),
-] = 4.0
+_COPY_GREYS = tuned(
+    4.0,
+    "grey levels of 255",
+    "by which mean and contrast of copies differ at most: they are as bright, bands of one capture aren't",
+)
 LOW: Final = Limit(
     0.3,
     "of the usual height above the ground",
     "a frame sees less than a tenth of what others see: taken while climbing or landing",
     CHOSEN,
 )
-_FEW_LOW: Annotated[
-    float,
-    Because(
-        "share of all frames",
-        "at each end of the flight that climbing or landing may take (of few frames three, or a quarter): "
-        "more of them are a low part of the survey",
-        CHOSEN,
-    ),
-] = 0.1
+_FEW_LOW = tuned(
+    0.1,
+    "share of all frames",
+    "at each end of the flight that climbing or landing may take (of few frames three, or a quarter): "
+    "more of them are a low part of the survey",
+)
 APART: Final = Limit(
     2.0,
     "extents of both flights together",
     "between two flights: the mosaic of both would be nearly all empty",
     CHOSEN,
 )
-_NEAR_M: Annotated[
-    float,
-    Because(
-        "m",
-        "nearer to each other, flights are never two: fields of one flight lie so far apart; with less, "
-        "small surveys would be torn",
-        CHOSEN,
-    ),
-] = 500.0
-_LEAST_FLIGHT: Annotated[
-    int,
-    Because(
-        "frames",
-        "of a flight: fewer at a place of their own may have wrong positions; where there aren't twice as "
-        "many, nothing shows what is usual",
-        CHOSEN,
-    ),
-] = 3
+_NEAR_M = tuned(
+    500.0,
+    "m",
+    "nearer to each other, flights are never two: fields of one flight lie so far apart; with less, "
+    "small surveys would be torn",
+)
+_LEAST_FLIGHT = tuned(
+    3,
+    "frames",
+    "of a flight: fewer at a place of their own may have wrong positions; where there aren't twice as "
+    "many, nothing shows what is usual",
+)
 BLURRED: Final = Limit(
     2.3,
     "natural logarithm",
@@ -91,15 +78,12 @@ BLURRED: Final = Limit(
     "Gaussian blur of 2 px: 2.4 to 3",
 )
 SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", CHOSEN)
-_BESIDE: Annotated[
-    int,
-    Because(
-        "frames before and after",
-        "whose fine detail a frame's is held against: of fewer one blurred one decides, more reach over to "
-        "other land",
-        CHOSEN,
-    ),
-] = 5
+_BESIDE = tuned(
+    5,
+    "frames before and after",
+    "whose fine detail a frame's is held against: of fewer one blurred one decides, more reach over to "
+    "other land",
+)
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-copy": "copies of other frames",

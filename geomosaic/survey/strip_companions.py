@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import Rpc, parse_rpc
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import check_regular, decoded, read_bytes
 from geomosaic.doors.raster import Purpose, open_raster
 from geomosaic.errors import FileError, InputError
@@ -18,15 +18,12 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_model import read_model
 
-_MAX_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "up to which a file may be an RPC's text, which has some thousands: a larger one is opened as a "
-        "raster that holds one",
-        CHOSEN,
-    ),
-] = 1 << 20
+_MAX_BYTES: int = tuned(
+    1 << 20,
+    "bytes",
+    "up to which a file may be an RPC's text, which has some thousands: a larger one is opened as a "
+    "raster that holds one",
+)
 _MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
 _RPC: Final = Purpose(("GTiff",), "is no RPC and no raster that holds one", _MEND)
 _DEM_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"

@@ -6,12 +6,12 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
@@ -21,23 +21,16 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_TILE_PX: Annotated[
-    int,
-    Because(
-        "px a side",
-        "of a DEM that are read at once: smaller tiles are many reads, larger ones hold land that no strip "
-        "sees",
-        CHOSEN,
-    ),
-] = 256
-_MOST_TILES: Annotated[
-    int,
-    Because(
-        "tiles",
-        "that are kept: some 200 MB; with fewer those of a wide scene are read again and again",
-        CHOSEN,
-    ),
-] = 384
+_TILE_PX = tuned(
+    256,
+    "px a side",
+    "of a DEM that are read at once: smaller tiles are many reads, larger ones hold land that no strip sees",
+)
+_MOST_TILES = tuned(
+    384,
+    "tiles",
+    "that are kept: some 200 MB; with fewer those of a wide scene are read again and again",
+)
 _MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
 
 

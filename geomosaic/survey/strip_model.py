@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import warnings
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import read_text
 from geomosaic.doors.plain import read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
@@ -21,15 +21,12 @@ ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
 ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
 _LOOK_KEYS: Final = ("forward_tan", "right_tan")
-_MOST_BYTES: Annotated[
-    dict[str, int],
-    Because(
-        "bytes by kind of file",
-        "a table of 200 s at 3 kHz has 60 MB, and a list of 1 MB takes YAML half a minute; without a limit "
-        "another file would take the memory or the time",
-        CHOSEN,
-    ),
-] = {"model": 64 << 10, "table": 64 << 20}
+_MOST_BYTES: dict[str, int] = tuned(
+    {"model": 64 << 10, "table": 64 << 20},
+    "bytes by kind of file",
+    "a table of 200 s at 3 kHz has 60 MB, and a list of 1 MB takes YAML half a minute; without a limit "
+    "another file would take the memory or the time",
+)
 _MEND: Final = "see docs/simulation.md for the model's form"
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import check_regular
 from geomosaic.doors.plain import read_yaml, shown
 from geomosaic.doors.raster import STRIP, open_raster
@@ -18,58 +18,47 @@ from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
 
-_MAX_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a geometry file: a list of 1 MB takes YAML half a minute, 64 CCDs have some thousand bytes",
-        CHOSEN,
-    ),
-] = 64 << 10
-_MOST_CCDS: Annotated[
-    int,
-    Because("CCDs", "of a focal plane: TH-1 has 8; each opens a file and adds a strip to the memory", CHOSEN),
-] = 64
-_MOST: Annotated[
-    float,
-    Because(
-        "as its key says",
-        "what any number of a geometry file is at most: larger ones are slips, whose products leave 64 bits",
-        CHOSEN,
-    ),
-] = 1e9
-EARTH_RADIUS_M: Annotated[
-    float,
-    Because(
-        "m",
-        "by which the vertical turns between the two rows' places: it varies by 0.3 %, which does nothing "
-        "to a height per line",
-        "GRS 80: mean radius 6,371,008.8 m, rounded",
-    ),
-] = 6371000.0
-_ALTITUDE_M: Annotated[
-    float,
-    Because(
-        "m",
-        "of flight where no model says it: imaging satellites fly at 400 to 800 km; how far relief and "
-        "clouds move between the rows goes by it",
-        CHOSEN,
-    ),
-] = 500e3
-_LEAST_OVERLAP_PX: Annotated[
-    int, Because("px", "of neighbouring strips: narrower overlaps can't be matched", CHOSEN)
-] = 8
-_BITS: Annotated[
-    dict[str, int], Because("bits by type", "that pixels can use, without the sign", "the types' own")
-] = {"uint8": 8, "uint16": 16, "int16": 15}
-_RANGES: Annotated[
-    dict[str, tuple[int, int]],
-    Because(
-        "grey levels by type",
-        "least and largest: a nodata outside them would meet no pixel",
-        "the types' own",
-    ),
-] = {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)}
+_MAX_BYTES: int = tuned(
+    64 << 10,
+    "bytes",
+    "of a geometry file: a list of 1 MB takes YAML half a minute, 64 CCDs have some thousand bytes",
+)
+_MOST_CCDS = tuned(
+    64,
+    "CCDs",
+    "of a focal plane: TH-1 has 8; each opens a file and adds a strip to the memory",
+)
+_MOST = tuned(
+    1e9,
+    "as its key says",
+    "what any number of a geometry file is at most: larger ones are slips, whose products leave 64 bits",
+)
+EARTH_RADIUS_M = sourced(
+    6371000.0,
+    "m",
+    "by which the vertical turns between the two rows' places: it varies by 0.3 %, which does nothing "
+    "to a height per line",
+    "GRS 80: mean radius 6,371,008.8 m, rounded",
+)
+_ALTITUDE_M = tuned(
+    500e3,
+    "m",
+    "of flight where no model says it: imaging satellites fly at 400 to 800 km; how far relief and "
+    "clouds move between the rows goes by it",
+)
+_LEAST_OVERLAP_PX = tuned(8, "px", "of neighbouring strips: narrower overlaps can't be matched")
+_BITS: dict[str, int] = sourced(
+    {"uint8": 8, "uint16": 16, "int16": 15},
+    "bits by type",
+    "that pixels can use, without the sign",
+    "the types' own",
+)
+_RANGES: dict[str, tuple[int, int]] = sourced(
+    {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)},
+    "grey levels by type",
+    "least and largest: a nodata outside them would meet no pixel",
+    "the types' own",
+)
 _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
     "altitude_m", "bit_depth", "nodata", "dem", "rpc", "model",

@@ -8,12 +8,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
@@ -22,40 +22,31 @@ Floats = NDArray[np.float64]
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
 
-_MAX_BYTES: Annotated[
-    int,
-    Because(
-        "bytes",
-        "of a table: 200,000 lines of 300 characters; a larger file is something else and would take the "
-        "memory",
-        CHOSEN,
-    ),
-] = 64 << 20
-_LONGEST_LINE: Annotated[
-    int, Because("characters", "of a line: 500 columns of 40; a longer one is no table's", CHOSEN)
-] = 20_000
-_MOST_COLUMNS: Annotated[
-    int,
-    Because(
-        "columns", "of a header: far more than programs write; each is looked up under every name", CHOSEN
-    ),
-] = 500
-_UNITS: Annotated[
-    dict[str, float],
-    Because(
-        "degrees or metres by the unit's name",
-        "what a column is multiplied by; a unit that isn't here is refused, since its numbers would be "
-        "taken for others",
-        "definitions: 180 / pi degrees a radian, 0.9 a gon; international foot of 1959",
-    ),
-] = {
-    **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
-    **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
-    **dict.fromkeys(("gon", "grad", "grads"), 0.9),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("ft", "feet"), 0.3048),
-    **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
-}
+_MAX_BYTES: int = tuned(
+    64 << 20,
+    "bytes",
+    "of a table: 200,000 lines of 300 characters; a larger file is something else and would take the memory",
+)
+_LONGEST_LINE = tuned(20_000, "characters", "of a line: 500 columns of 40; a longer one is no table's")
+_MOST_COLUMNS = tuned(
+    500,
+    "columns",
+    "of a header: far more than programs write; each is looked up under every name",
+)
+_UNITS: dict[str, float] = sourced(
+    {
+        **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
+        **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
+        **dict.fromkeys(("gon", "grad", "grads"), 0.9),
+        **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
+        **dict.fromkeys(("ft", "feet"), 0.3048),
+        **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
+    },
+    "degrees or metres by the unit's name",
+    "what a column is multiplied by; a unit that isn't here is refused, since its numbers would be "
+    "taken for others",
+    "definitions: 180 / pi degrees a radian, 0.9 a gon; international foot of 1959",
+)
 _WANTED: Final = "give a table as text (CSV) with a line per frame or point, as docs/inputs.md has it"
 _OTHER_KINDS: Final = (
     (rb"<.*<gpx\b|<gpx\b", "a GPX track"),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.damage import Look, Wholeness, wholeness
@@ -17,14 +17,11 @@ from geomosaic.survey.model import LeftOut, Warn
 
 Inspect = Callable[[list[str]], list[Wholeness]]
 DAMAGED: Final = ("leave_out", "mask")
-_LEAST_WHOLE: Annotated[
-    float,
-    Because(
-        "share of a damaged frame's rows",
-        "that are whole at least: with less it hardly ties to its neighbours",
-        CHOSEN,
-    ),
-] = 0.25
+_LEAST_WHOLE = tuned(
+    0.25,
+    "share of a damaged frame's rows",
+    "that are whole at least: with less it hardly ties to its neighbours",
+)
 
 
 @dataclass(frozen=True)

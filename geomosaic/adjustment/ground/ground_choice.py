@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.ground.tie_surface import level_m, tie_surface
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.problem.bundle_model import Bundle
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import footprint
@@ -20,62 +19,42 @@ from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-DEM_SD_M: Annotated[
-    float,
-    Because(
-        "m",
-        "what a DEM without a stated deviation is good to: national models of 1 to 10 m nodes state less,"
-        " those of satellites more",
-        CHOSEN,
-    ),
-] = 1.0
-LEAST_POINTS: Annotated[
-    int,
-    Because(
-        "points",
-        "fewer make no surface: a dozen nodes of three points each, and some to judge it by",
-        CHOSEN,
-    ),
-] = 50
-_SEEN_THRICE: Annotated[
-    float,
-    Because(
-        "share of the tie points",
-        "seen in three frames or more, without which nothing distinguishes relief from tilts",
-        CHOSEN,
-    ),
-] = 0.1
-_AS_WELL: Annotated[
-    float,
-    Because(
-        "times the image deviation",
-        "of the free block, up to which one that is bound to level ground fits as well: with less, level "
-        "land would get a surface that follows noise",
-        CHOSEN,
-    ),
-] = 1.1
-_NEAR_FLAT: Annotated[
-    float,
-    Because(
-        "px",
-        "that relief may move the image by where land counts as flat: with more, hills would be pressed flat",
-        CHOSEN,
-    ),
-] = 3.0
-_FLAT_PX: Annotated[
-    float,
-    Because("ground pixels", "that relief may move points by on flat land: less is not seen", CHOSEN),
-] = 0.5
-_LEVEL: Annotated[
-    float,
-    Because(
-        "variances of the free block",
-        "by which the squares of heights or tilts may grow if it is bound to level ground, three degrees "
-        "of freedom: the block's level and its two tilts. Over land that slopes by 3 degrees they grow by"
-        " 70 and more, over level land by 1",
-        "chi-squared, 3 degrees of freedom, 99 %",
-    ),
-] = 11.3
+DEM_SD_M = tuned(
+    1.0,
+    "m",
+    "what a DEM without a stated deviation is good to: national models of 1 to 10 m nodes state less,"
+    " those of satellites more",
+)
+LEAST_POINTS = tuned(
+    50,
+    "points",
+    "fewer make no surface: a dozen nodes of three points each, and some to judge it by",
+)
+_SEEN_THRICE = tuned(
+    0.1,
+    "share of the tie points",
+    "seen in three frames or more, without which nothing distinguishes relief from tilts",
+)
+_AS_WELL = tuned(
+    1.1,
+    "times the image deviation",
+    "of the free block, up to which one that is bound to level ground fits as well: with less, level "
+    "land would get a surface that follows noise",
+)
+_NEAR_FLAT = tuned(
+    3.0,
+    "px",
+    "that relief may move the image by where land counts as flat: with more, hills would be pressed flat",
+)
+_FLAT_PX = tuned(0.5, "ground pixels", "that relief may move points by on flat land: less is not seen")
+_LEVEL = sourced(
+    11.3,
+    "variances of the free block",
+    "by which the squares of heights or tilts may grow if it is bound to level ground, three degrees "
+    "of freedom: the block's level and its two tilts. Over land that slopes by 3 degrees they grow by"
+    " 70 and more, over level land by 1",
+    "chi-squared, 3 degrees of freedom, 99 %",
+)
 
 
 def flying_height_m(block: Block) -> float:

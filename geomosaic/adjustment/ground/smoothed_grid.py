@@ -4,43 +4,33 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import comb
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_SLOPE: Annotated[
-    float,
-    Because(
-        "m per m",
-        "usual slope of land, to which slopes are held: steep, so that hills are not levelled, but the "
-        "surface comes back to level far beyond the last points",
-        CHOSEN,
-    ),
-] = 1.0
-_PER_HEIGHT: Annotated[
-    float,
-    Because(
-        "independent places a flying height",
-        "along each axis at which slopes and third derivatives count: with more, what land usually does "
-        "outweighs the points; with less, single points bend the surface",
-        CHOSEN,
-    ),
-] = 20.0
-_OF_ITSELF: Annotated[
-    float,
-    Because(
-        "usual slopes and third derivatives",
-        "by which nodes are held to 0, so that those that no point reaches have a height; with more, they "
-        "would come down to it",
-        CHOSEN,
-    ),
-] = 1e-6
+_SLOPE = tuned(
+    1.0,
+    "m per m",
+    "usual slope of land, to which slopes are held: steep, so that hills are not levelled, but the "
+    "surface comes back to level far beyond the last points",
+)
+_PER_HEIGHT = tuned(
+    20.0,
+    "independent places a flying height",
+    "along each axis at which slopes and third derivatives count: with more, what land usually does "
+    "outweighs the points; with less, single points bend the surface",
+)
+_OF_ITSELF = tuned(
+    1e-6,
+    "usual slopes and third derivatives",
+    "by which nodes are held to 0, so that those that no point reaches have a height; with more, they "
+    "would come down to it",
+)
 
 
 class SmoothedGrid:

@@ -5,210 +5,146 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_MOST_NODES: Annotated[
-    int,
-    Because(
-        "nodes",
-        "of the surface: more make its equations slow and large, fewer lose relief between the tie points "
-        "of a large block",
-        CHOSEN,
-    ),
-] = 40_000
-_MOST_TRIAL_NODES: Annotated[
-    int,
-    Because(
-        "nodes",
-        "of a surface that only predicts points which were left out: some thirty are made of each block, "
-        "so a tenth of the last one's",
-        CHOSEN,
-    ),
-] = 4_000
-_POINTS_PER_NODE: Annotated[
-    float,
-    Because(
-        "tie points a node",
-        "with fewer points a node stiffness alone would determine many nodes; with more, relief that points "
-        "show is lost between nodes",
-        CHOSEN,
-    ),
-] = 3.0
-_ROUNDS: Annotated[
-    int,
-    Because("rounds", "of new weights, until trees and wrong matches have lost their say", CHOSEN),
-] = 8
-_CURVINGS: Annotated[
-    tuple[float, ...],
-    Because(
-        "1 / flying height²",
-        "usual third derivatives of land that are tried, a factor of two apart: land that is gentler than "
-        "all would take over noise, rougher land would be smoothed",
-        CHOSEN,
-    ),
-] = (2.0, 4.0, 8.0, 16.0, 32.0)
-_USUAL_CURVING: Annotated[
-    float,
-    Because(
-        "1 / flying height²",
-        "the middle one of those tried, where too few points can be left out to ask, and of rough surfaces",
-        CHOSEN,
-    ),
-] = 8.0
-_UNHELD: Annotated[
-    tuple[int, float],
-    Because(
-        "terms, flying heights",
-        "the standing of a surface that nothing holds: heights count from a plane (3 terms), and go off it "
-        "freely (0 stands for that)",
-        CHOSEN,
-    ),
-] = (3, 0.0)
-_STANDINGS: Annotated[
-    tuple[tuple[int, float], ...],
-    Because(
-        "terms, flying heights",
-        "tried: what ground stands on, a plane (3) or a paraboloid (6), and how far it goes off it. Off a "
-        "tenth go hills, off a hundredth what trees and houses leave of even land",
-        CHOSEN,
-    ),
-] = (_UNHELD, (3, 0.0125), (6, 0.1), (6, 0.0125))
-_CLEARLY: Annotated[
-    float,
-    Because(
-        "share of the misses",
-        "of the surface that nothing holds, below which those of a held one must be: with more, chance "
-        "would hold hills to a plane; with less, crowns at the rim pass for ground",
-        CHOSEN,
-    ),
-] = 0.9
-_LOW: Annotated[
-    float,
-    Because(
-        "share of the points",
-        "that may be ground, the lower ones: they alone judge what the ground stands on; with more, crowns "
-        "would; with less, low wrong matches",
-        CHOSEN,
-    ),
-] = 0.5
-_FEWEST: Annotated[
-    int,
-    Because(
-        "tie points",
-        "left out, or in a bin of distances, so that their median or quantile means something",
-        CHOSEN,
-    ),
-] = 10
-_GAP: Annotated[
-    float,
-    Because(
-        "flying heights",
-        "side of the squares of which every fifth is left out: a smaller gap is predicted by any stiffness, "
-        "a larger one by none",
-        CHOSEN,
-    ),
-] = 0.2
-_CAP: Annotated[
-    float,
-    Because(
-        "median misses",
-        "what a left-out point counts as at most: else a few wrong matches choose the stiffness",
-        CHOSEN,
-    ),
-] = 10.0
-_SIDES: Annotated[
-    tuple[float, ...],
-    Because(
-        "rad",
-        "directions from the east to the block's sides and corners, an eighth of a turn apart",
-        "geometry: 2 pi / 8; the corners are every second",
-    ),
-] = tuple(np.arange(8) * np.pi / 4.0)
+_MOST_NODES = tuned(
+    40_000,
+    "nodes",
+    "of the surface: more make its equations slow and large, fewer lose relief between the tie points "
+    "of a large block",
+)
+_MOST_TRIAL_NODES = tuned(
+    4_000,
+    "nodes",
+    "of a surface that only predicts points which were left out: some thirty are made of each block, "
+    "so a tenth of the last one's",
+)
+_POINTS_PER_NODE = tuned(
+    3.0,
+    "tie points a node",
+    "with fewer points a node stiffness alone would determine many nodes; with more, relief that points "
+    "show is lost between nodes",
+)
+_ROUNDS = tuned(8, "rounds", "of new weights, until trees and wrong matches have lost their say")
+_CURVINGS: tuple[float, ...] = tuned(
+    (2.0, 4.0, 8.0, 16.0, 32.0),
+    "1 / flying height²",
+    "usual third derivatives of land that are tried, a factor of two apart: land that is gentler than "
+    "all would take over noise, rougher land would be smoothed",
+)
+_USUAL_CURVING = tuned(
+    8.0,
+    "1 / flying height²",
+    "the middle one of those tried, where too few points can be left out to ask, and of rough surfaces",
+)
+_UNHELD: tuple[int, float] = tuned(
+    (3, 0.0),
+    "terms, flying heights",
+    "the standing of a surface that nothing holds: heights count from a plane (3 terms), and go off it "
+    "freely (0 stands for that)",
+)
+_STANDINGS: tuple[tuple[int, float], ...] = tuned(
+    (_UNHELD, (3, 0.0125), (6, 0.1), (6, 0.0125)),
+    "terms, flying heights",
+    "tried: what ground stands on, a plane (3) or a paraboloid (6), and how far it goes off it. Off a "
+    "tenth go hills, off a hundredth what trees and houses leave of even land",
+)
+_CLEARLY = tuned(
+    0.9,
+    "share of the misses",
+    "of the surface that nothing holds, below which those of a held one must be: with more, chance "
+    "would hold hills to a plane; with less, crowns at the rim pass for ground",
+)
+_LOW = tuned(
+    0.5,
+    "share of the points",
+    "that may be ground, the lower ones: they alone judge what the ground stands on; with more, crowns "
+    "would; with less, low wrong matches",
+)
+_FEWEST = tuned(
+    10,
+    "tie points",
+    "left out, or in a bin of distances, so that their median or quantile means something",
+)
+_GAP = tuned(
+    0.2,
+    "flying heights",
+    "side of the squares of which every fifth is left out: a smaller gap is predicted by any stiffness, "
+    "a larger one by none",
+)
+_CAP = tuned(
+    10.0,
+    "median misses",
+    "what a left-out point counts as at most: else a few wrong matches choose the stiffness",
+)
+_SIDES: tuple[float, ...] = sourced(
+    tuple(np.arange(8) * np.pi / 4.0),
+    "rad",
+    "directions from the east to the block's sides and corners, an eighth of a turn apart",
+    "geometry: 2 pi / 8; the corners are every second",
+)
 _CORNERS = _SIDES[1::2]
-_SIDE: Annotated[
-    float,
-    Because(
-        "flying heights",
-        "width of what is left out of the block's sides and corners in turn: as far as frames show ground "
-        "beyond their last tie points; by a narrower one nothing is known of that ground",
-        CHOSEN,
-    ),
-] = 0.25
-_MOST_OF_ALL: Annotated[
-    float,
-    Because(
-        "share of the points",
-        "that may be left out as one side: where it is more, the rest is no longer the block that is judged",
-        CHOSEN,
-    ),
-] = 0.5
-_AWAY: Annotated[
-    tuple[float, ...],
-    Because(
-        "flying heights",
-        "between which misses are put together by their distance from the other points, up to the width of "
-        "a side: of wider bins too few are left for a power, in narrower ones lie too few points",
-        CHOSEN,
-    ),
-] = (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25)
-_ONE_DEVIATION: Annotated[
-    float,
-    Because(
-        "share of the misses",
-        "that lie within one deviation; of misses with long tails, as at the edges of woods, too. By the "
-        "median (and the distance itself) the ground's doubt was stated at 0.56 of the true one, and two "
-        "blocks with a corner 11 px off passed for good",
-        "normal distribution: erf(1 / sqrt 2); the median: docs/results.md, how sure the ground is (29 "
-        "surveys, seeds 102 to 538)",
-    ),
-] = 0.683
-_POWERS: Annotated[
-    tuple[float, float],
-    Because(
-        "power of the distance",
-        "least and largest by which heights go astray: land that goes on straight with a wrong slope by the "
-        "distance, land whose curvature changes by chance by its power 2.5",
-        "a Wiener process integrated twice has the variance t^5 / 20",
-    ),
-] = (1.0, 2.5)
-_OUTERMOST: Annotated[
-    float,
-    Because(
-        "share of the points",
-        "within a side: the few that lie farther out are no measure of where points end; with less, a side "
-        "would begin inside the block",
-        CHOSEN,
-    ),
-] = 0.98
-_USUAL_BEYOND: Annotated[
-    float,
-    Because(
-        "m per m",
-        "by which heights go astray beyond the points of blocks too small to leave a side out: hills and "
-        "the edges of woods do as much; with 0 such a block would call its rim sure",
-        CHOSEN,
-    ),
-] = 0.03
-_FOLLOWED: Annotated[
-    float,
-    Because(
-        "median misses",
-        "three deviations: the surface doesn't follow points that are farther off, so the ground there is "
-        "no surer for them",
-        CHOSEN,
-    ),
-] = 4.5
+_SIDE = tuned(
+    0.25,
+    "flying heights",
+    "width of what is left out of the block's sides and corners in turn: as far as frames show ground "
+    "beyond their last tie points; by a narrower one nothing is known of that ground",
+)
+_MOST_OF_ALL = tuned(
+    0.5,
+    "share of the points",
+    "that may be left out as one side: where it is more, the rest is no longer the block that is judged",
+)
+_AWAY: tuple[float, ...] = tuned(
+    (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25),
+    "flying heights",
+    "between which misses are put together by their distance from the other points, up to the width of "
+    "a side: of wider bins too few are left for a power, in narrower ones lie too few points",
+)
+_ONE_DEVIATION = sourced(
+    0.683,
+    "share of the misses",
+    "that lie within one deviation; of misses with long tails, as at the edges of woods, too. By the "
+    "median (and the distance itself) the ground's doubt was stated at 0.56 of the true one, and two "
+    "blocks with a corner 11 px off passed for good",
+    "normal distribution: erf(1 / sqrt 2); the median: docs/results.md, how sure the ground is (29 "
+    "surveys, seeds 102 to 538)",
+)
+_POWERS: tuple[float, float] = sourced(
+    (1.0, 2.5),
+    "power of the distance",
+    "least and largest by which heights go astray: land that goes on straight with a wrong slope by the "
+    "distance, land whose curvature changes by chance by its power 2.5",
+    "a Wiener process integrated twice has the variance t^5 / 20",
+)
+_OUTERMOST = tuned(
+    0.98,
+    "share of the points",
+    "within a side: the few that lie farther out are no measure of where points end; with less, a side "
+    "would begin inside the block",
+)
+_USUAL_BEYOND = tuned(
+    0.03,
+    "m per m",
+    "by which heights go astray beyond the points of blocks too small to leave a side out: hills and "
+    "the edges of woods do as much; with 0 such a block would call its rim sure",
+)
+_FOLLOWED = tuned(
+    4.5,
+    "median misses",
+    "three deviations: the surface doesn't follow points that are farther off, so the ground there is "
+    "no surer for them",
+)
 
 
 def level_m(up_m: Floats, sd_m: Floats) -> float:

@@ -4,41 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.smoothed_grid import SmoothedGrid
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_TRIAL_ROUNDS: Annotated[
-    int,
-    Because("rounds", "of new weights of a trial surface, whose misses are judged by their median", CHOSEN),
-] = 4
-_GROUND_SHARE: Annotated[
-    float,
-    Because(
-        "weight",
-        "of points above a ground that is laid below them, those below it have the rest of 1: with more it "
-        "rises into the crowns, with less the lowest wrong matches carry it",
-        "chosen within 0.001 to 0.1, which Eilers and Boelens 2005 (Baseline Correction with Asymmetric "
-        "Least Squares Smoothing, unpublished report) call a good choice",
-    ),
-] = 0.05
-_LOWEST: Annotated[
-    float,
-    Because(
-        "share of the points",
-        "that show how ground scatters: with more, crowns are among them and the plane rises into them; "
-        "with less, ground that is rough counts as wrong",
-        CHOSEN,
-    ),
-] = 0.4
+_TRIAL_ROUNDS = tuned(
+    4,
+    "rounds",
+    "of new weights of a trial surface, whose misses are judged by their median",
+)
+_GROUND_SHARE = sourced(
+    0.05,
+    "weight",
+    "of points above a ground that is laid below them, those below it have the rest of 1: with more it "
+    "rises into the crowns, with less the lowest wrong matches carry it",
+    "chosen within 0.001 to 0.1, which Eilers and Boelens 2005 (Baseline Correction with Asymmetric "
+    "Least Squares Smoothing, unpublished report) call a good choice",
+)
+_LOWEST = tuned(
+    0.4,
+    "share of the points",
+    "that show how ground scatters: with more, crowns are among them and the plane rises into them; "
+    "with less, ground that is rough counts as wrong",
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 
 from geomosaic.adjustment.paper.misalignment import OffsetNet
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.estimation.linear import SparseFactors
 
 Floats = NDArray[np.float64]
-_HUBER: Annotated[
-    float,
-    Because(
-        "deviations",
-        "beyond which a misalignment pulls no harder: with 1.345 a normal error loses 5 % of its say, "
-        "with more, wrong pairs pull",
-        "chosen above Huber's 1.345 (Huber 1981, Robust statistics)",
-    ),
-] = 1.5
+_HUBER = sourced(
+    1.5,
+    "deviations",
+    "beyond which a misalignment pulls no harder: with 1.345 a normal error loses 5 % of its say, "
+    "with more, wrong pairs pull",
+    "chosen above Huber's 1.345 (Huber 1981, Robust statistics)",
+)
 
 
 def least_squares(

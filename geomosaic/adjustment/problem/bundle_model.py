@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,29 +18,24 @@ from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import exp_turn
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import pseudo_inverse
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-MEASURED_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "of a control or check point measured by hand in an image: a signal is hit to half a pixel",
-        CHOSEN,
-    ),
-] = 0.5
+MEASURED_SD_PX = tuned(
+    0.5,
+    "px",
+    "of a control or check point measured by hand in an image: a signal is hit to half a pixel",
+)
 READOUT = INTERIOR.index("readout_s")
 NO_MOUNTING = Mounting(np.zeros(len(MOUNTING)))
-GROUPS: Annotated[
-    dict[str, tuple[int, ...]],
-    Because(
-        "columns of the pose priors",
-        "each group has a variance component and a trust of its own: what one sensor measures goes together",
-        "structure: east, north, up, and turns about them",
-    ),
-] = {"horizontal": (0, 1), "vertical": (2,), "tilt": (3, 4), "yaw": (5,)}
+GROUPS: dict[str, tuple[int, ...]] = sourced(
+    {"horizontal": (0, 1), "vertical": (2,), "tilt": (3, 4), "yaw": (5,)},
+    "columns of the pose priors",
+    "each group has a variance component and a trust of its own: what one sensor measures goes together",
+    "structure: east, north, up, and turns about them",
+)
 
 
 @dataclass(frozen=True)

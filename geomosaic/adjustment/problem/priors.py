@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,142 +24,96 @@ from geomosaic.adjustment.terms.rolling_shutter_rotation import (
 )
 from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import flying_heights_m
 
 Floats = NDArray[np.float64]
 
-_LENS_SD: Annotated[
-    dict[str, tuple[float, float, float, float, float]],
-    Because(
-        "the terms' own, in the order of `lens.TERMS`",
-        "prior deviations of what a lens is not known to do: wide lenses reach 0.3 and more in k1, and k2"
-        " and k3 follow it; decentring is a hundredth of that; 0 for a fisheye's even powers, which no "
-        "lens has",
-        CHOSEN,
-    ),
-] = {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)}
-_FOCAL_SD: Annotated[
-    float,
-    Because(
-        "share of the focal length",
-        "where none is stated: see survey.accuracy, a calibrated one",
-        CHOSEN,
-    ),
-] = 0.005
-WIDE_FOCAL: Annotated[
-    float,
-    Because(
-        "share of the focal length",
-        "deviation beyond which it was assumed rather than reported: tags that agree are good to 0.05",
-        CHOSEN,
-    ),
-] = 0.1
-_WIDE_DISTORTION: Annotated[
-    float,
-    Because(
-        "times a lens's own deviations",
-        "of the radial terms where the focal length was assumed: nothing is known of such a lens, and terms "
-        "go with powers of the focal length; OpenSfM's action cameras reach -0.39 in k1",
-        "OpenSfM, opensfm/data/camera_calibration.yaml",
-    ),
-] = 4.0
-_PRINCIPAL_SD: Annotated[
-    tuple[float, float],
-    Because(
-        "share of the image's longer side",
-        "least and largest deviation of a principal point: small drones' are off by one in a hundred, "
-        "whatever is known of their focal length; with more, a point goes where turns while rows are read"
-        " draw it",
-        "chosen; docs/results.md, real flights: a Sequoia's is 0.8 % of the side off its maker's",
-    ),
-] = (0.003, 0.01)
-_READOUT_SD_S: Annotated[
-    float,
-    Because(
-        "s",
-        "of a readout that nothing reports: small cameras take 0.01 to 0.1 s",
-        CHOSEN,
-    ),
-] = 0.05
-NOMINAL_READOUT_S: Annotated[
-    float,
-    Because(
-        "s",
-        "where one is asked for and nothing reports it: small cameras take 0.01 to 0.1 s",
-        CHOSEN,
-    ),
-] = 0.05
-_ZERO_SD_RAD_PER_S: Annotated[
-    float,
-    Because(
-        "rad/s",
-        "a small gyroscope's zero is off by a degree or two a second; with less it would be followed",
-        CHOSEN,
-    ),
-] = 0.05
-_MOUNTING_SD: Annotated[
-    Floats,
-    Because(
-        "rad, m, s",
-        "three angles of a camera in its mount, three of its lever arm, and how late positions are: of "
-        "small drones; with less, what is asked for would be held",
-        CHOSEN,
-    ),
-] = np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0])
-_DEM_LEVEL_SD_M: Annotated[
-    float,
-    Because(
-        "m",
-        "by which a DEM and the frames' heights may differ as a whole: datums and models of the geoid "
-        "that are alike but not the same",
-        CHOSEN,
-    ),
-] = 2.0
-_ANY_RELIEF: Annotated[
-    float,
-    Because(
-        "share of the flying height",
-        "that ground may rise or fall where nothing is known of it: with less, hills would be pressed flat",
-        CHOSEN,
-    ),
-] = 0.3
-_HILLS: Annotated[
-    float,
-    Because(
-        "points",
-        "that relief is independent at: all tie points together say no more, else their number tilts a "
-        "block until its hills lie level in the mean",
-        "docs/results.md, accuracy on simulated surveys: hills without a DEM tilted blocks by up to 34 mrad",
-    ),
-] = 50.0
-_LEVEL_SD_SHARE: Annotated[
-    float,
-    Because(
-        "share of the flying height",
-        "of the ground's level below frames: heights above it come from barometers and from a ground that"
-        " is flat in no survey",
-        CHOSEN,
-    ),
-] = 0.04
-_BEGUN_SD_SHARE: Annotated[
-    float,
-    Because(
-        "share of the flying height",
-        "by which frames without a position are off at the start: tilts of 5 degrees put them so far",
-        CHOSEN,
-    ),
-] = 0.1
-_LEAST_LEVEL_SD_M: Annotated[
-    float,
-    Because(
-        "m",
-        "of the ground's level, however low the flight: barometers drift by as much in an hour",
-        CHOSEN,
-    ),
-] = 2.0
+_LENS_SD: dict[str, tuple[float, float, float, float, float]] = tuned(
+    {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)},
+    "the terms' own, in the order of `lens.TERMS`",
+    "prior deviations of what a lens is not known to do: wide lenses reach 0.3 and more in k1, and k2"
+    " and k3 follow it; decentring is a hundredth of that; 0 for a fisheye's even powers, which no "
+    "lens has",
+)
+_FOCAL_SD = tuned(
+    0.005,
+    "share of the focal length",
+    "where none is stated: see survey.accuracy, a calibrated one",
+)
+WIDE_FOCAL = tuned(
+    0.1,
+    "share of the focal length",
+    "deviation beyond which it was assumed rather than reported: tags that agree are good to 0.05",
+)
+_WIDE_DISTORTION = sourced(
+    4.0,
+    "times a lens's own deviations",
+    "of the radial terms where the focal length was assumed: nothing is known of such a lens, and terms "
+    "go with powers of the focal length; OpenSfM's action cameras reach -0.39 in k1",
+    "OpenSfM, opensfm/data/camera_calibration.yaml",
+)
+_PRINCIPAL_SD: tuple[float, float] = sourced(
+    (0.003, 0.01),
+    "share of the image's longer side",
+    "least and largest deviation of a principal point: small drones' are off by one in a hundred, "
+    "whatever is known of their focal length; with more, a point goes where turns while rows are read"
+    " draw it",
+    "chosen; docs/results.md, real flights: a Sequoia's is 0.8 % of the side off its maker's",
+)
+_READOUT_SD_S = tuned(0.05, "s", "of a readout that nothing reports: small cameras take 0.01 to 0.1 s")
+NOMINAL_READOUT_S = tuned(
+    0.05,
+    "s",
+    "where one is asked for and nothing reports it: small cameras take 0.01 to 0.1 s",
+)
+_ZERO_SD_RAD_PER_S = tuned(
+    0.05,
+    "rad/s",
+    "a small gyroscope's zero is off by a degree or two a second; with less it would be followed",
+)
+_MOUNTING_SD: Floats = tuned(
+    np.array([*np.radians([3.0, 3.0, 3.0]), 0.5, 0.5, 0.5, 1.0]),
+    "rad, m, s",
+    "three angles of a camera in its mount, three of its lever arm, and how late positions are: of "
+    "small drones; with less, what is asked for would be held",
+)
+_DEM_LEVEL_SD_M = tuned(
+    2.0,
+    "m",
+    "by which a DEM and the frames' heights may differ as a whole: datums and models of the geoid "
+    "that are alike but not the same",
+)
+_ANY_RELIEF = tuned(
+    0.3,
+    "share of the flying height",
+    "that ground may rise or fall where nothing is known of it: with less, hills would be pressed flat",
+)
+_HILLS = sourced(
+    50.0,
+    "points",
+    "that relief is independent at: all tie points together say no more, else their number tilts a "
+    "block until its hills lie level in the mean",
+    "docs/results.md, accuracy on simulated surveys: hills without a DEM tilted blocks by up to 34 mrad",
+)
+_LEVEL_SD_SHARE = tuned(
+    0.04,
+    "share of the flying height",
+    "of the ground's level below frames: heights above it come from barometers and from a ground that"
+    " is flat in no survey",
+)
+_BEGUN_SD_SHARE = tuned(
+    0.1,
+    "share of the flying height",
+    "by which frames without a position are off at the start: tilts of 5 degrees put them so far",
+)
+_LEAST_LEVEL_SD_M = tuned(
+    2.0,
+    "m",
+    "of the ground's level, however low the flight: barometers drift by as much in an hour",
+)
 
 
 def priors_of(

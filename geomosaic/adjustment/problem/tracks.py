@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +12,20 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.solver.observation_groups import Sightings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import join
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_PARALLEL: Annotated[
-    float,
-    Because(
-        "rad²",
-        "weight of a point's given place beside its rays, half a degree squared: with less, points of rays "
-        "that are all but parallel run away along them; with more, far points are drawn to where they were "
-        "given",
-        CHOSEN,
-    ),
-] = float(np.radians(0.5) ** 2)
+_PARALLEL: float = tuned(
+    float(np.radians(0.5) ** 2),
+    "rad²",
+    "weight of a point's given place beside its rays, half a degree squared: with less, points of rays "
+    "that are all but parallel run away along them; with more, far points are drawn to where they were "
+    "given",
+)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, GroundControl
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
@@ -18,14 +17,13 @@ from geomosaic.survey.names import some
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_LEAST_SD_M: Annotated[
-    float,
-    Because("m", "of a position: no survey is better, and a deviation of zero weighs without bound", CHOSEN),
-] = 1e-4
-_LEAST_SD_RAD: Annotated[float, Because("rad", "the same of an attitude", CHOSEN)] = 1e-6
-_ORTHONORMAL: Annotated[
-    float, Because("of 1", "by which a rotation matrix times its transpose may miss the unit matrix", CHOSEN)
-] = 1e-6
+_LEAST_SD_M = tuned(
+    1e-4,
+    "m",
+    "of a position: no survey is better, and a deviation of zero weighs without bound",
+)
+_LEAST_SD_RAD = tuned(1e-6, "rad", "the same of an attitude")
+_ORTHONORMAL = tuned(1e-6, "of 1", "by which a rotation matrix times its transpose may miss the unit matrix")
 
 
 def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:

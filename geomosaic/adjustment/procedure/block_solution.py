@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,30 +27,23 @@ from geomosaic.adjustment.solver.clearance import clearances_m, too_near
 from geomosaic.adjustment.terms.control_points import control_residuals, with_control
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DATUM_IN_DOUBT: Annotated[
-    float,
-    Because(
-        "deviations of a position, and of the shift as control scatters",
-        "by which control lies off the block in the median before its positions are taken to be of another "
-        "datum and shifted along: with less their common noise is; with more, heights of another datum pull "
-        "against control",
-        CHOSEN,
-    ),
-] = 3.0
+_DATUM_IN_DOUBT = tuned(
+    3.0,
+    "deviations of a position, and of the shift as control scatters",
+    "by which control lies off the block in the median before its positions are taken to be of another "
+    "datum and shifted along: with less their common noise is; with more, heights of another datum pull "
+    "against control",
+)
 
-_OFFSET_ROUNDS: Annotated[
-    int, Because("solves", "after which the common offset of positions is known beside control", CHOSEN)
-] = 3
-_OFFSET_STANDS: Annotated[
-    float, Because("share of a position's deviation", "by which it may still change", CHOSEN)
-] = 0.02
+_OFFSET_ROUNDS = tuned(3, "solves", "after which the common offset of positions is known beside control")
+_OFFSET_STANDS = tuned(0.02, "share of a position's deviation", "by which it may still change")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from geomosaic.adjustment.terms.collinearity import INTERIOR
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
-from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import (
@@ -28,53 +27,29 @@ from geomosaic.survey.model import Warn
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-_POSITION_LIES: Annotated[
-    float,
-    Because(
-        "deviations",
-        "beyond which a position is called wrong: of a million honest ones none is",
-        CHOSEN,
-    ),
-] = 6.0
-_UPRIGHT_DEG: Annotated[
-    float, Because("degrees", "tilt up to which a survey or a frame of it looks down", CHOSEN)
-] = 20.0
-HALF_TURN_DEG: Annotated[
-    float,
-    Because("degrees", "about half a turn: less than halfway to the next quarter", CHOSEN),
-] = 30.0
-_SAME_PLACE_M: Annotated[
-    float,
-    Because(
-        "m",
-        "positions given alike say nothing of the scale",
-        CHOSEN,
-    ),
-] = 1e-3
-_SCALE_IN_DOUBT: Annotated[
-    float,
-    Because(
-        "deviations",
-        "by which scales of tie points and positions may differ: of ten thousand blocks one by chance",
-        CHOSEN,
-    ),
-] = 4.0
-_WITHIN_FLIGHT_M: Annotated[
-    float,
-    Because(
-        "m",
-        "to what a code receiver's positions of one flight agree, whatever is stated of them",
-        CHOSEN,
-    ),
-] = 1.0
-_SHIFT_IN_DOUBT: Annotated[
-    float,
-    Because(
-        "deviations",
-        "by which control and positions may be apart: datums differ by more",
-        CHOSEN,
-    ),
-] = 5.0
+_POSITION_LIES = tuned(
+    6.0,
+    "deviations",
+    "beyond which a position is called wrong: of a million honest ones none is",
+)
+_UPRIGHT_DEG = tuned(20.0, "degrees", "tilt up to which a survey or a frame of it looks down")
+HALF_TURN_DEG = tuned(30.0, "degrees", "about half a turn: less than halfway to the next quarter")
+_SAME_PLACE_M = tuned(1e-3, "m", "positions given alike say nothing of the scale")
+_SCALE_IN_DOUBT = tuned(
+    4.0,
+    "deviations",
+    "by which scales of tie points and positions may differ: of ten thousand blocks one by chance",
+)
+_WITHIN_FLIGHT_M = tuned(
+    1.0,
+    "m",
+    "to what a code receiver's positions of one flight agree, whatever is stated of them",
+)
+_SHIFT_IN_DOUBT = tuned(
+    5.0,
+    "deviations",
+    "by which control and positions may be apart: datums differ by more",
+)
 
 
 def strayed_frames(block: Block, poses: Poses, heard: Floats) -> dict[int, Warn]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,51 +64,40 @@ from geomosaic.adjustment.terms.control_precision import (
 )
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 
-_FEW_PER_FRAME: Annotated[
-    int,
-    Because(
-        "image observations a frame",
-        "asked for by each frame for the solves that find the block: enough for poses, lens and variance "
-        "components to a fraction of a pixel, at a tenth of the work of all; the last solve takes all",
-        CHOSEN,
-    ),
-] = 192
-_FEW_CELLS: Annotated[
-    int,
-    Because(
-        "cells",
-        "across and along a frame, each of which asks for 3 of the 192 observations: with fewer cells "
-        "corners, which determine the lens, may stay empty; with more than 13 they ask for more than 192",
-        CHOSEN,
-    ),
-] = 8
-_SURE_PX: Annotated[
-    float,
-    Because(
-        "px of the frames on the ground",
-        "as sure a shape has to be with a model that no left-out point asks for, or as it was without. "
-        "Halves of a flight, of which it made 4.6 and 5.3 px of 1.1 and 1.0, lay 6.2 px apart with it, 1.5 "
-        "without; the whole, of which it made 1.6 of 1.1, 2.7 and 3.4 px from the halves, 1.4 and 1.3 "
-        "without",
-        "docs/results.md, split halves",
-    ),
-] = 1.0
-_WORTHWHILE: Annotated[
-    int,
-    Because(
-        "times the few points",
-        "all must be more than that, or the block is found by all at once: thinning fewer saves too little "
-        "for a second solve",
-        CHOSEN,
-    ),
-] = 4
+_FEW_PER_FRAME = tuned(
+    192,
+    "image observations a frame",
+    "asked for by each frame for the solves that find the block: enough for poses, lens and variance "
+    "components to a fraction of a pixel, at a tenth of the work of all; the last solve takes all",
+)
+_FEW_CELLS = tuned(
+    8,
+    "cells",
+    "across and along a frame, each of which asks for 3 of the 192 observations: with fewer cells "
+    "corners, which determine the lens, may stay empty; with more than 13 they ask for more than 192",
+)
+_SURE_PX = sourced(
+    1.0,
+    "px of the frames on the ground",
+    "as sure a shape has to be with a model that no left-out point asks for, or as it was without. "
+    "Halves of a flight, of which it made 4.6 and 5.3 px of 1.1 and 1.0, lay 6.2 px apart with it, 1.5 "
+    "without; the whole, of which it made 1.6 of 1.1, 2.7 and 3.4 px from the halves, 1.4 and 1.3 "
+    "without",
+    "docs/results.md, split halves",
+)
+_WORTHWHILE = tuned(
+    4,
+    "times the few points",
+    "all must be more than that, or the block is found by all at once: thinning fewer saves too little "
+    "for a second solve",
+)
 
 
 def pose_block(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:

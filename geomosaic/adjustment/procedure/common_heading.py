@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +10,17 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
-_LEAST_FRAMES: Annotated[
-    int,
-    Because(
-        "frames with position and heading",
-        "of a part: with fewer, one wrong position turns it as wrong headings would",
-        CHOSEN,
-    ),
-] = 4
+_LEAST_FRAMES = tuned(
+    4,
+    "frames with position and heading",
+    "of a part: with fewer, one wrong position turns it as wrong headings would",
+)
 
 
 def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:

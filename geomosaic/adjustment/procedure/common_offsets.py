@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from pyproj import CRS
 from geomosaic.adjustment.model import Block, HeightReference
 from geomosaic.adjustment.problem.bundle_model import Factors
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, Because
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offset_m
 from geomosaic.geodesy.mapcrs import is_local
@@ -24,64 +23,52 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_GEOIDS: Annotated[
-    tuple[int, int],
-    Because("EPSG", "whose undulation sea level's is, the first whose grid is installed", "EGM2008, EGM96"),
-] = (3855, 5773)
-_DRIFT_CLEARLY: Annotated[
-    float,
-    Because(
-        "deviations",
-        "of the scatter about it, beyond which heights drift: one flight in 400 by chance",
-        "normal distribution: 0.3 %",
-    ),
-] = 3.0
-_SEA_LEVEL_SD_M: Annotated[
-    float,
-    Because(
-        "m",
-        "of sea level about the ellipsoid where no geoid grid is installed: most receivers write heights "
-        "above it, and none says so",
-        "EGM96: root mean square of the geoid's heights 30.6 m, from -107 to 85 m",
-    ),
-] = 30.0
-_TAKE_OFF: Annotated[
-    float,
-    Because(
-        "flying heights",
-        "within which the ground comes out about height 0 where heights count from the take-off: it lies on "
-        "the same slope, not a whole flying height away; by the sea both are the same",
-        CHOSEN,
-    ),
-] = 0.5
-_LAND_M: Annotated[
-    float,
-    Because(
-        "m",
-        "of the land above the sea, which is what heights that count from the take-off leave out",
-        "ETOPO1's hypsographic curve: land lies 797 m high in the mean",
-    ),
-] = 800.0
-_MAY_BE_CHANCE: Annotated[
-    float,
-    Because(
-        "share of the stated variance",
-        "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
-        "may be a shift of all positions",
-        CHOSEN,
-    ),
-] = 0.5
-_COMMON_SD_M: Annotated[
-    float,
-    Because(
-        "m per axis",
-        "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
-        "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
-        "know",
-        "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
-        "%, the globe's mean, are 3.3 m per axis",
-    ),
-] = 2.5
+_GEOIDS: tuple[int, int] = sourced(
+    (3855, 5773),
+    "EPSG",
+    "whose undulation sea level's is, the first whose grid is installed",
+    "EGM2008, EGM96",
+)
+_DRIFT_CLEARLY = sourced(
+    3.0,
+    "deviations",
+    "of the scatter about it, beyond which heights drift: one flight in 400 by chance",
+    "normal distribution: 0.3 %",
+)
+_SEA_LEVEL_SD_M = sourced(
+    30.0,
+    "m",
+    "of sea level about the ellipsoid where no geoid grid is installed: most receivers write heights "
+    "above it, and none says so",
+    "EGM96: root mean square of the geoid's heights 30.6 m, from -107 to 85 m",
+)
+_TAKE_OFF = tuned(
+    0.5,
+    "flying heights",
+    "within which the ground comes out about height 0 where heights count from the take-off: it lies on "
+    "the same slope, not a whole flying height away; by the sea both are the same",
+)
+_LAND_M = sourced(
+    800.0,
+    "m",
+    "of the land above the sea, which is what heights that count from the take-off leave out",
+    "ETOPO1's hypsographic curve: land lies 797 m high in the mean",
+)
+_MAY_BE_CHANCE = tuned(
+    0.5,
+    "share of the stated variance",
+    "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
+    "may be a shift of all positions",
+)
+_COMMON_SD_M = sourced(
+    2.5,
+    "m per axis",
+    "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
+    "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
+    "know",
+    "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
+    "%, the globe's mean, are 3.3 m per axis",
+)
 
 
 def height_reference(survey: Survey) -> HeightReference | None:

@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.problem.bundle_model import Bundle
 from geomosaic.adjustment.terms.rolling_shutter_rotation import with_swing
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
-_LEAST_FRAMES: Annotated[
-    int,
-    Because(
-        "frames",
-        "of which a median is no chance",
-        CHOSEN,
-    ),
-] = 5
-_OWN_SD_RAD_PER_S: Annotated[
-    float,
-    Because(
-        "rad/s",
-        "of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts",
-        CHOSEN,
-    ),
-] = 0.012
+_LEAST_FRAMES = tuned(5, "frames", "of which a median is no chance")
+_OWN_SD_RAD_PER_S = tuned(
+    0.012,
+    "rad/s",
+    "of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts",
+)
 
 
 def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[Block, Settings]:

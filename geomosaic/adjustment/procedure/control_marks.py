@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,28 +12,26 @@ from geomosaic.adjustment.model import Block, GroundControl
 from geomosaic.adjustment.terms.control_points import intersection_of_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import cauchy_cost
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
 """Poses and the camera of each frame, of a block adjusted without control points."""
-_BY_CHANCE: Annotated[
-    float,
-    Because("probability", "that marks spread over whole images all lie so near to the first corner", CHOSEN),
-] = 1e-6
-_STEP: Annotated[
-    float, Because("share", "between the scales that are tried first; then a twentieth of it", CHOSEN)
-] = 0.01
-_MISS_PX: Annotated[
-    float,
-    Because("px", "by which rays of good marks miss each other, block and marks together", CHOSEN),
-] = 5.0
-_SURELY: Annotated[
-    float,
-    Because("times likelier", "evidence ratio that counts as strong", "Kass and Raftery 1995, section 3.2"),
-] = 20.0
+_BY_CHANCE = tuned(
+    1e-6,
+    "probability",
+    "that marks spread over whole images all lie so near to the first corner",
+)
+_STEP = tuned(0.01, "share", "between the scales that are tried first; then a twentieth of it")
+_MISS_PX = tuned(5.0, "px", "by which rays of good marks miss each other, block and marks together")
+_SURELY = sourced(
+    20.0,
+    "times likelier",
+    "evidence ratio that counts as strong",
+    "Kass and Raftery 1995, section 3.2",
+)
 
 
 def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[Warn, ...]]:

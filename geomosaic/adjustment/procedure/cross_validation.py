@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.adjustment.solver.prior_reweighting import median_px
 from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.matching.model import TiePair, TiePoints
@@ -34,84 +33,46 @@ from geomosaic.spread import Spread
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _OF_ALL_LENSES = INTERIOR.index("k1")
-BETTER: Annotated[
-    float,
-    Because(
-        "share of the residuals of left-out points",
-        "that a richer model has to stay below, beside the last one; of two that leave as much but for so "
-        "little the simpler one is taken: with more, models that say nothing new would be taken; with less, "
-        "turns that bend a block are not",
-        "docs/results.md, surveys as people deliver them: models that were not true left 0.98 to 1.04 in 12 "
-        "surveys, true ones 0.45 to 0.93",
-    ),
-] = 0.95
-_SURELY: Annotated[
-    float,
-    Because(
-        "deviations",
-        "of a median that so many places give, by which it has to be less: with two, steady frames in gusts "
-        "came within 0.001 of turning; with more, a small block takes no model",
-        "normal distribution: 0.1 % by chance",
-    ),
-] = 3.0
-LEFT_OUT: Annotated[
-    int,
-    Because(
-        "tracks",
-        "one of so many takes no part in the solve: with more left out the solve is poorer, with fewer "
-        "the judgement",
-        CHOSEN,
-    ),
-] = 5
-_LEAST_TRACKS: Annotated[
-    int,
-    Because(
-        "tracks",
-        "that thinning leaves: with fewer all are taken",
-        CHOSEN,
-    ),
-] = 300
-_PER_FRAME: Annotated[
-    int,
-    Because(
-        "tracks",
-        "asked for by each frame: enough to distinguish models by a twentieth",
-        CHOSEN,
-    ),
-] = 64
-_CELLS: Annotated[
-    int,
-    Because(
-        "cells a side",
-        "of an image over which they are spread: the corners distinguish lenses",
-        CHOSEN,
-    ),
-] = 8
-_SURE: Annotated[
-    float,
-    Because(
-        "share of the median",
-        "of what both models leave together, below which a point shows no more than others: with less, a few "
-        "points that happen to fit would decide",
-        CHOSEN,
-    ),
-] = 0.25
-_ALIKE: Annotated[
-    float,
-    Because(
-        "flying heights",
-        "side of a place in which tracks err alike: a third of what a frame sees across, over which turns, "
-        "lenses and gusts are much the same; of smaller ones neighbours would count as independent, of "
-        "larger ones a block has too few",
-        CHOSEN,
-    ),
-] = 0.25
-_EXACT_PX: Annotated[
-    float, Because("px", "residuals of a point at least, so that two exact ones have a ratio", CHOSEN)
-] = 1e-4
-_NOT_SEEN_PX: Annotated[
-    float, Because("px", "residual of a point behind a camera: as far off as any image is wide", CHOSEN)
-] = 1e5
+BETTER = sourced(
+    0.95,
+    "share of the residuals of left-out points",
+    "that a richer model has to stay below, beside the last one; of two that leave as much but for so "
+    "little the simpler one is taken: with more, models that say nothing new would be taken; with less, "
+    "turns that bend a block are not",
+    "docs/results.md, surveys as people deliver them: models that were not true left 0.98 to 1.04 in 12 "
+    "surveys, true ones 0.45 to 0.93",
+)
+_SURELY = sourced(
+    3.0,
+    "deviations",
+    "of a median that so many places give, by which it has to be less: with two, steady frames in gusts "
+    "came within 0.001 of turning; with more, a small block takes no model",
+    "normal distribution: 0.1 % by chance",
+)
+LEFT_OUT = tuned(
+    5,
+    "tracks",
+    "one of so many takes no part in the solve: with more left out the solve is poorer, with fewer "
+    "the judgement",
+)
+_LEAST_TRACKS = tuned(300, "tracks", "that thinning leaves: with fewer all are taken")
+_PER_FRAME = tuned(64, "tracks", "asked for by each frame: enough to distinguish models by a twentieth")
+_CELLS = tuned(8, "cells a side", "of an image over which they are spread: the corners distinguish lenses")
+_SURE = tuned(
+    0.25,
+    "share of the median",
+    "of what both models leave together, below which a point shows no more than others: with less, a few "
+    "points that happen to fit would decide",
+)
+_ALIKE = tuned(
+    0.25,
+    "flying heights",
+    "side of a place in which tracks err alike: a third of what a frame sees across, over which turns, "
+    "lenses and gusts are much the same; of smaller ones neighbours would count as independent, of "
+    "larger ones a block has too few",
+)
+_EXACT_PX = tuned(1e-4, "px", "residuals of a point at least, so that two exact ones have a ratio")
+_NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
 
 
 @dataclass(frozen=True)

@@ -3,42 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import lie_weight
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-_DRAWS: Annotated[
-    int,
-    Because(
-        "pairs of frames",
-        "that are tried: of positions of which half are wrong, a quarter of the pairs are right",
-        CHOSEN,
-    ),
-] = 300
-_ALIKE_RAD: Annotated[
-    float,
-    Because(
-        "rad",
-        "by which headings and positions may turn a part differently: compasses are off by 10 degrees",
-        CHOSEN,
-    ),
-] = 0.2
-_LEAST_SHARE: Annotated[
-    float,
-    Because(
-        "share of what is stated",
-        "a position's noise is not below it, as far as laying goes: else a few that agree by chance would"
-        " outvote the rest",
-        CHOSEN,
-    ),
-] = 0.2
+_DRAWS = tuned(
+    300,
+    "pairs of frames",
+    "that are tried: of positions of which half are wrong, a quarter of the pairs are right",
+)
+_ALIKE_RAD = tuned(
+    0.2,
+    "rad",
+    "by which headings and positions may turn a part differently: compasses are off by 10 degrees",
+)
+_LEAST_SHARE = tuned(
+    0.2,
+    "share of what is stated",
+    "a position's noise is not below it, as far as laying goes: else a few that agree by chance would"
+    " outvote the rest",
+)
 
 
 @dataclass(frozen=True)

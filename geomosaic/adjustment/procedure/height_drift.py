@@ -3,52 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, least_squares, orthonormal
 from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
-_LEAST: Annotated[
-    int,
-    Because(
-        "frames",
-        "of which a drift can be distinguished from noise",
-        CHOSEN,
-    ),
-] = 4
-_DRIFTS: Annotated[
-    float,
-    Because(
-        "stated deviations of a height",
-        "what is less, the heights' own deviation covers",
-        CHOSEN,
-    ),
-] = 3.0
-_DRIFTS_CLEARLY: Annotated[
-    float,
-    Because(
-        "its own deviations",
-        "of the jump or slope that fits best of as many as there are frames: with less, one would be "
-        "found by chance",
-        CHOSEN,
-    ),
-] = 5.0
-_MOST: Annotated[
-    int,
-    Because(
-        "jumps and slopes",
-        "a flight of two batteries and a wrong barometer has two of each; more would follow the noise",
-        CHOSEN,
-    ),
-] = 4
+_LEAST = tuned(4, "frames", "of which a drift can be distinguished from noise")
+_DRIFTS = tuned(3.0, "stated deviations of a height", "what is less, the heights' own deviation covers")
+_DRIFTS_CLEARLY = tuned(
+    5.0,
+    "its own deviations",
+    "of the jump or slope that fits best of as many as there are frames: with less, one would be "
+    "found by chance",
+)
+_MOST = tuned(
+    4,
+    "jumps and slopes",
+    "a flight of two batteries and a wrong barometer has two of each; more would follow the noise",
+)
 
 
 @dataclass(frozen=True)

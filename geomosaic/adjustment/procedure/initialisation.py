@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, la
 from geomosaic.adjustment.solver.nested_dissection import Dissected
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, position_assumed
@@ -25,70 +24,49 @@ from geomosaic.projection.footprint import ground_from_images
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_MOST_TIES: Annotated[
-    int,
-    Because(
-        "tie points a pair",
-        "taken for the start: a similarity of two frames takes two, the others outvote wrong ones; more "
-        "take time alone",
-        CHOSEN,
-    ),
-] = 60
-_ROUNDS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "of shape by the ties, then laying on the positions: the first hears no position, the later ones "
-        "those that fit; with fewer a long line stays bent",
-        CHOSEN,
-    ),
-] = 4
-_OF_A_PAIR: Annotated[
-    float,
-    Because(
-        "independent tie points",
-        "what a pair's tie points say together at most: they miss alike, by the frames' tilts; if each "
-        "counted, positions would have no say",
-        CHOSEN,
-    ),
-] = 6.0
-_LOCAL_SCALE_SD: Annotated[
-    float,
-    Because(
-        "share of the scale",
-        "how far a frame's scale may go from what the pairs' average says: along a line of frames that all "
-        "look 5 degrees ahead each pair's is off by some per cent, one way; with more, frames shrink to "
-        "please ties",
-        CHOSEN,
-    ),
-] = 0.1
-_LOCAL_TURN_SD: Annotated[
-    float,
-    Because(
-        "rad",
-        "how far a frame's turn may go from what the pairs' average says; with more, a long line bends to "
-        "please its ties",
-        CHOSEN,
-    ),
-] = 0.1
-_CAUCHY: Annotated[
-    float,
-    Because(
-        "deviations of a tie point",
-        "where its weight is a half: with less, ties that tilts put aside lose their say; with more, wrong "
-        "matches keep it",
-        CHOSEN,
-    ),
-] = 3.0
-_ANYWHERE: Annotated[
-    float,
-    Because(
-        "flying heights; for its scale the share",
-        "that a frame without a position may be off: nothing beside the ties, but it holds a part that "
-        "nothing else holds; with less it would draw the block to where the frame was assumed to be",
-        CHOSEN,
-    ),
-] = 100.0
+_MOST_TIES = tuned(
+    60,
+    "tie points a pair",
+    "taken for the start: a similarity of two frames takes two, the others outvote wrong ones; more "
+    "take time alone",
+)
+_ROUNDS = tuned(
+    4,
+    "rounds",
+    "of shape by the ties, then laying on the positions: the first hears no position, the later ones "
+    "those that fit; with fewer a long line stays bent",
+)
+_OF_A_PAIR = tuned(
+    6.0,
+    "independent tie points",
+    "what a pair's tie points say together at most: they miss alike, by the frames' tilts; if each "
+    "counted, positions would have no say",
+)
+_LOCAL_SCALE_SD = tuned(
+    0.1,
+    "share of the scale",
+    "how far a frame's scale may go from what the pairs' average says: along a line of frames that all "
+    "look 5 degrees ahead each pair's is off by some per cent, one way; with more, frames shrink to "
+    "please ties",
+)
+_LOCAL_TURN_SD = tuned(
+    0.1,
+    "rad",
+    "how far a frame's turn may go from what the pairs' average says; with more, a long line bends to "
+    "please its ties",
+)
+_CAUCHY = tuned(
+    3.0,
+    "deviations of a tie point",
+    "where its weight is a half: with less, ties that tilts put aside lose their say; with more, wrong "
+    "matches keep it",
+)
+_ANYWHERE = tuned(
+    100.0,
+    "flying heights; for its scale the share",
+    "that a frame without a position may be off: nothing beside the ties, but it holds a part that "
+    "nothing else holds; with less it would draw the block to where the frame was assumed to be",
+)
 
 
 @dataclass(frozen=True)

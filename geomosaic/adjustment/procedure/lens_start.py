@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from geomosaic.adjustment.procedure.model_selection import contradicts, with_rea
 from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.matching.model import TiePoints
 from geomosaic.spread import Spread
@@ -37,47 +37,42 @@ from geomosaic.survey.model import Warn
 
 Ints = NDArray[np.intp]
 
-_FRAMES: Annotated[
-    int,
-    Because(
-        "frames",
-        "of one camera that starts are compared on: fewer leave the focal length to chance, more take time "
-        "that the whole block takes anyway",
-        CHOSEN,
+_FRAMES = tuned(
+    10,
+    "frames",
+    "of one camera that starts are compared on: fewer leave the focal length to chance, more take time "
+    "that the whole block takes anyway",
+)
+_PER_FRAME = tuned(192, "image observations a frame", "asked for by each frame of them, as for models")
+_CELLS = tuned(8, "cells a side", "of a frame over which they are spread: corners tell lenses apart")
+_LEAST = tuned(50, "tracks", "with fewer nothing is compared: ten would judge")
+STARTS: tuple[tuple[str, float], ...] = sourced(
+    (
+        ("brown", 0.5),
+        ("brown", 0.67),
+        ("brown", 0.9),
+        ("brown", 1.2),
+        ("brown", 1.6),
+        ("fisheye", 0.35),
+        ("fisheye", 0.5),
+        ("fisheye", 0.75),
+        ("fisheye", 1.1),
+        ("fisheye", 1.6),
     ),
-] = 10
-_PER_FRAME: Annotated[
-    int,
-    Because("image observations a frame", "asked for by each frame of them, as for models", CHOSEN),
-] = 192
-_CELLS: Annotated[
-    int, Because("cells a side", "of a frame over which they are spread: corners tell lenses apart", CHOSEN)
-] = 8
-_LEAST: Annotated[int, Because("tracks", "with fewer nothing is compared: ten would judge", CHOSEN)] = 50
-STARTS: Annotated[
-    tuple[tuple[str, float], ...],
-    Because(
-        "kind of lens, focal length over longer side",
-        "that are tried besides the given one, each within a fifth of all between: farther apart a solve "
-        "ends in another least value, closer ones end alike",
-        "28 to 60 mm on 36 mm and the wide modes of action cameras, fisheyes of 8 mm on APS-C and on four "
-        "thirds: 0.34 and 0.46",
-    ),
-] = (
-    ("brown", 0.5), ("brown", 0.67), ("brown", 0.9), ("brown", 1.2), ("brown", 1.6),
-    ("fisheye", 0.35), ("fisheye", 0.5), ("fisheye", 0.75), ("fisheye", 1.1), ("fisheye", 1.6),
-)  # fmt: skip
+    "kind of lens, focal length over longer side",
+    "that are tried besides the given one, each within a fifth of all between: farther apart a solve "
+    "ends in another least value, closer ones end alike",
+    "28 to 60 mm on 36 mm and the wide modes of action cameras, fisheyes of 8 mm on APS-C and on four "
+    "thirds: 0.34 and 0.46",
+)
 
 
-_CONTRADICTED: Annotated[
-    float,
-    Because(
-        "deviations",
-        "from a reported focal length, beyond which one that a few frames show contradicts it: with less, "
-        "what else bends a block would be blamed on the lens",
-        CHOSEN,
-    ),
-] = 5.0
+_CONTRADICTED = tuned(
+    5.0,
+    "deviations",
+    "from a reported focal length, beyond which one that a few frames show contradicts it: with less, "
+    "what else bends a block would be blamed on the lens",
+)
 _FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,106 +17,72 @@ from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, r
 from geomosaic.adjustment.solver.prior_reweighting import median_px
 from geomosaic.adjustment.terms.collinearity import INTERIOR
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-GOOD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "image errors of a block of which all is given correctly: SIFT's own are 0.3 to 0.7 px of a "
-        "image that is matched at its size or half of it",
-        CHOSEN,
-    ),
-] = 1.0
-_PATTERN_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "root mean square of what residuals have in common by their place in the image: half of a "
-        "keypoint's own error",
-        CHOSEN,
-    ),
-] = 0.25
-_EXPLAINED: Annotated[
-    float,
-    Because(
-        "share of the residuals of left-out points",
-        "that models together have to stay below where what they leave is more than GOOD_PX: half of the "
-        "squares. What no model explains there is land that moves, alike from neighbour to neighbour, and a "
-        "camera that may turn and be read in time follows some of it",
-        "docs/results.md, surveys as people deliver them: seed 839, all its land in the wind, bent by 3 px "
-        "for a gain of 5 to 8 %",
-    ),
-] = 0.5**0.5
-_TOO_FEW: Annotated[
-    int,
-    Because(
-        "tracks",
-        "with fewer nothing is chosen: twenty would judge",
-        CHOSEN,
-    ),
-] = 100
-_LEAST_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "of tracks left out: nothing is to be gained below. Above it a shutter may hide though all looks "
-        "well, or turns that no gyroscope reports or not well enough: along straight lines a shutter only "
-        "stretches the block, and the principal point takes up how frames turn while they are read. 3 "
-        "degrees a second over a readout of 0.1 s bent a block by 8 px and left 0.2 px at its tracks",
-        "docs/results.md, surveys as people deliver them: seed 792, bent by 1.1 px, left 0.098",
-    ),
-] = 0.03
-_CONTRADICTS: Annotated[
-    float,
-    Because(
-        "times as much",
-        "that positions may fit worse by: beyond, they are against a model, however well it pleases the "
-        "tie points; a block that is bent or stretched pleases them too",
-        CHOSEN,
-    ),
-] = 1.2
-_LEAST_SCATTER: Annotated[
-    float,
-    Because(
-        "share of what is stated",
-        "of positions; less is the luck of a few dozen",
-        CHOSEN,
-    ),
-] = 0.2
-_SLOWEST_READOUT_S: Annotated[
-    float,
-    Because(
-        "s",
-        "the slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else "
-        "with it",
-        "a Sequoia's LineReadoutTime: 0.164 s",
-    ),
-] = 0.2
-_SHOWN: Annotated[
-    float,
-    Because(
-        "deviations",
-        "by which the solution would leave a readout of none: cameras that read all rows at once came to "
-        "3 at most, since image errors are alike along a track; see `bundle._with_unreported_shutters`",
-        "docs/results.md, surveys as people deliver them",
-    ),
-] = 5.0
-_NO_GUSTS: Annotated[
-    float,
-    Because(
-        "times GUST_M_PER_S",
-        "root mean square, from which on rates that stand for what velocities are off by are frames that "
-        "turn: 0.1 to 1.3 in twelve surveys whose frames do not, 2.1 and more in six whose frames do",
-        "docs/results.md, surveys as people deliver them: seed 1727, 0.84 px off with rates of 2.3, with "
-        "swings 0.38",
-    ),
-] = 2.0
+GOOD_PX = tuned(
+    1.0,
+    "px",
+    "image errors of a block of which all is given correctly: SIFT's own are 0.3 to 0.7 px of a "
+    "image that is matched at its size or half of it",
+)
+_PATTERN_PX = tuned(
+    0.25,
+    "px",
+    "root mean square of what residuals have in common by their place in the image: half of a "
+    "keypoint's own error",
+)
+_EXPLAINED: float = sourced(
+    0.5**0.5,
+    "share of the residuals of left-out points",
+    "that models together have to stay below where what they leave is more than GOOD_PX: half of the "
+    "squares. What no model explains there is land that moves, alike from neighbour to neighbour, and a "
+    "camera that may turn and be read in time follows some of it",
+    "docs/results.md, surveys as people deliver them: seed 839, all its land in the wind, bent by 3 px "
+    "for a gain of 5 to 8 %",
+)
+_TOO_FEW = tuned(100, "tracks", "with fewer nothing is chosen: twenty would judge")
+_LEAST_PX = sourced(
+    0.03,
+    "px",
+    "of tracks left out: nothing is to be gained below. Above it a shutter may hide though all looks "
+    "well, or turns that no gyroscope reports or not well enough: along straight lines a shutter only "
+    "stretches the block, and the principal point takes up how frames turn while they are read. 3 "
+    "degrees a second over a readout of 0.1 s bent a block by 8 px and left 0.2 px at its tracks",
+    "docs/results.md, surveys as people deliver them: seed 792, bent by 1.1 px, left 0.098",
+)
+_CONTRADICTS = tuned(
+    1.2,
+    "times as much",
+    "that positions may fit worse by: beyond, they are against a model, however well it pleases the "
+    "tie points; a block that is bent or stretched pleases them too",
+)
+_LEAST_SCATTER = tuned(0.2, "share of what is stated", "of positions; less is the luck of a few dozen")
+_SLOWEST_READOUT_S = sourced(
+    0.2,
+    "s",
+    "the slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it",
+    "a Sequoia's LineReadoutTime: 0.164 s",
+)
+_SHOWN = sourced(
+    5.0,
+    "deviations",
+    "by which the solution would leave a readout of none: cameras that read all rows at once came to "
+    "3 at most, since image errors are alike along a track; see `bundle._with_unreported_shutters`",
+    "docs/results.md, surveys as people deliver them",
+)
+_NO_GUSTS = sourced(
+    2.0,
+    "times GUST_M_PER_S",
+    "root mean square, from which on rates that stand for what velocities are off by are frames that "
+    "turn: 0.1 to 1.3 in twelve surveys whose frames do not, 2.1 and more in six whose frames do",
+    "docs/results.md, surveys as people deliver them: seed 1727, 0.84 px off with rates of 2.3, with "
+    "swings 0.38",
+)
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -18,64 +17,43 @@ from geomosaic.adjustment.problem.bundle_model import Bundle
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-UNHEARD: Annotated[
-    float,
-    Because(
-        "share of a frame's image observations",
-        "with more than half of their weight: of frames that fit, three quarters have it; of those that lie "
-        "wrongly, and of blurred ones, a tenth to not half",
-        "60 simulated surveys: least share of 0.62 among sharp frames at their places, but one",
-    ),
-] = 0.5
-_HEARD: Annotated[float, Because("share of a full weight", "what counts more isn't put aside", CHOSEN)] = 0.5
-_OTHERS: Annotated[
-    int,
-    Because(
-        "frames",
-        "whose observations of a point are heard, beside the frame's own: fewer don't find a point",
-        "rays meet from two on",
-    ),
-] = 2
-_LEAST_POINTS: Annotated[
-    int,
-    Because(
-        "points",
-        "that agree on a pose: four determine one, and so many hardly agree by chance",
-        CHOSEN,
-    ),
-] = 12
-_WITHIN_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "that a point may miss by: rows that are read one after the other miss by some; the bundle that "
-        "follows finds the rest",
-        CHOSEN,
-    ),
-] = 8.0
-_BETTER: Annotated[
-    float,
-    Because(
-        "of the median miss",
-        "that the new pose may leave: less sure ones stay where they are",
-        CHOSEN,
-    ),
-] = 0.5
-_TRIALS: Annotated[
-    int,
-    Because(
-        "samples",
-        "of five points: with a third of them right, one sample in 243 is; with so many few are missed",
-        "Fischler and Bolles 1981: 1 - (1 - 1/243)^1000 = 0.984",
-    ),
-] = 1000
-_SURE: Annotated[
-    float, Because("probability", "that a sample was right, when fewer will do", "as of _TRIALS")
-] = 0.984
+UNHEARD = sourced(
+    0.5,
+    "share of a frame's image observations",
+    "with more than half of their weight: of frames that fit, three quarters have it; of those that lie "
+    "wrongly, and of blurred ones, a tenth to not half",
+    "60 simulated surveys: least share of 0.62 among sharp frames at their places, but one",
+)
+_HEARD = tuned(0.5, "share of a full weight", "what counts more isn't put aside")
+_OTHERS = sourced(
+    2,
+    "frames",
+    "whose observations of a point are heard, beside the frame's own: fewer don't find a point",
+    "rays meet from two on",
+)
+_LEAST_POINTS = tuned(
+    12,
+    "points",
+    "that agree on a pose: four determine one, and so many hardly agree by chance",
+)
+_WITHIN_PX = tuned(
+    8.0,
+    "px",
+    "that a point may miss by: rows that are read one after the other miss by some; the bundle that "
+    "follows finds the rest",
+)
+_BETTER = tuned(0.5, "of the median miss", "that the new pose may leave: less sure ones stay where they are")
+_TRIALS = sourced(
+    1000,
+    "samples",
+    "of five points: with a third of them right, one sample in 243 is; with so many few are missed",
+    "Fischler and Bolles 1981: 1 - (1 - 1/243)^1000 = 0.984",
+)
+_SURE = sourced(0.984, "probability", "that a sample was right, when fewer will do", "as of _TRIALS")
 _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
 """From camera axes with z backwards to those of OpenCV, with z forwards."""
 

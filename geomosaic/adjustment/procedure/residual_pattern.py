@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -18,37 +17,27 @@ from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.adjustment.terms.rolling_shutter_rotation import TERMS, VIBRATION_TERMS
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
 
-CELLS: Annotated[
-    tuple[int, int],
-    Because(
-        "columns, rows",
-        "of the pattern: coarse enough that each cell sees many frames, fine enough for what a lens does "
-        "from middle to corner",
-        CHOSEN,
-    ),
-] = (8, 6)
-LEAST_FRAMES: Annotated[
-    int,
-    Because(
-        "frames",
-        "seen by a cell, so that its mean's own deviation means something; by fewer, chance passes for a "
-        "lens",
-        CHOSEN,
-    ),
-] = 4
-_HEARD: Annotated[
-    float,
-    Because(
-        "share of the weight of a residual of 0",
-        "residuals of less weight, beyond 5.9 deviations, are wrong matches and show no lens",
-        CHOSEN,
-    ),
-] = 0.1
+CELLS: tuple[int, int] = tuned(
+    (8, 6),
+    "columns, rows",
+    "of the pattern: coarse enough that each cell sees many frames, fine enough for what a lens does "
+    "from middle to corner",
+)
+LEAST_FRAMES = tuned(
+    4,
+    "frames",
+    "seen by a cell, so that its mean's own deviation means something; by fewer, chance passes for a lens",
+)
+_HEARD = tuned(
+    0.1,
+    "share of the weight of a residual of 0",
+    "residuals of less weight, beyond 5.9 deviations, are wrong matches and show no lens",
+)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
-from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
@@ -28,86 +27,59 @@ from geomosaic.survey.pixels import read_pixels
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-MOST_CAPTURES: Annotated[
-    int,
-    Because(
-        "captures",
-        "looked at, spread over the flight: each gives a hundred places and more, and three angles and a "
-        "focal length are all that is asked; more take time and show nothing new",
-        CHOSEN,
-    ),
-] = 12
-_PATCH_PX: Annotated[
-    int,
-    Because(
-        "ground px",
-        "side of a patch in which edges are compared: a smaller one holds too few edges that both bands "
-        "show, a larger one relief that shifts them apart",
-        CHOSEN,
-    ),
-] = 96
-_LEAST_STEP_PX: Annotated[
-    int,
-    Because(
-        "ground px",
-        "from patch to patch at least: closer ones share nearly all of their pixels and show the same",
-        CHOSEN,
-    ),
-] = 16
-_PLACES: Annotated[
-    int,
-    Because(
-        "patches a capture",
-        "compared, about: many, since of some bands few correlate; more take time alone",
-        CHOSEN,
-    ),
-] = 120
-_SEARCH_PX: Annotated[
-    tuple[int, int],
-    Because(
-        "ground px",
-        "how far off a band is looked for in the first round and in the second: cameras of a rig stand up "
-        "to some 3 degrees apart, a tenth of a frame's width (of 960 px); then what is left, since a wider "
-        "search finds wrong edges",
-        CHOSEN,
-    ),
-] = (96, 8)
-_LEAST_CORRELATION: Annotated[
-    float,
-    Because(
-        "correlation coefficient",
-        "of edges in two bands, half of what one band's greys show: below it patches meet by chance, above "
-        "it few of red and infrared are left",
-        CHOSEN,
-    ),
-] = 0.3
-_MOST_SD_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "stated deviation of a place by least-squares matching: patches that are less sure have next to no "
-        "edges, or edges one way only",
-        CHOSEN,
-    ),
-] = 0.3
-_LEAST_PLACES: Annotated[
-    int,
-    Because(
-        "places in all captures",
-        "three for each of the four unknowns, so that wrong ones can be found; of fewer, what the tags say "
-        "stands",
-        CHOSEN,
-    ),
-] = 12
-_EDGE_SIGMA_PX: Annotated[
-    float,
-    Because(
-        "ground px",
-        "smoothing before gradients are taken: with less, noise of single pixels counts as edges; with "
-        "more, fine edges run together",
-        CHOSEN,
-    ),
-] = 1.0
+MOST_CAPTURES = tuned(
+    12,
+    "captures",
+    "looked at, spread over the flight: each gives a hundred places and more, and three angles and a "
+    "focal length are all that is asked; more take time and show nothing new",
+)
+_PATCH_PX = tuned(
+    96,
+    "ground px",
+    "side of a patch in which edges are compared: a smaller one holds too few edges that both bands "
+    "show, a larger one relief that shifts them apart",
+)
+_LEAST_STEP_PX = tuned(
+    16,
+    "ground px",
+    "from patch to patch at least: closer ones share nearly all of their pixels and show the same",
+)
+_PLACES = tuned(
+    120,
+    "patches a capture",
+    "compared, about: many, since of some bands few correlate; more take time alone",
+)
+_SEARCH_PX: tuple[int, int] = tuned(
+    (96, 8),
+    "ground px",
+    "how far off a band is looked for in the first round and in the second: cameras of a rig stand up "
+    "to some 3 degrees apart, a tenth of a frame's width (of 960 px); then what is left, since a wider "
+    "search finds wrong edges",
+)
+_LEAST_CORRELATION = tuned(
+    0.3,
+    "correlation coefficient",
+    "of edges in two bands, half of what one band's greys show: below it patches meet by chance, above "
+    "it few of red and infrared are left",
+)
+_MOST_SD_PX = tuned(
+    0.3,
+    "px",
+    "stated deviation of a place by least-squares matching: patches that are less sure have next to no "
+    "edges, or edges one way only",
+)
+_LEAST_PLACES = tuned(
+    12,
+    "places in all captures",
+    "three for each of the four unknowns, so that wrong ones can be found; of fewer, what the tags say "
+    "stands",
+)
+_EDGE_SIGMA_PX = tuned(
+    1.0,
+    "ground px",
+    "smoothing before gradients are taken: with less, noise of single pixels counts as edges; with "
+    "more, fine edges run together",
+)
 
 
 @dataclass(frozen=True)

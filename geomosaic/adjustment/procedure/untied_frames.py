@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.solver.prior_reweighting import MEDIAN_ONE
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
-from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky, least_squares, solve
 from geomosaic.estimation.robust import lie_weight
@@ -26,50 +25,39 @@ from geomosaic.placement.prior import heading_assumed, position_assumed
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
-_NEAREST: Annotated[
-    int,
-    Because("frames", "about an untied one that are asked; the cube of it is the time that takes", CHOSEN),
-] = 100
-_LENGTHS: Annotated[
-    tuple[float, ...],
-    Because(
-        "distances between neighbours",
-        "of correlation that are compared by their likelihood: from next neighbours to a whole flight",
-        CHOSEN,
-    ),
-] = (2.0, 5.0, 15.0, 50.0)
-_SHARES: Annotated[
-    tuple[float, ...],
-    Because("of the variance", "that may be correlated, compared by their likelihood", CHOSEN),
-] = (0.3, 0.7, 0.95)
-_STATED_COUNTS: Annotated[
-    float,
-    Because(
-        "redundant frames",
-        "that the stated deviation counts for beside the scatter of the corrections: of two or three tied "
-        "frames the scatter is chance",
-        CHOSEN,
-    ),
-] = 3.0
-_SIMILARITY: Annotated[
-    Floats,
-    Because(
-        "factors of 1, east and north in the corrections' components, (2, 3, 4)",
-        "shift east and north, scale, and turn",
-        "definition",
-    ),
-] = np.array(
-    [
-        [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0]],
-        [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]],
-    ]
+_NEAREST = tuned(100, "frames", "about an untied one that are asked; the cube of it is the time that takes")
+_LENGTHS: tuple[float, ...] = tuned(
+    (2.0, 5.0, 15.0, 50.0),
+    "distances between neighbours",
+    "of correlation that are compared by their likelihood: from next neighbours to a whole flight",
 )
-_LEAST_SHARE: Annotated[
-    float,
-    Because(
-        "share of the stated deviation", "that corrections scatter at least when blunders are sought", CHOSEN
+_SHARES: tuple[float, ...] = tuned(
+    (0.3, 0.7, 0.95),
+    "of the variance",
+    "that may be correlated, compared by their likelihood",
+)
+_STATED_COUNTS = tuned(
+    3.0,
+    "redundant frames",
+    "that the stated deviation counts for beside the scatter of the corrections: of two or three tied "
+    "frames the scatter is chance",
+)
+_SIMILARITY: Floats = sourced(
+    np.array(
+        [
+            [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0]],
+            [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]],
+        ]
     ),
-] = 0.1
+    "factors of 1, east and north in the corrections' components, (2, 3, 4)",
+    "shift east and north, scale, and turn",
+    "definition",
+)
+_LEAST_SHARE = tuned(
+    0.1,
+    "share of the stated deviation",
+    "that corrections scatter at least when blunders are sought",
+)
 
 
 def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools) -> Poses:

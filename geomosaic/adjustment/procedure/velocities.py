@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.paper.chain import fit_similarity
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.velocity import flown_m_per_s
 
-_OTHER_VELOCITY: Annotated[
-    float,
-    Because(
-        "share of the velocity",
-        "by which one differs so that the block is solved anew: less changes nothing that shows",
-        CHOSEN,
-    ),
-] = 0.1
-_MOST_SCALE: Annotated[
-    float,
-    Because(
-        "times",
-        "between solved and given paths: beyond, the positions are no measure of the scale either",
-        CHOSEN,
-    ),
-] = 1.5
+_OTHER_VELOCITY = tuned(
+    0.1,
+    "share of the velocity",
+    "by which one differs so that the block is solved anew: less changes nothing that shows",
+)
+_MOST_SCALE = tuned(
+    1.5,
+    "times",
+    "between solved and given paths: beyond, the positions are no measure of the scale either",
+)
 
 
 def flown(block: Block, poses: Poses) -> tuple[Block, bool]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,30 +43,24 @@ from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.terms.mounting import MOUNTING
 from geomosaic.adjustment.terms.rolling_shutter_rotation import with_drift, with_swing
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import student_weight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_MOST_LEFT_OUT: Annotated[
-    float,
-    Because(
-        "share of the frames",
-        "that may be left out since the system breaks down at them: what is left is half a survey",
-        CHOSEN,
-    ),
-] = 0.5
-_ANYWHERE_M: Annotated[
-    float,
-    Because(
-        "m",
-        "deviation of a frame that is left out and whose position is not given: with more, the equations "
-        "lose their digits",
-        CHOSEN,
-    ),
-] = 1e3
+_MOST_LEFT_OUT = tuned(
+    0.5,
+    "share of the frames",
+    "that may be left out since the system breaks down at them: what is left is half a survey",
+)
+_ANYWHERE_M = tuned(
+    1e3,
+    "m",
+    "deviation of a frame that is left out and whose position is not given: with more, the equations "
+    "lose their digits",
+)
 
 
 def solve_bundle(

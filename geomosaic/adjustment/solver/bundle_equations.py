@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from geomosaic.adjustment.terms.collinearity import (
 from geomosaic.adjustment.terms.mounting import mounting_derivatives, pose_miss
 from geomosaic.adjustment.terms.pose_jacobian import Levers
 from geomosaic.adjustment.terms.terrain import add_terrain, terrain_cost
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.robust import INFORMATION, student_cost, student_weight
 from geomosaic.survey.plausible import OFF_CENTRE
 
@@ -31,18 +31,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
-KNOWN: Annotated[
-    float,
-    Because(
-        "px, rad, m or s, or share of a deviation",
-        "prior deviation of what is known or held: next to nothing; with 0 the equations could not be solved",
-        CHOSEN,
-    ),
-] = 1e-6
-BEHIND: Annotated[
-    float,
-    Because("deviations", "of an image behind its camera: farther off than any that is before it", CHOSEN),
-] = 1e6
+KNOWN = tuned(
+    1e-6,
+    "px, rad, m or s, or share of a deviation",
+    "prior deviation of what is known or held: next to nothing; with 0 the equations could not be solved",
+)
+BEHIND = tuned(1e6, "deviations", "of an image behind its camera: farther off than any that is before it")
 
 
 def cost_of(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> float:

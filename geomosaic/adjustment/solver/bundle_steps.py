@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_component_newton import ahead, image_change
 from geomosaic.adjustment.solver.variance_components import variance_components
 from geomosaic.adjustment.terms.control_precision import control_say
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import share_down_weighted
 
@@ -58,84 +57,46 @@ class _Stop:
     step: float
 
 
-_ROUGH: Annotated[
-    _Stop,
-    Because(
-        "share of the cost, share of a position's deviation, deviations of what is solved",
-        "a block that is to be judged, or whose variance components come next: what is left moves no "
-        "judgement. With a gain of a hundredth, components were found before lenses had settled, and a block "
-        "with rolling shutters ended 0.2 deviations elsewhere",
-        CHOSEN,
-    ),
-] = _Stop(1e-3, 0.3, 0.0)
-_FINE: Annotated[
-    _Stop,
-    Because(
-        "share of the cost, share of a position's deviation, deviations of what is solved",
-        "what is left is some hundredths of what anything is good to: points with an image far off make "
-        "steps shrink by a tenth at a time, so that steps of 0.02 may leave 0.08",
-        "computed of a block of six frames with such points (tests/test_bundle_oracle.py): 0.03 and 0.02 "
-        "leave 0.09 and 0.08 of a lens's deviation, 0.015 less than 0.06",
-    ),
-] = _Stop(1e-7, 0.01, 0.015)
-_STANDS: Annotated[
-    float,
-    Because(
-        "share of a variance component",
-        "by which it may still change when it stands: of a dozen frames it is known to a third itself",
-        CHOSEN,
-    ),
-] = 0.03
-_ROUGHLY: Annotated[
-    float,
-    Because(
-        "share of a variance component",
-        "the same, well enough to compare models",
-        CHOSEN,
-    ),
-] = 0.15
-_STEPS_BETWEEN: Annotated[
-    int,
-    Because(
-        "steps",
-        "between estimates of the variance components: a block that all but stands needs no more",
-        CHOSEN,
-    ),
-] = 2
-_MOST_STEPS: Annotated[
-    int,
-    Because(
-        "steps",
-        "of a block that begins anywhere: those that settle take 5 to 15",
-        CHOSEN,
-    ),
-] = 30
-_DAMPING: Annotated[
-    float,
-    Because(
-        "share of the diagonal",
-        "least damping once a step fails: the diagonal holds thousands of sharp image coordinates, so "
-        "that even this holds up scale, turn and place of the whole block, which only the positions know",
-        CHOSEN,
-    ),
-] = 1e-9
-_MOST_DAMPING: Annotated[
-    float,
-    Because(
-        "share of the diagonal",
-        "steps are next to none with more: the system is broken",
-        CHOSEN,
-    ),
-] = 1e6
-_SHARES: Annotated[
-    tuple[float, ...],
-    Because(
-        "of a step",
-        "that are tried before damping if the whole would raise the cost: a part goes the same way, also "
-        "for the block as a whole",
-        CHOSEN,
-    ),
-] = (1.0, 0.5, 0.25, 0.1)
+_ROUGH: _Stop = tuned(
+    _Stop(1e-3, 0.3, 0.0),
+    "share of the cost, share of a position's deviation, deviations of what is solved",
+    "a block that is to be judged, or whose variance components come next: what is left moves no "
+    "judgement. With a gain of a hundredth, components were found before lenses had settled, and a block "
+    "with rolling shutters ended 0.2 deviations elsewhere",
+)
+_FINE: _Stop = sourced(
+    _Stop(1e-7, 0.01, 0.015),
+    "share of the cost, share of a position's deviation, deviations of what is solved",
+    "what is left is some hundredths of what anything is good to: points with an image far off make "
+    "steps shrink by a tenth at a time, so that steps of 0.02 may leave 0.08",
+    "computed of a block of six frames with such points (tests/test_bundle_oracle.py): 0.03 and 0.02 "
+    "leave 0.09 and 0.08 of a lens's deviation, 0.015 less than 0.06",
+)
+_STANDS = tuned(
+    0.03,
+    "share of a variance component",
+    "by which it may still change when it stands: of a dozen frames it is known to a third itself",
+)
+_ROUGHLY = tuned(0.15, "share of a variance component", "the same, well enough to compare models")
+_STEPS_BETWEEN = tuned(
+    2,
+    "steps",
+    "between estimates of the variance components: a block that all but stands needs no more",
+)
+_MOST_STEPS = tuned(30, "steps", "of a block that begins anywhere: those that settle take 5 to 15")
+_DAMPING = tuned(
+    1e-9,
+    "share of the diagonal",
+    "least damping once a step fails: the diagonal holds thousands of sharp image coordinates, so "
+    "that even this holds up scale, turn and place of the whole block, which only the positions know",
+)
+_MOST_DAMPING = tuned(1e6, "share of the diagonal", "steps are next to none with more: the system is broken")
+_SHARES: tuple[float, ...] = tuned(
+    (1.0, 0.5, 0.25, 0.1),
+    "of a step",
+    "that are tried before damping if the whole would raise the cost: a part goes the same way, also "
+    "for the block as a whole",
+)
 
 
 def with_held(tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors) -> State:

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.tracks import Tracks, frame_by_frame
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_NEAREST: Annotated[
-    float,
-    Because(
-        "share of a frame's usual distance to its points",
-        "nearer than which none comes, whatever its images say: a wrong match by the image of another camera "
-        "draws its point to that camera, where a slope without bound outweighs all that is known of the "
-        "camera; with more, trees below a low flight would be held down",
-        "chosen; tests/test_clearance.py: cameras thrown off by 12 to 33 m of 100",
-    ),
-] = 0.05
+_NEAREST = sourced(
+    0.05,
+    "share of a frame's usual distance to its points",
+    "nearer than which none comes, whatever its images say: a wrong match by the image of another camera "
+    "draws its point to that camera, where a slope without bound outweighs all that is known of the "
+    "camera; with more, trees below a low flight would be held down",
+    "chosen; tests/test_clearance.py: cameras thrown off by 12 to 33 m of 100",
+)
 
 
 def clearances_m(tracks: Tracks, positions_m: Floats, points_m: Floats) -> Floats:

@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import digamma, polygamma
 
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_BESIDE: Annotated[
-    int,
-    Because(
-        "points",
-        "that show together how sure a place is: fewer leave it to chance, more reach beyond a crown",
-        CHOSEN,
-    ),
-] = 8
-_FEWEST: Annotated[
-    int, Because("points", "of a block, below which all count alike: too few to distinguish places", CHOSEN)
-] = 100
-_LEAST_PX: Annotated[
-    float, Because("px", "of a point's residuals, so that exact ones have a logarithm", CHOSEN)
-] = 1e-4
+_BESIDE = tuned(
+    8,
+    "points",
+    "that show together how sure a place is: fewer leave it to chance, more reach beyond a crown",
+)
+_FEWEST = tuned(100, "points", "of a block, below which all count alike: too few to distinguish places")
+_LEAST_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")
 
 
 def unrest(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -> Floats:

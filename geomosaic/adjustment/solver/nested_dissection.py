@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,29 +10,19 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
 
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_LEAST_FRAMES: Annotated[
-    int,
-    Because(
-        "frames",
-        "that are not cut any further: below, a dense matrix is as fast",
-        CHOSEN,
-    ),
-] = 32
-_MIDDLE: Annotated[
-    tuple[float, float],
-    Because(
-        "share of the frames",
-        "between which those from one rim on are cut off: where least frames part them, but not so far out "
-        "that the cuts hardly make parts smaller",
-        CHOSEN,
-    ),
-] = (0.3, 0.7)
+_LEAST_FRAMES = tuned(32, "frames", "that are not cut any further: below, a dense matrix is as fast")
+_MIDDLE: tuple[float, float] = tuned(
+    (0.3, 0.7),
+    "share of the frames",
+    "between which those from one rim on are cut off: where least frames part them, but not so far out "
+    "that the cuts hardly make parts smaller",
+)
 _UNDETERMINED = "the block does not determine the poses of its frames"
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,31 +15,27 @@ from scipy.sparse import bsr_matrix
 from geomosaic.adjustment.solver.nested_dissection import Dissected
 from geomosaic.adjustment.solver.observation_groups import Group, Sightings
 from geomosaic.adjustment.terms.pose_jacobian import Levers
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 from geomosaic.estimation.linear import inverse_roots, solve_scaled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_LEAST_OF_POINTS: Annotated[
-    float,
-    Because(
-        "share of the diagonal",
-        "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera "
-        "has next to none along its ray, and its matrix no inverse; with more it would count, with less the "
-        "inverse has no digits",
-        "chosen; double precision has 16 digits, a square takes half of them",
-    ),
-] = 1e-12
+_LEAST_OF_POINTS = sourced(
+    1e-12,
+    "share of the diagonal",
+    "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera "
+    "has next to none along its ray, and its matrix no inverse; with more it would count, with less the "
+    "inverse has no digits",
+    "chosen; double precision has 16 digits, a square takes half of them",
+)
 
 _LOWER = np.tril_indices(len("xyz"))
-_SQUARE: Annotated[
-    Ints,
-    Because(
-        "places in a lower triangle, row by row",
-        "where the numbers of a symmetric matrix (3, 3) stand",
-        "structure: np.tril_indices(3)",
-    ),
-] = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
+_SQUARE: Ints = sourced(
+    np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]]),
+    "places in a lower triangle, row by row",
+    "where the numbers of a symmetric matrix (3, 3) stand",
+    "structure: np.tril_indices(3)",
+)
 
 
 @dataclass(frozen=True)

@@ -5,26 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.solver.nested_dissection import Dissection
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Numbers = NDArray[np.int32]
-AT_ONCE: Annotated[
-    int,
-    Because(
-        "image observations",
-        "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
-        "processor's cache; fewer mean more calls, more go through the memory",
-        CHOSEN,
-    ),
-] = 8192
+AT_ONCE = tuned(
+    8192,
+    "image observations",
+    "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
+    "processor's cache; fewer mean more calls, more go through the memory",
+)
 
 
 @dataclass(frozen=True)

@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.bundle_model import GROUPS, Factors, Priors, State
 from geomosaic.adjustment.solver.bundle_equations import pose_sd, present_miss
-from geomosaic.constants import MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, sourced
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import lie_weight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-MEDIAN_ONE: Annotated[
-    float,
-    Because(
-        "deviations",
-        "median size of a residual of one number with a deviation of 1",
-        "normal distribution: Phi^-1(3/4)",
-    ),
-] = 0.6745
+MEDIAN_ONE = sourced(
+    0.6745,
+    "deviations",
+    "median size of a residual of one number with a deviation of 1",
+    "normal distribution: Phi^-1(3/4)",
+)
 
-_SLOPES: Annotated[
-    float,
-    Because(
-        "times likelier",
-        "that a part's heights miss by a slope than without one, so that the slope counts as what they miss "
-        "in common: strong evidence. Taken off always, 8 frames had too little left to show by what heights "
-        "are off",
-        "Kass and Raftery 1995, section 3.2",
-    ),
-] = 20.0
+_SLOPES = sourced(
+    20.0,
+    "times likelier",
+    "that a part's heights miss by a slope than without one, so that the slope counts as what they miss "
+    "in common: strong evidence. Taken off always, 8 frames had too little left to show by what heights "
+    "are off",
+    "Kass and Raftery 1995, section 3.2",
+)
 
 
 def parts_of(priors: Priors) -> list[Ints]:

@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.bundle_model import Bundle
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import orthonormal
 
 Floats = NDArray[np.float64]
-_POINTS: Annotated[
-    int,
-    Because(
-        "tie points",
-        "spread over the block: its shape bends and stretches over many of them; fewer miss bends of a long "
-        "block, more cost two columns of the covariance each",
-        CHOSEN,
-    ),
-] = 48
-_LEAST_POINTS: Annotated[
-    int,
-    Because(
-        "tie points",
-        "a similarity takes four numbers of their eight; of fewer points next to no shape is left",
-        CHOSEN,
-    ),
-] = 4
-_WELL_KNOWN: Annotated[
-    float,
-    Because(
-        "share of the tie points",
-        "the best determined ones stand for the block: among the others are wrong matches far outside of "
-        "it, by rays that hardly cut (one, known to 87 m, opened a block by 16 px that was 0.1 px off); "
-        "with a smaller share the block's rim would not count",
-        CHOSEN,
-    ),
-] = 0.95
+_POINTS = tuned(
+    48,
+    "tie points",
+    "spread over the block: its shape bends and stretches over many of them; fewer miss bends of a long "
+    "block, more cost two columns of the covariance each",
+)
+_LEAST_POINTS = tuned(
+    4,
+    "tie points",
+    "a similarity takes four numbers of their eight; of fewer points next to no shape is left",
+)
+_WELL_KNOWN = tuned(
+    0.95,
+    "share of the tie points",
+    "the best determined ones stand for the block: among the others are wrong matches far outside of "
+    "it, by rays that hardly cut (one, known to 87 m, opened a block by 16 px that was 0.1 px off); "
+    "with a smaller share the block's rim would not count",
+)
 
 
 def shape_sd_m(bundle: Bundle, ties: int) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,54 +21,35 @@ from geomosaic.adjustment.solver.bundle_equations import (
 from geomosaic.adjustment.solver.normal_equations import Reduced
 from geomosaic.adjustment.terms.collinearity import project_by_levers
 from geomosaic.adjustment.terms.terrain import terrain_rows
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import eigen_each
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_STAND: Annotated[
-    float,
-    Because(
-        "of a point's own deviation",
-        "that it may be off from where its images want it; with more, those that wander still move frames",
-        CHOSEN,
-    ),
-] = 0.01
-_MOST: Annotated[
-    float,
-    Because(
-        "share of the points",
-        "that are settled by themselves, those that are farthest off: where all are on their way, the step "
-        "of the whole block moves them",
-        CHOSEN,
-    ),
-] = 0.03
-_FEWEST: Annotated[
-    int,
-    Because(
-        "points",
-        "of a block, below which a step of all of it costs less than some points' own",
-        CHOSEN,
-    ),
-] = 3000
-_ROUNDS: Annotated[
-    int,
-    Because("rounds", "of Newton's steps; a point that crosses to another place takes ten", CHOSEN),
-] = 8
-_LEAST_BEND: Annotated[
-    float,
-    Because(
-        "share of the largest",
-        "of a cost's curvatures, which stands for one that is next to none: a step along it would have no "
-        "end",
-        CHOSEN,
-    ),
-] = 1e-3
-_LESS: Annotated[
-    float,
-    Because("of a step", "that is tried, point by point, after one that raised its cost", CHOSEN),
-] = 0.3
+_STAND = tuned(
+    0.01,
+    "of a point's own deviation",
+    "that it may be off from where its images want it; with more, those that wander still move frames",
+)
+_MOST = tuned(
+    0.03,
+    "share of the points",
+    "that are settled by themselves, those that are farthest off: where all are on their way, the step "
+    "of the whole block moves them",
+)
+_FEWEST = tuned(
+    3000,
+    "points",
+    "of a block, below which a step of all of it costs less than some points' own",
+)
+_ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
+_LEAST_BEND = tuned(
+    1e-3,
+    "share of the largest",
+    "of a cost's curvatures, which stands for one that is next to none: a step along it would have no end",
+)
+_LESS = tuned(0.3, "of a step", "that is tried, point by point, after one that raised its cost")
 
 
 def wandering(reduced: Reduced) -> Ints:

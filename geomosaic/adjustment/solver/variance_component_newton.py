@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.bundle_model import GROUPS, Factors, Priors
 from geomosaic.adjustment.solver.variance_components import PRIOR_FACTORS, limits_while_read
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
-_TIMES: Annotated[
-    tuple[float, float],
-    Because(
-        "times its own change",
-        "that a component is sent ahead: not back, which is chance where unknowns are still on their way, "
-        "and not where nine tenths of what is found follow what was believed",
-        CHOSEN,
-    ),
-] = (0.5, 4.0)
+_TIMES: tuple[float, float] = tuned(
+    (0.5, 4.0),
+    "times its own change",
+    "that a component is sent ahead: not back, which is chance where unknowns are still on their way, "
+    "and not where nine tenths of what is found follow what was believed",
+)
 
 
 def image_change(before: Factors, after: Factors) -> float:

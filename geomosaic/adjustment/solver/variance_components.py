@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ from geomosaic.adjustment.solver.prior_reweighting import median_px, observed_of
 from geomosaic.adjustment.terms.control_precision import control_component
 from geomosaic.adjustment.terms.rolling_shutter_rotation import MOST_DRIFT
 from geomosaic.adjustment.terms.terrain import surface_share
-from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse
 from geomosaic.estimation.robust import INFORMATION, credible, student_weight
@@ -38,105 +37,77 @@ from geomosaic.estimation.robust import INFORMATION, credible, student_weight
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_LEAST_SIGMA_PX: Annotated[
-    float,
-    Because(
-        "px",
-        "deviation of image coordinates at least: with 0, exact tie points (simulated ones) would weigh "
-        "without bound; keypoints of clean images are off by 0.1 px, five times as much",
-        CHOSEN,
-    ),
-] = 0.02
-_DETERMINED: Annotated[
-    float,
-    Because(
-        "share of the deviation before",
-        "below which a shared unknown counts as determined, half of its variance being taken away: with "
-        "more, what images hardly show goes astray; with less, what they show is held as it was given",
-        CHOSEN,
-    ),
-] = 0.7
-_ERRORS_ALIKE: Annotated[
-    float,
-    Because(
-        "times the image deviation",
-        "with which an unknown still has to be determined, since keypoints err alike from neighbour to "
-        "neighbour. Left free, a real nadir flight's focal length went 9 % off; with more, lenses that are "
-        "determined would be held",
-        CHOSEN,
-    ),
-] = 5.0
-_INFORMATIVE: Annotated[
-    int,
-    Because(
-        "image observations a frame",
-        "beyond which more show nothing new of what all frames share: with all of 30,000 tie points a focal "
-        "length looked determined to 2 px and was 75 px off; with 192 a lens's second term was held and a "
-        "block 0.10 px off instead of 0.02",
-        "docs/results.md, surveys as people deliver them: seeds 4 and 5 of 1 to 10",
-    ),
-] = 600
-PRIOR_FACTORS: Annotated[
-    tuple[float, float],
-    Because(
-        "times the stated deviation",
-        "least and largest: EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or "
-        "a car's; deviations that are stated in the wrong unit or for 1 of 3 axes are off by less than ten. "
-        "Beyond, the tags are not what they say",
-        CHOSEN,
-    ),
-] = (0.1, 10.0)
-LEAST_SWING: Annotated[
-    float,
-    Because(
-        "times the deviation to begin with",
-        "a copter's good mount leaves a twentieth of a small wing in gusts; with less, swings could not grow "
-        "again",
-        CHOSEN,
-    ),
-] = 0.02
-_LEAST_REDUNDANCY: Annotated[
-    float,
-    Because(
-        "redundant observations",
-        "that a variance component needs; of fewer its estimate is chance, and what was stated stands",
-        CHOSEN,
-    ),
-] = 3.0
-_COMMON: Annotated[
-    dict[str, float],
-    Because(
-        "unknowns",
-        "that the frames of a part have in common, taken off the redundancy as their miss is (see "
-        "`own_miss`): place, turn and scale; height; of tilts nothing; heading",
-        "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
-    ),
-] = {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0}
-_OF_SLOPE: Annotated[
-    float,
-    Because("unknowns", "more of a part whose heights miss by a slope", "degrees of freedom of a slope"),
-] = 2.0
-_STIFF: Annotated[
-    float,
-    Because(
-        "of the largest axis's deviation",
-        "below which an axis is held: a tilt of some degrees brings more of the others into it than it has",
-        "between 1 and swing.LEVEL_AXES",
-    ),
-] = 0.03
-_A_LITTLE: Annotated[
-    float,
-    Because("times a factor", "by which another is told what it follows: a slope, by difference", CHOSEN),
-] = 1.01
-_SCALINGS: Annotated[
-    int,
-    Because(
-        "rounds",
-        "each of which halves what a scale is off by: they leave one part in 4000, with fewer the steps "
-        "that follow are weighed by a scale that has not settled",
-        CHOSEN,
-    ),
-] = 12
+_LEAST_SIGMA_PX = tuned(
+    0.02,
+    "px",
+    "deviation of image coordinates at least: with 0, exact tie points (simulated ones) would weigh "
+    "without bound; keypoints of clean images are off by 0.1 px, five times as much",
+)
+_DETERMINED = tuned(
+    0.7,
+    "share of the deviation before",
+    "below which a shared unknown counts as determined, half of its variance being taken away: with "
+    "more, what images hardly show goes astray; with less, what they show is held as it was given",
+)
+_ERRORS_ALIKE = tuned(
+    5.0,
+    "times the image deviation",
+    "with which an unknown still has to be determined, since keypoints err alike from neighbour to "
+    "neighbour. Left free, a real nadir flight's focal length went 9 % off; with more, lenses that are "
+    "determined would be held",
+)
+_INFORMATIVE = sourced(
+    600,
+    "image observations a frame",
+    "beyond which more show nothing new of what all frames share: with all of 30,000 tie points a focal "
+    "length looked determined to 2 px and was 75 px off; with 192 a lens's second term was held and a "
+    "block 0.10 px off instead of 0.02",
+    "docs/results.md, surveys as people deliver them: seeds 4 and 5 of 1 to 10",
+)
+PRIOR_FACTORS: tuple[float, float] = tuned(
+    (0.1, 10.0),
+    "times the stated deviation",
+    "least and largest: EXIF's positions, which state nothing, count as good to 5 m and may be RTK's or "
+    "a car's; deviations that are stated in the wrong unit or for 1 of 3 axes are off by less than ten. "
+    "Beyond, the tags are not what they say",
+)
+LEAST_SWING = tuned(
+    0.02,
+    "times the deviation to begin with",
+    "a copter's good mount leaves a twentieth of a small wing in gusts; with less, swings could not grow "
+    "again",
+)
+_LEAST_REDUNDANCY = tuned(
+    3.0,
+    "redundant observations",
+    "that a variance component needs; of fewer its estimate is chance, and what was stated stands",
+)
+_COMMON: dict[str, float] = sourced(
+    {"horizontal": 4.0, "vertical": 1.0, "tilt": 0.0, "yaw": 1.0},
+    "unknowns",
+    "that the frames of a part have in common, taken off the redundancy as their miss is (see "
+    "`own_miss`): place, turn and scale; height; of tilts nothing; heading",
+    "degrees of freedom: 4 of a similarity of the plane, 1 of a height, 1 of a heading",
+)
+_OF_SLOPE = sourced(
+    2.0,
+    "unknowns",
+    "more of a part whose heights miss by a slope",
+    "degrees of freedom of a slope",
+)
+_STIFF = sourced(
+    0.03,
+    "of the largest axis's deviation",
+    "below which an axis is held: a tilt of some degrees brings more of the others into it than it has",
+    "between 1 and swing.LEVEL_AXES",
+)
+_A_LITTLE = tuned(1.01, "times a factor", "by which another is told what it follows: a slope, by difference")
+_SCALINGS = tuned(
+    12,
+    "rounds",
+    "each of which halves what a scale is off by: they leave one part in 4000, with fewer the steps "
+    "that follow are weighed by a scale that has not settled",
+)
 
 
 def variance_components(

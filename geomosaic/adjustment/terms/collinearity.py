@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from geomosaic.adjustment.terms.rolling_shutter_rotation import recorded_share, 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS, Lens
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -33,15 +32,11 @@ def interior_of(camera: Camera) -> Floats:
     return np.array([getattr(camera, name) for name in INTERIOR])
 
 
-_MOST_BY_ROW: Annotated[
-    float,
-    Because(
-        "rows a row",
-        "by which a frame is stretched while it is read: one of twice or two thirds of its height is no "
-        "image",
-        CHOSEN,
-    ),
-] = 0.5
+_MOST_BY_ROW = tuned(
+    0.5,
+    "rows a row",
+    "by which a frame is stretched while it is read: one of twice or two thirds of its height is no image",
+)
 
 
 @dataclass(frozen=True)

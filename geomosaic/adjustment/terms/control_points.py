@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.terms.collinearity import interior_of, kinds_of, project, readout_of
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse, is_parallel, solve
 from geomosaic.projection.footprint import ground_from_image
@@ -24,23 +23,13 @@ from geomosaic.survey.model import ControlPoint, Survey, Warn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DISAGREES: Annotated[
-    float,
-    Because(
-        "deviations",
-        "beyond which a control point is called wrong: of a hundred thousand none is by chance, and what "
-        "a stated deviation forgets is below it",
-        CHOSEN,
-    ),
-] = 5.0
-_UNKNOWN_SD: Annotated[
-    float,
-    Because(
-        "m",
-        "of a coordinate that is not given: farther than any frame sees",
-        CHOSEN,
-    ),
-] = 1e3
+_DISAGREES = tuned(
+    5.0,
+    "deviations",
+    "beyond which a control point is called wrong: of a hundred thousand none is by chance, and what "
+    "a stated deviation forgets is below it",
+)
+_UNKNOWN_SD = tuned(1e3, "m", "of a coordinate that is not given: farther than any frame sees")
 
 Spread = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses

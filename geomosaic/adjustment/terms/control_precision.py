@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from geomosaic.adjustment.solver.prior_reweighting import (
     median_px,
 )
 from geomosaic.adjustment.terms.collinearity import project_by_levers
-from geomosaic.constants import CHOSEN, MEDIAN_LENGTH, Because
+from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
 from geomosaic.estimation.linear import inverse_each, least_squares
 from geomosaic.estimation.robust import credible, lie_weight, student_weight
 from geomosaic.survey.accuracy import POSITION
@@ -29,26 +28,20 @@ from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-LEAST_POINTS: Annotated[
-    int,
-    Because(
-        "points",
-        "of which the precision is estimated: of fewer, what a similarity leaves is chance",
-        "10 coordinates in plan less the 4 of a similarity",
-    ),
-] = 5
-_COARSER: Annotated[
-    float,
-    Because(
-        "times the stated deviation",
-        "from which a warning says so: F test at 1 % of 16 coordinates less 4 against none",
-        "chi-squared distribution: 26.2 of 12 degrees of freedom, root of the ratio 1.48",
-    ),
-] = 1.5
-_BEND: Annotated[
-    int, Because("numbers", "of a polynomial of the second degree: level, slope, bend", "by its definition")
-] = 6
-_ROUNDS: Annotated[int, Because("rounds", "of re-weighting, which then stands to a hundredth", CHOSEN)] = 12
+LEAST_POINTS = sourced(
+    5,
+    "points",
+    "of which the precision is estimated: of fewer, what a similarity leaves is chance",
+    "10 coordinates in plan less the 4 of a similarity",
+)
+_COARSER = sourced(
+    1.5,
+    "times the stated deviation",
+    "from which a warning says so: F test at 1 % of 16 coordinates less 4 against none",
+    "chi-squared distribution: 26.2 of 12 degrees of freedom, root of the ratio 1.48",
+)
+_BEND = sourced(6, "numbers", "of a polynomial of the second degree: level, slope, bend", "by its definition")
+_ROUNDS = tuned(12, "rounds", "of re-weighting, which then stands to a hundredth")
 
 
 @dataclass(frozen=True)

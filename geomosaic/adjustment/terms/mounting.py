@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
-from geomosaic.constants import Because
+from geomosaic.constants import sourced
 
 Floats = NDArray[np.float64]
 
@@ -23,14 +22,12 @@ MOUNTING = (
     "lever_arm_down_m",
     "gps_lag_s",
 )
-UNIT: Annotated[
-    Floats,
-    Because(
-        "rad, m, s",
-        "one of each name's unit: degrees, m and s",
-        "definition",
-    ),
-] = np.array([np.radians(1.0)] * 3 + [1.0] * 4)
+UNIT: Floats = sourced(
+    np.array([np.radians(1.0)] * 3 + [1.0] * 4),
+    "rad, m, s",
+    "one of each name's unit: degrees, m and s",
+    "definition",
+)
 
 _CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 

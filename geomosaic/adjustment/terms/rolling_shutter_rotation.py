@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -11,120 +10,96 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import LEAST_RECORDED, Poses, Turns
 from geomosaic.camera.rotation import exp_turn, log_turn
-from geomosaic.constants import CHOSEN, Because
+from geomosaic.constants import sourced, tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
-TERMS: Annotated[
-    int,
-    Because(
-        "functions of the row",
-        "about each axis, Legendre's of degree 1 to 4, less what they are at the middle row: a swing of a "
-        "whole period while a frame is read is met to a tenth (root mean square), one of half a period to a "
-        "hundredth. Fewer can't follow motors, more are three unknowns a frame each",
-        "least squares of a sine by Legendre's polynomials; that 1 is too few: docs/design.md, swings (28 "
-        "frames of a Sequoia: 5.5 px with a constant rate, 0.91 px with four)",
-    ),
-] = 4
-RATE_SD_RAD_PER_S: Annotated[
-    float,
-    Because(
-        "rad/s",
-        "deviation, to begin with, of what each function gives a frame's rates; then it is estimated (see "
-        "`variance_components`). With much less, lens and poses take up turns first; with much more, turns "
-        "take up what poses do",
-        "gyroscope of 28 frames of a Sequoia on a fixed wing of 0.7 kg: 0.26 rad/s kept over a readout, "
-        "0.15 that come and go (root mean square of three axes)",
-    ),
-] = 0.3
-GUST_M_PER_S: Annotated[
-    float,
-    Because(
-        "m/s",
-        "deviation of a velocity while a frame is read about that by positions: over the flying height it "
-        "is a rate of turning, as far as level ground can show. Taken as exact (0), chance differences of "
-        "velocities set readout and scale: blocks came out 12 and 21 % too large",
-        "commit 1b27d03: velocities by positions are off by 0.3 to 1 m/s; docs/results.md, velocities taken "
-        "as exact, seeds 37 and 48",
-    ),
-] = 0.5
-MOST_SWING: Annotated[
-    float,
-    Because(
-        "times the deviation to begin with",
-        "of how frames swing at most: nothing reports by how much; ten times as fast is a crash",
-        CHOSEN,
-    ),
-] = 10.0
-MOST_GUSTS: Annotated[
-    float,
-    Because(
-        "times GUST_M_PER_S",
-        "that velocities may be off by: nothing flies a survey in gusts of 1.5 m/s. A rate of turning beyond "
-        "is no velocity's, and as far as it stands for one it takes up what else is amiss: halves of a "
-        "flight lay 2.4 px apart with five times, 1.5 with three and with one and a half",
-        "docs/results.md, split halves",
-    ),
-] = 3.0
-MOST_DRIFT: Annotated[
-    float,
-    Because(
-        "times GUST_M_PER_S",
-        "that velocities may be off by as such, along the ground or up, root mean square; what is more along "
-        "the ground stays a rate of turning: in metres, as velocities are, it drew a block whose frames turn "
-        "smaller, to a quarter, where fewer metres are the same turn. A frame that climbs while it is read "
-        "looks like one that is tilted and lies a little further on, so that only the block as a whole shows "
-        "which: with three times as much, a flight's climbs went to 6 m/s and its block to 11 degrees",
-        "docs/results.md, garfield's halves; docs/design.md, climbs",
-    ),
-] = 1.0
-UPWARDS: Annotated[
-    Floats,
-    Because(
-        "of a drift's deviation, east, north and up",
-        "where frames turn; next to nothing along the ground, since equations want more than none",
-        "docs/design.md, climbs: a flight's halves lay 3 degrees apart with as much along the ground",
-    ),
-] = np.array([1e-3, 1e-3, 1.0])
-LEVEL_AXES: Annotated[
-    Floats,
-    Because(
-        "of a rate's deviation, about east, north and up",
-        "a velocity that is off looks like a rate about a level axis; next to nothing about the other, since "
-        "equations want more than none. A rate about the line of sight that all frames have, a lens's "
-        "decentring and a tilt cancel: with as much about all axes a flight's halves lay 5.7 px apart, its "
-        "principal points 50 to 74 px off",
-        "docs/results.md, split halves",
-    ),
-] = np.array([1.0, 1.0, 1e-3])
-VIBRATION_TERMS: Annotated[
-    int,
-    Because(
-        "functions of the row",
-        "about each axis where frames vibrate while they are read: as TERMS, for three periods",
-        "least squares of a sine by Legendre's polynomials; 42 frames of an action camera under an aeroplane "
-        "left 1.03 px with 4, 0.80 with 8 and 0.78 with 12",
-    ),
-] = 12
-_TABLED: Annotated[
-    int,
-    Because(
-        "times for each function",
-        "of a table of turns over a readout, linear between them: a period of four functions is met to 1 in "
-        "200; with fewer its crests are cut",
-        "linear interpolation: (2 pi / 32)² / 8",
-    ),
-] = 8
-_MOST_RECORDED: Annotated[
-    float,
-    Because(
-        "share of the height from the middle row on",
-        "beyond which nothing is left to guess: the last hundredth, where a function may still stand",
-        CHOSEN,
-    ),
-] = 0.49
+TERMS = sourced(
+    4,
+    "functions of the row",
+    "about each axis, Legendre's of degree 1 to 4, less what they are at the middle row: a swing of a "
+    "whole period while a frame is read is met to a tenth (root mean square), one of half a period to a "
+    "hundredth. Fewer can't follow motors, more are three unknowns a frame each",
+    "least squares of a sine by Legendre's polynomials; that 1 is too few: docs/design.md, swings (28 "
+    "frames of a Sequoia: 5.5 px with a constant rate, 0.91 px with four)",
+)
+RATE_SD_RAD_PER_S = sourced(
+    0.3,
+    "rad/s",
+    "deviation, to begin with, of what each function gives a frame's rates; then it is estimated (see "
+    "`variance_components`). With much less, lens and poses take up turns first; with much more, turns "
+    "take up what poses do",
+    "gyroscope of 28 frames of a Sequoia on a fixed wing of 0.7 kg: 0.26 rad/s kept over a readout, "
+    "0.15 that come and go (root mean square of three axes)",
+)
+GUST_M_PER_S = sourced(
+    0.5,
+    "m/s",
+    "deviation of a velocity while a frame is read about that by positions: over the flying height it "
+    "is a rate of turning, as far as level ground can show. Taken as exact (0), chance differences of "
+    "velocities set readout and scale: blocks came out 12 and 21 % too large",
+    "commit 1b27d03: velocities by positions are off by 0.3 to 1 m/s; docs/results.md, velocities taken "
+    "as exact, seeds 37 and 48",
+)
+MOST_SWING = tuned(
+    10.0,
+    "times the deviation to begin with",
+    "of how frames swing at most: nothing reports by how much; ten times as fast is a crash",
+)
+MOST_GUSTS = sourced(
+    3.0,
+    "times GUST_M_PER_S",
+    "that velocities may be off by: nothing flies a survey in gusts of 1.5 m/s. A rate of turning beyond "
+    "is no velocity's, and as far as it stands for one it takes up what else is amiss: halves of a "
+    "flight lay 2.4 px apart with five times, 1.5 with three and with one and a half",
+    "docs/results.md, split halves",
+)
+MOST_DRIFT = sourced(
+    1.0,
+    "times GUST_M_PER_S",
+    "that velocities may be off by as such, along the ground or up, root mean square; what is more along "
+    "the ground stays a rate of turning: in metres, as velocities are, it drew a block whose frames turn "
+    "smaller, to a quarter, where fewer metres are the same turn. A frame that climbs while it is read "
+    "looks like one that is tilted and lies a little further on, so that only the block as a whole shows "
+    "which: with three times as much, a flight's climbs went to 6 m/s and its block to 11 degrees",
+    "docs/results.md, garfield's halves; docs/design.md, climbs",
+)
+UPWARDS: Floats = sourced(
+    np.array([1e-3, 1e-3, 1.0]),
+    "of a drift's deviation, east, north and up",
+    "where frames turn; next to nothing along the ground, since equations want more than none",
+    "docs/design.md, climbs: a flight's halves lay 3 degrees apart with as much along the ground",
+)
+LEVEL_AXES: Floats = sourced(
+    np.array([1.0, 1.0, 1e-3]),
+    "of a rate's deviation, about east, north and up",
+    "a velocity that is off looks like a rate about a level axis; next to nothing about the other, since "
+    "equations want more than none. A rate about the line of sight that all frames have, a lens's "
+    "decentring and a tilt cancel: with as much about all axes a flight's halves lay 5.7 px apart, its "
+    "principal points 50 to 74 px off",
+    "docs/results.md, split halves",
+)
+VIBRATION_TERMS = sourced(
+    12,
+    "functions of the row",
+    "about each axis where frames vibrate while they are read: as TERMS, for three periods",
+    "least squares of a sine by Legendre's polynomials; 42 frames of an action camera under an aeroplane "
+    "left 1.03 px with 4, 0.80 with 8 and 0.78 with 12",
+)
+_TABLED = sourced(
+    8,
+    "times for each function",
+    "of a table of turns over a readout, linear between them: a period of four functions is met to 1 in "
+    "200; with fewer its crests are cut",
+    "linear interpolation: (2 pi / 32)² / 8",
+)
+_MOST_RECORDED = tuned(
+    0.49,
+    "share of the height from the middle row on",
+    "beyond which nothing is left to guess: the last hundredth, where a function may still stand",
+)
 
 
 def with_drift(poses: Poses, drift_m: Floats, readouts_s: Floats) -> Poses:
