@@ -87,8 +87,12 @@ def recorded(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:
 
 
 def _text(argument: ast.expr, module: object) -> str:
-    """What an argument says; it may name other constants of its module."""
-    return str(eval(compile(ast.Expression(argument), "<constant>", "eval"), vars(module)))
+    """What an argument says; it may name other texts of its module and add them up."""
+    if isinstance(argument, ast.Name):
+        return str(vars(module)[argument.id])
+    if isinstance(argument, ast.BinOp):
+        return _text(argument.left, module) + _text(argument.right, module)
+    return str(ast.literal_eval(argument))
 
 
 def main() -> None:
