@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from geomosaic.constants import CHOSEN, sourced, tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.header import FrameHeader
 
 FILM_DIAGONAL_MM: float = sourced(
@@ -106,7 +106,7 @@ _ACTION_MAKES: set[str] = sourced(
     {"gopro", "xiaoyi", "sjcam", "drift"},
     "make",
     "of action cameras, which have several fields of view and no tag of the mode",
-    f"OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: {CHOSEN}",
+    "OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: chosen",
 )
 _WIDE_MODE_MM = sourced(
     16.0,
