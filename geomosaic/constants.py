@@ -44,6 +44,9 @@ NORMAL_PER_MAD = sourced(
     "standard deviations of a normal distribution in one median absolute deviation",
     "1 / Phi^-1(3/4)",
 )
+MEDIAN_ONE = sourced(
+    0.6745, "deviations", "median size of a normal error of one number with a deviation of 1", "Phi^-1(3/4)"
+)
 MEDIAN_LENGTH = sourced(
     math.sqrt(math.log(4.0)),
     "deviations",

@@ -9,7 +9,7 @@ from adjustment_blocks import fly
 
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.terms.control_points import ground_control
+from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic, OutputGrid

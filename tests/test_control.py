@@ -14,7 +14,7 @@ from small_surveys import mosaic, small_survey, summary
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundControl, Settings
 from geomosaic.adjustment.problem.half_turned import as_taken
-from geomosaic.adjustment.terms.control_points import control_residuals
+from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.matching.model import TiePoints
 from geomosaic.quality.control import control_figures
 from geomosaic.quality.positions import read_poses

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted, Block
-from geomosaic.adjustment.terms.control_points import control_residuals, ground_control
+from geomosaic.adjustment.procedure.control_points import control_residuals, ground_control
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import is_local

@@ -15,7 +15,7 @@ from geomosaic.adjustment.paper.chain import chain
 from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.procedure.outcome import settled
+from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.camera.rotation import about_z
 from geomosaic.spread import Spread
 
@@ -28,7 +28,7 @@ def _slid(block: Block, moves: Floats, rounds: tuple[Round, ...], sd_m: Floats |
     sd = poses.positions_sd_m
     if sd_m is not None:
         sd = np.column_stack([sd_m, sd_m, sd[:, 2]])
-    return settled(block, replace(poses, positions_m=positions, positions_sd_m=sd), rounds)
+    return outcome(block, replace(poses, positions_m=positions, positions_sd_m=sd), rounds)
 
 
 def _none(block: Block, settings: Settings) -> Adjusted:
@@ -64,7 +64,7 @@ def _chain(block: Block, settings: Settings) -> Adjusted:
     )
     still = np.zeros((net.n, 2))
     moves = np.column_stack([(moved - z).real, (moved - z).imag])
-    return settled(block, laid, (Round(net.misalignments_m(still), moves),))
+    return outcome(block, laid, (Round(net.misalignments_m(still), moves),))
 
 
 def _least_squares(block: Block, settings: Settings) -> Adjusted:

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation as Turn
 
 Floats = NDArray[np.float64]
+CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Forward is the image's top, right its right side, down the view."""
 
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _ENU_FROM_NWU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -101,3 +101,9 @@ def credible(factor: float, redundancy: float) -> float:
     evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))
     wrong = 1.0 / (1.0 + np.sqrt(redundancy) * np.exp(-min(evidence, 500.0)))
     return float(np.exp(wrong * np.log(variance) / 2.0))
+
+
+def median_of_known(values: Floats) -> float:
+    """Median of the finite values, 0 where there is none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else 0.0

@@ -11,9 +11,9 @@ import numpy as np
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.common_offsets import height_reference
+from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
-from geomosaic.adjustment.terms.control_points import ground_control
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import connected_parts

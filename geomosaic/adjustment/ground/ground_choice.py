@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.tie_surface import level_m, tie_surface
 from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.problem.bundle_model import Bundle
+from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
@@ -71,7 +72,7 @@ def _least_relief_m(block: Block) -> float:
     return _FLAT_PX * block.ground_pixel_m / _view(block)
 
 
-def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle, part: Ints) -> float:
+def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: Ints) -> float:
     """How far points lie off the ground: the spread about it of the best determined quarter as solved so
     far, less what their own deviations explain; of flat ground less each part's bend, and at most what is
     flat. part: see `chosen_ground`."""
@@ -85,7 +86,7 @@ def off_ground_m(block: Block, ground: GroundSurface, bundle: Bundle, part: Ints
     return float(np.clip(rough, 0.1 * least_m, least_m if flat else DEM_SD_M))
 
 
-def levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
+def levelled(ground: GroundSurface, bundle: Solution) -> GroundSurface:
     """The ground's own shape at the level of the points: the frames' heights are theirs, also over a DEM
     of another datum."""
     above = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
@@ -93,7 +94,7 @@ def levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
 
 
 def chosen_ground(
-    block: Block, asked: str, bundle: Bundle, lengths: Ints, part: Ints
+    block: Block, asked: str, bundle: Solution, lengths: Ints, part: Ints
 ) -> tuple[GroundSurface, float]:
     """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
     ground pixels it moves points is the second, NaN where not known. The surface is a rough one.
@@ -121,14 +122,14 @@ def _moves_px(block: Block, relief: Floats) -> float:
     return _view(block) * float(np.sqrt(np.mean(np.square(relief)))) / block.ground_pixel_m
 
 
-def surface_and_relief(block: Block, flat: GroundSurface, bundle: Bundle) -> tuple[GroundSurface, float]:
+def surface_and_relief(block: Block, flat: GroundSurface, bundle: Solution) -> tuple[GroundSurface, float]:
     """The rough surface of the points, and by how many ground pixels its relief moves them, bends and all."""
     surface = surface_of(block, flat, bundle, rough=True)
     up_m = surface.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
     return surface, _moves_px(block, up_m - np.median(up_m))
 
 
-def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
+def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution) -> bool:
     """Whether flat ground explains the images as well as free points do: the image residuals don't grow,
     most points come to lie on it, no bend stays that images could have given up (a block without height
     control may have bent so: drawn to level ground it straightens, but over a land that is bent), and neither
@@ -136,23 +137,23 @@ def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) ->
     slopes would tilt the whole block."""
     off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
     return bool(
-        bound.factors.image_px < _AS_WELL * free.factors.image_px
+        bound.components[IMAGE] < _AS_WELL * free.components[IMAGE]
         and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
         and all(_grown(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
         and surface_and_relief(block, flat, bound)[1] <= _FLAT_PX
     )
 
 
-def _grown(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
+def _grown(free: Solution, bound: Solution, group: str, numbers: int) -> float:
     """By how many variances the squares of a group's misses have grown, of so many numbers a frame."""
-    shares = (bound.factors.of(group) / free.factors.of(group)) ** 2 - 1.0
+    shares = (bound.components[group] / free.components[group]) ** 2 - 1.0
     return shares * numbers * float((~bound.left_out).sum())
 
 
 def surface_of(
     block: Block,
     flat: GroundSurface,
-    bundle: Bundle,
+    bundle: Solution,
     *,
     rough: bool = False,
     spread: Spread | None = None,

@@ -1,4 +1,4 @@
-"""A block solved with free points, then with control, then bound to the ground if its points lie on one."""
+"""A block solved with free points, then with control, then bound to the ground if its points lie on it."""
 
 from __future__ import annotations
 
@@ -17,131 +17,139 @@ from geomosaic.adjustment.ground.ground_choice import (
     off_ground_m,
     surface_and_relief,
 )
-from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.problem.bundle_model import Begun, Bundle, Priors
-from geomosaic.adjustment.problem.priors import believed_terrain, part_of_frames, priors_of
+from geomosaic.adjustment.model import Block, Settings, SolveStep
 from geomosaic.adjustment.problem.tracks import Tracks, nearest_to_rays
+from geomosaic.adjustment.procedure.block_problem import (
+    block_problem,
+    part_of_frames,
+    terrain_of,
+    with_control,
+    with_offset,
+)
 from geomosaic.adjustment.procedure.common_offsets import common_error
-from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.adjustment.solver.clearance import clearances_m, too_near
-from geomosaic.adjustment.terms.control_points import control_residuals, with_control
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.solution import Solution, Start
+from geomosaic.adjustment.solver.solve import SolveOptions, solve
+from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import NORMAL_PER_MAD, tuned
-from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.accuracy import POSITION
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DATUM_IN_DOUBT = tuned(
-    3.0,
-    "deviations of a position, and of the shift as control scatters",
-    "by which control lies off the block in the median before its positions are taken to be of another "
-    "datum and shifted along: with less their common noise is; with more, heights of another datum pull "
-    "against control",
-)
-
-_OFFSET_ROUNDS = tuned(3, "solves", "after which the common offset of positions is known beside control")
-_OFFSET_STANDS = tuned(0.02, "share of a position's deviation", "by which it may still change")
+Bools = NDArray[np.bool_]
+_OTHER_DATUM = tuned(3.0, "deviations", "of the shift to control; less: noise; more: another datum pulls")
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Tie points, the same with control points, what was believed, what was solved, and the ground that goes
-    with it. relief_px: see `chosen_ground`, of a surface that was taken since flat ground was tried in vain
-    with its bends and slopes."""
+class BlockSolution:
+    """Tie points, the problem that was solved (with control points last), its solution, and the ground.
+
+    offset (3,): along which axes positions have an offset in common that was solved for. relief_px: see
+    `chosen_ground`, of a surface that was taken since flat ground was tried in vain. steps: of all solves
+    that led here.
+    """
 
     ties: Tracks
-    seen: Tracks
-    priors: Priors
-    bundle: Bundle
+    problem: BlockProblem
+    solution: Solution
     ground: GroundSurface
     relief_px: float
+    offset: Bools
+    steps: tuple[SolveStep, ...] = ()
 
     @property
-    def of_ties(self) -> Bundle:
-        """The bundle without what it says of control points, which come last."""
-        return _of_ties(self.bundle, self.ties)
+    def of_ties(self) -> Solution:
+        """The solution without control points."""
+        return _of_ties(self.solution, self.ties)
 
 
-def solution(
+def block_solution(
     block: Block,
     settings: Settings,
     tracks: Tracks,
-    start: Poses,
-    before: Solution | None = None,
-    begun: Begun | None = None,
+    poses: Poses,
+    start: BlockSolution | Start | None = None,
     *,
     rough: bool = False,
-) -> Solution:
-    """Free points first, then with control, then bound to the ground if they lie on one. before: a solution
-    to go on from, with the same lenses; begun: one by the same model and other tracks; rough: another is to
-    follow, by more tracks."""
-    again: Begun | None = None
-    if before is None:
-        lenses = block.cameras if begun is None else [begun.cameras[k] for k in block.lens_of]
-        points, kept = points_on_ground(start, lenses, block.ground, tracks)
-        if begun is not None:
-            again = begun.of_points(_nearest_to_rays(kept, begun.poses, lenses, points))
+) -> BlockSolution:
+    """Free points first, then with control, then bound to the ground if they lie on one.
+
+    Args: poses: to begin from. start: a solution to go on from: of the same tracks and lenses, or a solver's,
+        by the same model and other tracks. rough: another solve by more tracks follows.
+    """
+    options = SolveOptions(rough=rough, self_calibration=settings.self_calibration)
+    again: Start | None = None
+    if isinstance(start, BlockSolution):
+        ties, again = start.ties, start.of_ties
+        points = start.problem.points.given_m[: ties.points]
     else:
-        points, kept = before.priors.points_m[: before.ties.points], before.ties
-        again = before.of_ties
-    ties, priors = len(points), priors_of(block, settings, block.lenses, points)
-    held = not settings.self_calibration
-    free = (
-        solve_bundle(kept, block.lens_of, priors, start, again=again, rough=rough, lens_held=held)
-        if ties
-        else None
-    )
-    seen, priors = with_control(kept, priors, block.control)
-    if free is not None and seen is kept:
+        lenses = block.cameras if start is None else [start.cameras[k] for k in block.lens_of]
+        points, ties = points_on_ground(poses, lenses, block.ground, tracks)
+        if start is not None:
+            again = start.of_points(_nearest_to_rays(ties, start.poses, lenses, points))
+    problem = block_problem(block, settings, ties, points)
+    free = solve(problem, poses, again, options) if ties.points else None
+    held, offset = with_control(problem, block.control), np.zeros(3, dtype=bool)
+    if free is not None and held is problem:
         solved = free
     else:
-        priors, solved = _held_by_control(block, seen, priors, start, free, rough=rough, lens_held=held)
-    if not ties:
-        return Solution(kept, seen, priors, solved, block.ground, float("nan"))
-    part = part_of_frames(block)[kept.frame[np.unique(kept.point, return_index=True)[1]]]
-    ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, kept), kept.lengths, part)
+        held, solved, offset = _with_control(block, held, poses, free, options)
+    steps = solved.steps if free is None or solved is free else free.steps + solved.steps
+    if not ties.points:
+        return BlockSolution(ties, held, solved, block.ground, float("nan"), offset, steps)
+    part = part_of_frames(block)[ties.frame[np.unique(ties.point, return_index=True)[1]]]
+    ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, ties), ties.lengths, part)
+    free_points = BlockSolution(ties, held, solved, ground, relief_px, offset, steps)
     if ground.kind == "tie_surface":
-        return Solution(kept, seen, priors, solved, ground, relief_px)
-    off_m = off_ground_m(block, ground, _of_ties(solved, kept), part)
-    near = replace(believed_terrain(block, ties), sd_share=off_m / flying_height_m(block))
-    bound_priors = replace(priors, terrain=near)
-    bound = solve_bundle(
-        *(seen, block.lens_of, bound_priors, solved.poses), again=solved, rough=rough, lens_held=held
-    )
-    ground = levelled(ground, _of_ties(bound, kept))
-    tried = ground.kind == "flat" and settings.ground == "auto" and ties >= LEAST_POINTS
-    if tried and not lies_flat(block, ground, _of_ties(solved, kept), _of_ties(bound, kept)):
-        return Solution(
-            kept, seen, priors, solved, *surface_and_relief(block, ground, _of_ties(solved, kept))
-        )
-    return Solution(kept, seen, bound_priors, bound, ground, relief_px)
+        return free_points
+    off_m = off_ground_m(block, ground, _of_ties(solved, ties), part)
+    near = replace(terrain_of(block, held.image), sd_share=off_m / flying_height_m(block))
+    bound_problem = replace(held, terrain=near)
+    bound = solve(bound_problem, solved.poses, solved, options)
+    steps += bound.steps
+    ground = levelled(ground, _of_ties(bound, ties))
+    tried = ground.kind == "flat" and settings.ground == "auto" and ties.points >= LEAST_POINTS
+    if tried and not lies_flat(block, ground, _of_ties(solved, ties), _of_ties(bound, ties)):
+        surface, relief_px = surface_and_relief(block, ground, _of_ties(solved, ties))
+        return replace(free_points, ground=surface, relief_px=relief_px, steps=steps)
+    return BlockSolution(ties, bound_problem, bound, ground, relief_px, offset, steps)
 
 
-def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: Solution) -> Solution:
+def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: BlockSolution) -> BlockSolution:
     """The solution by all tie points, from that by few of them, on the same kind of ground; a surface is
     still that of the few."""
-    lenses, poses = [few.bundle.cameras[k] for k in block.lens_of], few.bundle.poses
-    points, kept = points_on_ground(poses, lenses, few.ground, tracks)
+    lenses, poses = [few.solution.cameras[k] for k in block.lens_of], few.solution.poses
+    points, ties = points_on_ground(poses, lenses, few.ground, tracks)
     surface = few.ground.kind == "tie_surface"
     if surface:
-        points = _nearest_to_rays(kept, poses, lenses, points)
-    terrain = None if surface else few.priors.terrain
-    priors = replace(priors_of(block, settings, block.lenses, points, terrain), poses=few.priors.poses)
-    seen, priors = with_control(kept, priors, block.control)
-    control_m = few.bundle.points_m[few.ties.points :]
-    again = replace(few.bundle, points_m=np.concatenate([points, control_m]), unrest=None)
-    solved = solve_bundle(
-        *(seen, block.lens_of, priors, poses), again=again, lens_held=not settings.self_calibration
-    )
-    ground = few.ground if surface else levelled(few.ground, _of_ties(solved, kept))
-    return Solution(kept, seen, priors, solved, ground, few.relief_px)
+        points = _nearest_to_rays(ties, poses, lenses, points)
+    problem = with_control(block_problem(block, settings, ties, points), block.control)
+    image = replace(problem.image, reported=few.problem.image.reported)
+    problem = replace(problem, image=image, frames=few.problem.frames)
+    if not surface and few.problem.terrain is not None:
+        problem = replace(problem, terrain=_on(few.problem.terrain, problem))
+    control_m = few.solution.points_m[few.ties.points :]
+    again = few.solution.of_points(np.concatenate([points, control_m]))
+    again = replace(few.solution, estimate=again.estimate, local=None)
+    options = SolveOptions(self_calibration=settings.self_calibration)
+    solved = solve(problem, poses, again, options)
+    ground = few.ground if surface else levelled(few.ground, _of_ties(solved, ties))
+    return BlockSolution(ties, problem, solved, ground, few.relief_px, few.offset, solved.steps)
+
+
+def _on(terrain: Terrain, problem: BlockProblem) -> Terrain:
+    """The terrain under the points of another problem."""
+    return replace(terrain, bound=~problem.points.control, frame_share=problem.image.frame_share())
 
 
 def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], ground_m: Floats) -> Floats:
-    """`nearest_to_rays`, but for those that come too near to a camera: they begin on the ground."""
+    """`nearest_to_rays`, but those that come too near to a camera begin on the ground."""
     points = nearest_to_rays(tracks, poses, lenses, ground_m)
     clearance_m = clearances_m(tracks, poses.positions_m, ground_m)
     near = too_near(tracks, clearance_m, poses.positions_m, points)
@@ -149,84 +157,49 @@ def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], gro
     return points
 
 
-def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, Floats, bool]:
-    """Median of control minus what the poses make of it, (3,); its deviation, (3,); and whether that is
-    another datum: three points or more agree on what the deviations of the positions and the points' own
-    scatter can't explain."""
+def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, Bools]:
+    """Median of control minus its place by the poses, (3,); and along which axes that shows another datum:
+    three points or more agree on more than the positions' deviations and the points' scatter explain."""
     used = replace(block, control=tuple(c for c in block.control if not c.check))
     off = np.array([c.residual_m for c in control_residuals(used, poses, cameras, block.ground)])
     if not len(off):
-        return np.zeros(3), np.full(3, np.inf), False
+        return np.zeros(3), np.zeros(3, dtype=bool)
     shift = np.median(off, axis=0)
     scatter_m = NORMAL_PER_MAD * np.median(np.abs(off - shift), axis=0)
-    own_m = np.median([c.sd_m for c in used.control], axis=0)
     of_shift_m = np.sqrt(np.pi / 2.0 / len(off)) * scatter_m  # a median's, of normal errors
     sd_m = np.hypot(np.median(block.poses.positions_sd_m, axis=0), of_shift_m)
-    beyond = np.abs(shift) > _DATUM_IN_DOUBT * sd_m
-    of_shift_m = np.hypot(of_shift_m, own_m / np.sqrt(len(off)))
-    return shift, of_shift_m, bool(len(off) >= 3 and beyond.any())
+    return shift, np.asarray((len(off) >= 3) & (np.abs(shift) > _OTHER_DATUM * sd_m))
 
 
-def _held_by_control(
-    block: Block,
-    seen: Tracks,
-    priors: Priors,
-    start: Poses,
-    free: Bundle | None,
-    *,
-    rough: bool,
-    lens_held: bool,
-) -> tuple[Priors, Bundle]:
+def _with_control(
+    block: Block, problem: BlockProblem, poses: Poses, free: Solution | None, options: SolveOptions
+) -> tuple[BlockProblem, Solution, Bools]:
     """The solution with control points, begun from the free one shifted onto them.
 
-    So each point is judged against the others, not against positions that may be off in common. These are
-    shifted along: wholly where they are of another datum, else along the axes in which their common error
-    (`common_error`) is larger than the shift's, by the share of the shift that it explains. Else the common
-    error of many positions outweighs control, and the block leans and bends.
+    So each point is compared with the others, not with positions that may be off in common. These have an
+    offset in common, with the deviation of their common error; without bounds where they are of another
+    datum. Else the common error of many positions would outweigh control, and the block would lean and bend.
     """
-    lenses, poses = (free.cameras, free.poses) if free else (priors.cameras, start)
-    shift, sd_m, datum = _shift_to_control(block, poses, tuple(lenses[k] for k in block.lens_of))
-    start, share = replace(poses, positions_m=poses.positions_m + shift), np.ones(3)
+    lenses, begun = (free.cameras, free.poses) if free else (problem.cameras, poses)
+    shift, datum = _shift_to_control(block, begun, tuple(lenses[k] for k in block.lens_of))
+    begun = replace(begun, positions_m=begun.positions_m + shift)
+    anywhere = POSITION["none"].sd_horizontal_m
+    offset_sd_m = np.where(datum.any(), anywhere, np.zeros(3))
+    again: Start | None = None
     if free is not None:
-        points = np.concatenate([free.points_m + shift, priors.points_m[len(free.points_m) :]])
-        if not datum:
-            common_m2 = common_error(replace(block, control=()), poses, block.ground, free.factors)
-            share = np.where(common_m2 > sd_m**2, common_m2 / (common_m2 + sd_m**2), 0.0)
-        free = replace(free, points_m=points, unrest=None, level_m=free.level_m + float(shift[2]))
-    elif not datum:
-        share = np.zeros(3)
-    solved, off_m = free, share * shift
-    for _ in range(_OFFSET_ROUNDS):
-        priors = replace(priors, poses=replace(priors.poses, positions_m=priors.poses.positions_m + off_m))
-        solved = solve_bundle(
-            *(seen, block.lens_of, priors, start), again=solved, rough=rough, lens_held=lens_held
-        )
-        start = solved.poses
-        off_m = -share * _common_miss_m(priors.poses, start)
-        if (np.abs(off_m) < _OFFSET_STANDS * np.median(priors.poses.positions_sd_m, axis=0)).all():
-            break
-    assert solved is not None
-    return priors, solved
+        if not datum.any():
+            alone = replace(block, control=())
+            offset_sd_m = np.sqrt(common_error(alone, free.poses, block.ground, free.components))
+        points = np.concatenate([free.points_m + shift, problem.points.given_m[len(free.points_m) :]])
+        level = free.estimate.layout.level
+        shared = free.estimate.shared + np.eye(free.estimate.layout.size)[level] * shift[2]
+        again = replace(free, estimate=replace(free.estimate, points_m=points, shared=shared), local=None)
+    problem = with_offset(problem, offset_sd_m)
+    return problem, solve(problem, begun, again, options), offset_sd_m > 0.0
 
 
-def _common_miss_m(given: Poses, found: Poses) -> Floats:
-    """Median of given minus found positions (3,), of frames whose position was observed; 0 of none."""
-    known = ~position_assumed(given)
-    if not known.any():
-        return np.zeros(3)
-    return np.asarray(np.median(given.positions_m[known] - found.positions_m[known], axis=0))
-
-
-def _of_ties(bundle: Bundle, ties: Tracks) -> Bundle:
-    p, m = ties.points, len(ties.frame)
-    return replace(
-        bundle,
-        points_m=bundle.points_m[:p],
-        points_sd_m=bundle.points_sd_m[:p],
-        residual_px=bundle.residual_px[:m],
-        weight=bundle.weight[:m],
-        unrest=None if bundle.unrest is None else bundle.unrest[:p],
-    )
+def _of_ties(solved: Solution, ties: Tracks) -> Solution:
+    return solved.of_ties(ties.points, len(ties.frame))
 
 
 def points_on_ground(

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.adjustment.paper.chain import fit_similarity
+from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.procedure.resection import UNHEARD
-from geomosaic.adjustment.terms.collinearity import INTERIOR
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn

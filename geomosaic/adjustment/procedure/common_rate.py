@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.problem.bundle_model import Bundle
+from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.rolling_shutter_rotation import with_swing
 from geomosaic.constants import tuned
 
@@ -19,19 +19,19 @@ _OWN_SD_RAD_PER_S = tuned(
 )
 
 
-def with_common_rate(block: Block, settings: Settings, solved: Bundle) -> tuple[Block, Settings]:
+def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tuple[Block, Settings]:
     """The block whose reported turns hold the median of the frames' own rates in camera axes too, and
     settings by which these keep near it.
 
     Each frame's own rate, free within what a gyroscope's zero may be off, costs a small block its shape.
     """
-    if solved.swing is None or block.poses.turns is None:
+    if not solved.estimate.swing_rad.shape[1] or block.poses.turns is None:
         return block, settings
     readouts_s = np.array([c.readout_s for c in block.cameras])
-    known = solved.swing.any(axis=(1, 2)) & (readouts_s > 0.0)
+    known = solved.estimate.swing_rad.any(axis=(1, 2)) & (readouts_s > 0.0)
     if known.sum() < _LEAST_FRAMES:
         return block, settings
-    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.swing[known, 0])
+    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.estimate.swing_rad[known, 0])
     common = np.median(rates / readouts_s[known, None], axis=0)
     shared = (block.poses.rotations @ common) * readouts_s[:, None]
     poses = with_swing(block.poses, shared[:, None], readouts_s)

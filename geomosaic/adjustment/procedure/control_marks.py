@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, GroundControl
-from geomosaic.adjustment.terms.control_points import intersection_of_rays
+from geomosaic.adjustment.procedure.control_points import intersection_of_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned

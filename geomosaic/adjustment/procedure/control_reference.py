@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.procedure.control_marks import Free
-from geomosaic.adjustment.terms.control_points import intersection_of_rays
+from geomosaic.adjustment.procedure.control_points import intersection_of_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.estimation.similarity import Similarity3D
 from geomosaic.placement.prior import position_assumed

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block, ImageResiduals, Settings
-from geomosaic.adjustment.problem.bundle_model import READOUT, Begun, with_interior
-from geomosaic.adjustment.problem.priors import priors_of
+from geomosaic.adjustment.problem.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.problem.tracks import (
     Tracks,
     asked_tracks,
@@ -19,14 +18,14 @@ from geomosaic.adjustment.problem.tracks import (
     frame_by_frame,
     nearest_to_rays,
 )
+from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
-from geomosaic.adjustment.solver.bundle import solve_bundle
-from geomosaic.adjustment.solver.prior_reweighting import median_px
-from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
+from geomosaic.adjustment.solver.solution import Start
+from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.estimation.robust import cauchy_weight
+from geomosaic.estimation.robust import cauchy_weight, median_of_known
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.spread import Spread
 
@@ -81,7 +80,7 @@ class Model:
 
     block: Block
     settings: Settings
-    before: Begun
+    before: Start
     same: bool = False
 
 
@@ -90,7 +89,7 @@ class Judged:
     """A model's solution (None where there is none), and the residual of each track left out of it, (t,);
     place (t,): number of the place where it lies; vibration: `left_by_vibration` of the left-out tracks."""
 
-    solved: Begun | None
+    solved: Start | None
     each_px: Floats
     place: Ints
     vibration: float = 1.0
@@ -129,7 +128,7 @@ class Judged:
 class LeftOut:
     """Tracks that models are solved by, and all others, which judge them. first: the solution by both."""
 
-    def __init__(self, block: Block, tracks: Tracks, first: Begun, spread: Spread) -> None:
+    def __init__(self, block: Block, tracks: Tracks, first: Start, spread: Spread) -> None:
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
         asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, _CELLS))
         few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
@@ -166,14 +165,14 @@ def places(points_m: Floats, height_m: float) -> Ints:
 def _judged(tracks: Tracks, judges: Tracks, place: Ints, model: Model) -> Judged:
     """The solution with points of their own and no control, and what it leaves."""
     block, before = model.block, model.before
-    priors = priors_of(block, model.settings, block.lenses, before.points_m)
     lenses = tuple(_begun_lens(*both) for both in zip(block.lenses, before.cameras, strict=True))
     begun = before.of_points(before.points_m, lenses)
+    problem = block_problem(block, model.settings, tracks, before.points_m)
+    options = SolveOptions(
+        rough=True, self_calibration=model.settings.self_calibration, same_model=model.same
+    )
     try:
-        solved = solve_bundle(
-            *(tracks, block.lens_of, priors, before.poses),
-            again=begun, same_model=model.same, lens_held=not model.settings.self_calibration,
-        )  # fmt: skip
+        solved = solve(problem, before.poses, begun, options)
     except NotSolvableError:
         return Judged(None, np.full(judges.points, np.inf), place)
     image = left_out_residuals(judges, block, solved)
@@ -197,7 +196,7 @@ def left_out_px(tracks: Tracks, image: ImageResiduals) -> Floats:
     return np.asarray(np.sqrt(squares / np.maximum(2.0 * tracks.lengths - 3.0, 1.0)))
 
 
-def left_out_residuals(tracks: Tracks, block: Block, solved: Begun) -> ImageResiduals:
+def left_out_residuals(tracks: Tracks, block: Block, solved: Start) -> ImageResiduals:
     """Of tracks that took no part in a solution, their points put nearest to their rays."""
     number = {c.name: k for k, c in enumerate(solved.cameras)}
     cameras = [solved.cameras[number[c.name]] for c in block.cameras]
@@ -209,5 +208,5 @@ def left_out_residuals(tracks: Tracks, block: Block, solved: Begun) -> ImageResi
         computed_px[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
     residual_px = tracks.image_px - computed_px
     length = np.linalg.norm(residual_px, axis=1)
-    weight = cauchy_weight(length / max(median_px(length), _EXACT_PX))
+    weight = cauchy_weight(length / max(median_of_known(length), _EXACT_PX))
     return ImageResiduals(tracks.frame, tracks.image_px, residual_px, weight)

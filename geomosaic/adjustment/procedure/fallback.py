@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.procedure.initialisation import start_poses
-from geomosaic.adjustment.procedure.outcome import settled
+from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import NotSolvableError
 from geomosaic.survey.model import Warn
@@ -113,7 +113,7 @@ def _by_positions(block: Block, settings: Settings) -> Adjusted:
 
 def _outcome(block: Block, net: OffsetNet, poses: Poses) -> Adjusted:
     moves = (poses.positions_m - block.poses.positions_m)[:, :2]
-    return settled(block, poses, (Round(net.misalignments_m(np.zeros_like(moves)), moves),))
+    return outcome(block, poses, (Round(net.misalignments_m(np.zeros_like(moves)), moves),))
 
 
 def _check_finite(adjusted: Adjusted) -> None:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.priors import WIDE_FOCAL, priors_of
 from geomosaic.adjustment.problem.tracks import Tracks, chosen_tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.cross_validation import (
     BETTER,
@@ -25,7 +25,8 @@ from geomosaic.adjustment.procedure.cross_validation import (
 )
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.model_selection import contradicts, with_readout
-from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.adjustment.solver.solve import SolveOptions, solve
+from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
@@ -215,8 +216,8 @@ def _tried(trial: _Trial) -> Judged:
         points, kept = points_on_ground(start, block.cameras, block.ground, trial.solving)
         if 2 * len(points) < trial.solving.points:
             return nothing
-        priors = priors_of(block, trial.settings, block.lenses, points)
-        solved = solve_bundle(kept, block.lens_of, priors, start, rough=True)
+        problem = block_problem(block, trial.settings, kept, points)
+        solved = solve(problem, start, options=SolveOptions(rough=True))
         left_px = left_out_px(trial.judges, left_out_residuals(trial.judges, block, solved))
     except (NotSolvableError, np.linalg.LinAlgError):
         return nothing

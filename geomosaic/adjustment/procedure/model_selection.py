@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
-from geomosaic.adjustment.problem.bundle_model import READOUT, Begun, Bundle
-from geomosaic.adjustment.problem.priors import NOMINAL_READOUT_S
+from geomosaic.adjustment.problem.interior import INTERIOR, READOUT
 from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.procedure.block_problem import NOMINAL_READOUT_S
 from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
-from geomosaic.adjustment.solver.prior_reweighting import median_px
-from geomosaic.adjustment.terms.collinearity import INTERIOR
+from geomosaic.adjustment.solver.solution import Solution, Start
+from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
+from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import median_of_known
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
 
@@ -101,8 +103,8 @@ _SHOWN_BY = {
 
 
 def chosen_model(
-    block: Block, settings: Settings, tracks: Tracks, first: Bundle, spread: Spread
-) -> tuple[Block, Settings, ModelChoice | None, Begun]:
+    block: Block, settings: Settings, tracks: Tracks, first: Solution, spread: Spread
+) -> tuple[Block, Settings, ModelChoice | None, Start]:
     """Block and settings of the model to solve with, how it was chosen, None where the given one is good
     from the start, and what its solve begins from.
 
@@ -113,9 +115,9 @@ def chosen_model(
 
     Args: first: the solution as given, by these tracks.
     """
-    good = first.factors.image_px <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
+    good = first.components[IMAGE] <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
-        good = good and median_px(np.linalg.norm(first.residual_px, axis=1)) <= _LEAST_PX
+        good = good and median_of_known(np.linalg.norm(first.residual_px, axis=1)) <= _LEAST_PX
     if good or tracks.points < _TOO_FEW:
         return block, settings, None, first
     left_out = LeftOut(block, tracks, first, spread)
@@ -153,12 +155,12 @@ def chosen_model(
     return now.block, now.settings, choice, now.before
 
 
-def contradicts(its: Begun | None, now: Begun | None) -> bool:
+def contradicts(its: Start | None, now: Start | None) -> bool:
     """Whether a model's solution can't be beside the one so far: positions fit worse by it, or rows are read
     slower than any sensor reads them, or in negative time."""
     if its is None or now is None:
         return False
-    scattered = its.factors.horizontal > _CONTRADICTS * max(now.factors.horizontal, _LEAST_SCATTER)
+    scattered = its.components[HORIZONTAL] > _CONTRADICTS * max(now.components[HORIZONTAL], _LEAST_SCATTER)
     return scattered or any(not 0.0 <= c.readout_s <= _SLOWEST_READOUT_S for c in its.cameras)
 
 
@@ -181,16 +183,16 @@ def with_readout(block: Block, settings: Settings) -> tuple[Block, Settings]:
     return replace(block, cameras=cameras), replace(settings, rolling_shutter=True)
 
 
-def readout_shown(solved: Bundle) -> bool:
+def readout_shown(solved: Solution) -> bool:
     """Whether the images show that rows are read one after the other, though nothing reports it."""
-    return bool((solved.readout_shown > _SHOWN).any())
+    return bool((solved.readout_score > _SHOWN).any())
 
 
-def turns_shown(solved: Bundle) -> bool:
+def turns_shown(solved: Solution) -> bool:
     """Whether rates of turning that stand for what velocities are off by are larger than these are: then
     frames do turn while they are read, and a constant rate is too little, though left-out points may not show
     that (seed 986, bent by 1.4 px by swings that left 0.1 px)."""
-    return solved.swing is not None and solved.factors.while_read[0] >= _NO_GUSTS
+    return bool(solved.estimate.swing_rad.shape[1]) and solved.components["swing 1"] >= _NO_GUSTS
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
@@ -260,11 +262,11 @@ def _as_fisheye(camera: Camera) -> Camera:
     return replace(camera, kind="fisheye", k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
 
 
-def _pattern_px(block: Block, tracks: Tracks, solved: Bundle) -> float:
+def _pattern_px(block: Block, tracks: Tracks, solved: Solution) -> float:
     """What residuals have in common by their place in the image, of the worst camera."""
     patterns = residual_patterns(_image_residuals(tracks, solved), block.cameras)
     return max((p.systematic_px for p in patterns), default=0.0)
 
 
-def _image_residuals(tracks: Tracks, solved: Bundle) -> ImageResiduals:
+def _image_residuals(tracks: Tracks, solved: Solution) -> ImageResiduals:
     return ImageResiduals(tracks.frame, tracks.image_px, solved.residual_px, solved.weight)

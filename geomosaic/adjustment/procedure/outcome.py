@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
-from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
-from geomosaic.adjustment.terms.control_points import (
+from geomosaic.adjustment.procedure.control_points import (
     Spread,
     control_residuals,
     control_warnings,
     spread_of_poses,
 )
+from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.placement.graph import connected_parts
@@ -52,46 +52,54 @@ def unplaced_parts(block: Block) -> list[list[int]]:
     return nowhere[1:] if len(nowhere) == len(parts) else nowhere
 
 
-def settled(
-    block: Block,
-    poses: Poses,
-    rounds: tuple[Round, ...],
-    *,
-    cameras: tuple[Camera, ...] | None = None,
-    ground: GroundSurface | None = None,
-    warnings: tuple[Warn, ...] = (),
-    figures: dict[str, float] | None = None,
-    spread: Spread | None = None,
-    covariance: Floats | None = None,
-    common_m2: Floats | None = None,
-    unsolved: Collection[int] = (),
-    strayed: Collection[int] = (),
-) -> Adjusted:
-    """The outcome for poses found by any method: `tied` are frames with tie points, the others are
-    `placed` by POS alone, as are those `unsolved`, and moved with the tied ones around them unless control
-    points that the method used hold them. Frames that nothing places are `rejected`, see `unplaced_parts`,
-    and those `strayed`.
+@dataclass(frozen=True)
+class Findings:
+    """What a method found besides poses.
 
-    Args: spread: see `control_residuals`; covariance (f, 6, 6): of the poses. Both are given by methods that
-        use control. common_m2: see `common_error`.
+    cameras, ground: None for those of the block. spread: see `control_residuals`; covariance (f, 6, 6): of
+    the poses; both of methods that use control points. common_m2 (3,): see `common_error`. unsolved:
+    frames that could not be solved for; strayed: frames whose poses are rejected.
     """
-    cameras, ground = cameras or block.cameras, ground or block.ground
-    tied = {i for pair in block.ties.frames for i in pair} - set(unsolved)
-    nowhere = {i for part in unplaced_parts(block) for i in part} | set(strayed)
+
+    cameras: tuple[Camera, ...] | None = None
+    ground: GroundSurface | None = None
+    warnings: tuple[Warn, ...] = ()
+    figures: dict[str, float] = field(default_factory=dict)
+    spread: Spread | None = None
+    covariance: Floats | None = None
+    common_m2: Floats | None = None
+    unsolved: tuple[int, ...] = ()
+    strayed: tuple[int, ...] = ()
+
+
+def outcome(
+    block: Block, poses: Poses, rounds: tuple[Round, ...], findings: Findings | None = None
+) -> Adjusted:
+    """The outcome for poses found by any method.
+
+    `tied` are frames with tie points. The others, and those unsolved, are `placed` by POS alone and moved
+    with the tied ones around them unless control points hold them. Frames that nothing places, see
+    `unplaced_parts`, and those strayed are `rejected`.
+    """
+    findings = findings or Findings()
+    cameras, ground = findings.cameras or block.cameras, findings.ground or block.ground
+    tied = {i for pair in block.ties.frames for i in pair} - set(findings.unsolved)
+    nowhere = {i for part in unplaced_parts(block) for i in part} | set(findings.strayed)
     status = np.array(
         ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
     )
-    untied = status == "placed"
+    untied, spread, covariance = status == "placed", findings.spread, findings.covariance
     if spread is not None:
         untied[[i for c in block.control if not c.check for i, _, _ in c.observations]] = False
-        untied[list(unsolved)] = True
+        untied[list(findings.unsolved)] = True
     poses = moved_with_neighbours(block.poses, poses, status == "tied", untied)
+    common_m2 = findings.common_m2
+    if common_m2 is None:
+        common_m2 = common_error(block, poses, ground)
     if spread is not None and covariance is not None:
         spread = _with_untied(spread, poses, untied)
         sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
         covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), covariance)
-    if common_m2 is None:
-        common_m2 = common_error(block, poses, ground)
     if covariance is not None:
         covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
     control = control_residuals(block, poses, cameras, ground, spread, common_m2)
@@ -103,8 +111,8 @@ def settled(
         rounds=rounds,
         residuals_m=residuals_m(block, poses, cameras, ground),
         ground=ground,
-        warnings=(*warnings, *control_warnings(control)),
-        figures=(figures or {}) | {"common_height_sd_m": float(np.sqrt(common_m2[2]))},
+        warnings=(*findings.warnings, *control_warnings(control)),
+        figures=findings.figures | {"common_height_sd_m": float(np.sqrt(common_m2[2]))},
         control=control,
         pose_covariance=covariance,
     )

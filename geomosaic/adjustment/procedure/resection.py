@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.bundle_model import Bundle
 from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
@@ -58,14 +58,14 @@ _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
 """From camera axes with z backwards to those of OpenCV, with z forwards."""
 
 
-def heard_shares(tracks: Tracks, bundle: Bundle, frames: int) -> Floats:
+def heard_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
     """Of each frame's observations those that count, (n,); NaN without any."""
     heard = np.bincount(tracks.frame, bundle.weight[: len(tracks.frame)] > _HEARD, minlength=frames)
     with np.errstate(invalid="ignore"):
         return np.asarray(heard / np.bincount(tracks.frame, minlength=frames))
 
 
-def resected(tracks: Tracks, bundle: Bundle, cameras: Sequence[Camera], wrong: Bools) -> Poses | None:
+def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong: Bools) -> Poses | None:
     """The bundle's poses with those of some frames found anew, by the points that two other frames and more
     agree on; None where none is better than it was. wrong (n,): which to look at; cameras: of each frame.
 

@@ -13,10 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.solver.prior_reweighting import MEDIAN_ONE
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
-from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky, least_squares, solve
 from geomosaic.estimation.robust import lie_weight

@@ -1,4 +1,4 @@
-"""Where tie points are less sure than elsewhere: crowns in the wind beside ground that stands still."""
+"""Image variances by neighbourhood: crowns in the wind beside firm ground."""
 
 from __future__ import annotations
 
@@ -12,26 +12,20 @@ from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_BESIDE = tuned(
-    8,
-    "points",
-    "that show together how sure a place is: fewer leave it to chance, more reach beyond a crown",
-)
-_FEWEST = tuned(100, "points", "of a block, below which all count alike: too few to distinguish places")
+_NEIGHBOURS = tuned(8, "points", "fewer: chance; more: they reach beyond a crown")
+_FEWEST = tuned(100, "points", "of a block; fewer: places cannot be distinguished")
 _LEAST_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")
 
 
-def unrest(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -> Floats:
-    """How many times the median place's deviation image coordinates have about each point, (p,).
+def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -> Floats:
+    """Factor of the image deviation about each point, (p,), 1 at the median place.
 
-    Where all places are alike it is 1 for all: the logarithm of each point's variance is known as well as
-    its redundancy allows (Bartlett and Kendall 1946, The statistical analysis of variance-heterogeneity and
-    the logarithmic transformation), neighbours are taken together, and what their means scatter by beyond
-    that is how much places differ; each is drawn to the middle accordingly (Efron and Morris 1975, Data
-    analysis using Stein's estimator, section 2).
+    The logarithm of each point's variance is known as well as its redundancy allows (Bartlett and Kendall
+    1946, The statistical analysis of variance-heterogeneity and the logarithmic transformation). Neighbours
+    are averaged. Their means are shrunk to the median by how much more they scatter than chance explains
+    (Efron and Morris 1975, Data analysis using Stein's estimator, section 2).
 
-    Args: points_m (p, 3): the points; length_px, counts (m,): of each observation, its residual and whether
-        it is a tie point's that has a say.
+    Args: points_m (p, 3). length_px, counts (m,): of each observation, its residual and whether it counts.
     """
     out = np.ones(len(points_m))
     use = counts & np.isfinite(length_px)
@@ -44,9 +38,9 @@ def unrest(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -
     found = np.log(np.maximum(squares[known] / freedom, _LEAST_PX**2))
     found -= digamma(freedom / 2.0) - np.log(freedom / 2.0)
     weight = 1.0 / polygamma(1, freedom / 2.0)
-    beside = cKDTree(points_m[known, :2]).query(points_m[known, :2], k=_BESIDE)[1]
-    variance = 1.0 / weight[beside].sum(axis=1)
-    mean = (weight[beside] * found[beside]).sum(axis=1) * variance
+    near = cKDTree(points_m[known, :2]).query(points_m[known, :2], k=_NEIGHBOURS)[1]
+    variance = 1.0 / weight[near].sum(axis=1)
+    mean = (weight[near] * found[near]).sum(axis=1) * variance
     differ = max(float(np.var(mean) - variance.mean()), 0.0)
     out[known] = np.exp(0.5 * differ / (differ + variance) * (mean - np.median(mean)))
     return out

@@ -5,59 +5,44 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.bundle_model import Bundle
+from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import orthonormal
 
 Floats = NDArray[np.float64]
-_POINTS = tuned(
-    48,
-    "tie points",
-    "spread over the block: its shape bends and stretches over many of them; fewer miss bends of a long "
-    "block, more cost two columns of the covariance each",
-)
-_LEAST_POINTS = tuned(
-    4,
-    "tie points",
-    "a similarity takes four numbers of their eight; of fewer points next to no shape is left",
-)
-_WELL_KNOWN = tuned(
-    0.95,
-    "share of the tie points",
-    "the best determined ones stand for the block: among the others are wrong matches far outside of "
-    "it, by rays that hardly cut (one, known to 87 m, opened a block by 16 px that was 0.1 px off); "
-    "with a smaller share the block's rim would not count",
-)
+_POINTS = tuned(48, "tie points", "fewer: bends of a long block are missed; more: two columns each")
+_LEAST_POINTS = tuned(4, "tie points", "a similarity takes four numbers of their eight")
+_WELL_KNOWN = tuned(0.95, "share of the tie points", "more: wrong matches far out count; less: no rim")
 
 
-def shape_sd_m(bundle: Bundle, ties: int) -> float:
+def shape_sd_m(solution: Solution, ties: int) -> float:
     """Deviation of a tie point's place in plan after the best similarity, root mean square over the block.
 
     By the whole covariance of poses, lenses and readout, those held at what they were given included
     (`Reduced.considering`). NaN for less than four points.
 
-    Args: ties: how many of the bundle's points are tie points, which come first.
+    Args: ties: how many of the solution's points are tie points, which come first.
     """
-    n = bundle.reduced.normals
+    n = solution.reduced.normals
     f, d = n.pose_side.shape
-    sd_m = np.linalg.norm(bundle.points_sd_m[:ties, :2], axis=1)
+    sd_m = np.linalg.norm(solution.points_sd_m[:ties, :2], axis=1)
     known = np.flatnonzero(sd_m <= np.quantile(sd_m, _WELL_KNOWN)) if ties else np.arange(0)
-    chosen = known[_spread_out(bundle.points_m[known, :2])]
+    chosen = known[_spread_out(solution.points_m[known, :2])]
     if len(chosen) < _LEAST_POINTS:
         return float("nan")
-    plan = bundle.points_m[chosen, :2]
+    plan = solution.points_m[chosen, :2]
     by_pose = np.zeros((f, d, 2 * len(chosen)))
-    by_shared = np.zeros((len(bundle.reduced.shared), 2 * len(chosen)))
+    by_shared = np.zeros((len(solution.reduced.shared), 2 * len(chosen)))
     c, k = n.interior_side.shape
     for j, p in enumerate(chosen):
-        inverse, columns = bundle.reduced.points_inverse[p][:2], slice(2 * j, 2 * j + 2)
+        inverse, columns = solution.reduced.points_inverse[p][:2], slice(2 * j, 2 * j + 2)
         for o in np.flatnonzero(n.sightings.point == p):
             by_pose[n.sightings.frame[o], :, columns] -= (inverse @ n.point_pose(int(o))).T
         by_shared[: c * k, columns] = -np.einsum("ai,cki->cka", inverse, n.interior_point[:, p]).reshape(
             -1, 2
         )
         by_shared[c * k, columns] = -inverse @ n.level_point[p]
-    covariance = bundle.reduced.propagate(by_pose, by_shared)
+    covariance = solution.reduced.propagate(by_pose, by_shared)
     east, north = (plan - plan.mean(axis=0)).T
     similar = np.zeros((2 * len(chosen), 4))
     similar[0::2] = np.column_stack([np.ones(len(chosen)), np.zeros(len(chosen)), east, -north])

@@ -1,4 +1,4 @@
-"""Points that go their own way while poses and lenses stand: each is a small problem of three unknowns."""
+"""Points that move by themselves while poses and lenses stay: each is a small problem of three unknowns."""
 
 from __future__ import annotations
 
@@ -7,53 +7,28 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.bundle_model import Factors, Priors, State
-from geomosaic.adjustment.problem.tracks import Tracks, part_of
-from geomosaic.adjustment.solver.bundle_equations import (
-    BEHIND,
-    frame_share,
-    has_say,
-    image_sd_px,
-    observed,
-    points_sd,
-    share_shown,
-)
+from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.normal_equations import Reduced
+from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.collinearity import project_by_levers
-from geomosaic.adjustment.terms.terrain import terrain_rows
+from geomosaic.adjustment.terms.image_observations import BEHIND
+from geomosaic.adjustment.terms.term import Components
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import eigen_each
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_STAND = tuned(
-    0.01,
-    "of a point's own deviation",
-    "that it may be off from where its images want it; with more, those that wander still move frames",
-)
-_MOST = tuned(
-    0.03,
-    "share of the points",
-    "that are settled by themselves, those that are farthest off: where all are on their way, the step "
-    "of the whole block moves them",
-)
-_FEWEST = tuned(
-    3000,
-    "points",
-    "of a block, below which a step of all of it costs less than some points' own",
-)
+_STAND = tuned(0.01, "of a point's deviation", "more: points on their way still move frames")
+_MOST = tuned(0.03, "share of the points", "more: the step of the whole block moves them")
+_FEWEST = tuned(3000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
-_LEAST_BEND = tuned(
-    1e-3,
-    "share of the largest",
-    "of a cost's curvatures, which stands for one that is next to none: a step along it would have no end",
-)
-_LESS = tuned(0.3, "of a step", "that is tried, point by point, after one that raised its cost")
+_LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")
+_LESS = tuned(0.3, "of a step", "tried, point by point, after one that raised its cost")
 
 
 def wandering(reduced: Reduced) -> Ints:
-    """Points that were farthest from where their images want them when these equations were made."""
+    """Points that were farthest from their minimum when these equations were made, by number."""
     side = reduced.normals.point_side
     if len(side) < _FEWEST:
         return np.zeros(0, dtype=np.intp)
@@ -62,20 +37,18 @@ def wandering(reduced: Reduced) -> Ints:
     return np.sort(farthest[off[farthest] > _STAND**2])
 
 
-def settled_points(
-    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, which: Ints
-) -> State:
-    """The state with some points where their images want them, by Newton's steps of each alone.
+def settled_points(problem: BlockProblem, at: Estimate, components: Components, which: Ints) -> Estimate:
+    """The estimate with some points at their minimum, by Newton's steps of each alone.
 
-    One image that is far off makes its point go by a tenth a step for dozens of steps, since weights that are
-    right where it stands are wrong where it goes; a few of such among thousands that stand keep a whole block
-    from its end. Curvatures count by their size (Dauphin et al. 2014, section 5), so that a point leaves a
-    saddle between images that contradict each other.
+    One image that is far off moves its point by a tenth a step for dozens of steps, since weights that are
+    right where it is are wrong where it goes; a few of these keep a block of thousands from converging.
+    Curvatures count by their size (Dauphin et al. 2014, section 5), so that a point leaves a saddle between
+    images that contradict each other.
     """
     if not len(which):
-        return state
-    own = _Own(tracks, camera_of, priors, state, factors, which)
-    here, share = state.points[which], np.ones(len(which))
+        return at
+    own = _Own(problem, at, components, which)
+    here, share = at.points_m[which], np.ones(len(which))
     cost, side, bend = own.at(here)
     for _ in range(_ROUNDS):
         of, axes = eigen_each(bend)
@@ -93,46 +66,46 @@ def settled_points(
         share = np.where(good, 1.0, _LESS * share)
         if not (going & (share > _LESS**3)).any():
             break
-    points = state.points.copy()
+    points = at.points_m.copy()
     points[which] = here
-    return replace(state, points=points)
+    return replace(at, points_m=points)
 
 
 class _Own:
     """Some points' own share of the cost."""
 
-    def __init__(
-        self, tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors, which: Ints
-    ) -> None:
-        number = np.full(len(state.points), -1, dtype=np.intp)
+    def __init__(self, problem: BlockProblem, at: Estimate, components: Components, which: Ints) -> None:
+        number = np.full(len(at.points_m), -1, dtype=np.intp)
         number[which] = np.arange(len(which))
-        self._tracks = some = part_of(tracks, np.flatnonzero(number[tracks.point] >= 0))
-        self._which, self._of = which, number[some.point]
-        self._camera_of, self._priors, self._state = camera_of, priors, state
-        self._shown, self._says = share_shown(some, priors), has_say(some, priors)
-        self._sd_px = image_sd_px(some, priors, factors)
-        self._given_m, self._weight = priors.points_m[which], 1.0 / points_sd(priors, factors)[which] ** 2
-        if priors.terrain is not None:
-            height_m = priors.terrain.height_m(state.positions, frame_share(tracks, state), state.level)
-            self._ground_sd_m = priors.terrain.sd_share * height_m
+        whole = np.flatnonzero(number[problem.tracks.point] >= 0)
+        self._image = problem.image.of(whole)
+        self._which, self._of, self._at = which, number[self._image.tracks.point], at
+        self._shown, self._used = problem.image.shown[whole], self._image.used
+        self._sd_px = self._image.sd_px(components)
+        self._given_m = problem.points.given_m[which]
+        self._weight = 1.0 / problem.points.present_sd_m(components)[which] ** 2
+        self._terrain = problem.terrain
+        if self._terrain is not None:
+            self._ground_sd_m, self._bound = self._terrain.sd_m(at), self._terrain.bound[which]
 
     def at(self, points_m: Floats) -> tuple[Floats, Floats, Floats]:
         """Cost (n,); half of its slopes down (n, 3) and curvatures (n, 3, 3), the ground's as expected."""
-        points = self._state.points.copy()
+        points = self._at.points_m.copy()
         points[self._which] = points_m
-        seen = observed(self._tracks, self._camera_of, self._priors, replace(self._state, points=points))
-        image, _, _, by_point = project_by_levers(*seen)
-        residual = self._tracks.image_px.T - image
+        computed, _, _, by_point = project_by_levers(
+            *self._image.arguments(replace(self._at, points_m=points))
+        )
+        residual = self._image.tracks.image_px.T - computed
         before = np.isfinite(residual).all(axis=0)
         length = np.where(before, np.hypot(*residual), 0.0)
         standard = np.where(before, length / (self._sd_px * np.sqrt(self._shown)), BEHIND)
-        weight = np.where(self._says, student_weight(standard) / self._sd_px**2 / INFORMATION, 0.0)
+        weight = np.where(self._used, student_weight(standard) / self._sd_px**2 / INFORMATION, 0.0)
         residual, by_point = (np.where(before, a, 0.0) for a in (residual, by_point))
         along = np.einsum("am,aim->im", residual / np.maximum(length, 1e-12), by_point)
         weighted = weight * by_point
         bend = np.einsum("aim,ajm->ijm", weighted, by_point)
         bend -= (weight * student_bend(standard) * along)[:, None] * along
-        each = self._says * self._shown * student_cost(standard)
+        each = self._used * self._shown * student_cost(standard)
         rows = (each, *np.einsum("aim,am->im", weighted, residual), *bend.reshape(9, -1))
         sums: Floats = np.stack([np.bincount(self._of, row, len(self._which)) for row in rows], axis=1)
         off_m = self._given_m - points_m
@@ -140,11 +113,10 @@ class _Own:
         sides: Floats = sums[:, 1:4] + self._weight * off_m
         bends: Floats = sums[:, 4:].reshape(-1, 3, 3)
         bends[:, [0, 1, 2], [0, 1, 2]] += self._weight
-        if self._priors.terrain is not None:
-            bound, level_m = ~self._priors.control[self._which], self._state.level
-            rows = terrain_rows(self._priors.terrain, bound, points_m, self._ground_sd_m, level_m)
-            held, miss, normal = rows
-            cost = cost + bound * cauchy_cost(miss / self._ground_sd_m)
-            sides += (held * miss)[:, None] * normal
-            bends = bends + held[:, None, None] * normal[:, :, None] * normal[:, None, :]
+        if self._terrain is not None:
+            at = points_m, self._bound, self._ground_sd_m, self._at.level_m
+            pull, miss, normal = self._terrain.rows(*at)
+            cost = cost + self._bound * cauchy_cost(miss / self._ground_sd_m)
+            sides += (pull * miss)[:, None] * normal
+            bends = bends + pull[:, None, None] * normal[:, :, None] * normal[:, None, :]
         return cost, sides, bends

@@ -8,30 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.terms.pose_jacobian import Levers
 from geomosaic.adjustment.terms.rolling_shutter_rotation import recorded_share, terms_at
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.lens import LENSES, TERMS, Lens
+from geomosaic.camera.lens import LENSES, Lens
 from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-
-INTERIOR = (
-    "focal_length_px",
-    "principal_col_px",
-    "principal_row_px",
-    *TERMS,
-    "readout_s",
-)
-
-
-def interior_of(camera: Camera) -> Floats:
-    """A camera's numbers in the order of INTERIOR, (9,)."""
-    return np.array([getattr(camera, name) for name in INTERIOR])
-
-
 _MOST_BY_ROW = tuned(
     0.5,
     "rows a row",

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component, Components, FrameTerm
 from geomosaic.camera.exterior import LEAST_RECORDED, Poses, Turns
 from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.constants import sourced, tuned
@@ -169,3 +173,75 @@ def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
     in_camera = np.einsum("nji,nkj->nki", poses.rotations, by_row)
     rad = log_turn(exp_turn(in_camera.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
     return replace(poses, turns=replace(turns, rad=rad.reshape(n, k, 3)))
+
+
+LEAST_SWING = tuned(0.02, "times the first deviation", "less: swings that shrank could not grow again")
+_STIFF = tuned(0.03, "of the largest axis's deviation", "below it an axis is held, see LEVEL_AXES")
+DRIFTS = "drift along the ground", "drift upwards"
+
+
+@dataclass(frozen=True)
+class RollingShutterRotation(FrameTerm):
+    """Rotation (swing) and drift of f frames while their rows are read are near zero.
+
+    swing_sd_rad (f, t, 3), drift_sd_m (f, 3): first deviations; each function of the row, drifts along the
+    ground and drifts upwards have variance components. common: a part of the swing may be common to all
+    frames, so that it does not shrink. most_swing: limit of its components.
+    """
+
+    swing_sd_rad: Floats
+    drift_sd_m: Floats
+    common: bool
+    most_swing: float
+
+    name: ClassVar[str] = "rolling shutter rotation"
+
+    @property
+    def weight(self) -> Floats:  # type: ignore[override]
+        return np.ones((len(self.drift_sd_m), 1))
+
+    @property
+    def terms(self) -> int:
+        return int(self.swing_sd_rad.shape[1])
+
+    def component_names(self) -> tuple[str, ...]:
+        return (*(f"swing {k + 1}" for k in range(self.terms)), *DRIFTS)
+
+    def columns(self, at: Estimate) -> slice:
+        return slice(6, 6 + 3 * self.terms + 3)
+
+    def miss(self, at: Estimate) -> Floats:
+        return -at.while_read
+
+    def sd(self, components: Components) -> Floats:
+        *of_swing, along, up = (components[name] for name in self.component_names())
+        swing_sd = self.swing_sd_rad * np.reshape(of_swing, (-1, 1))
+        return np.column_stack([swing_sd.reshape(len(swing_sd), -1), self.drift_sd_m * [along, along, up]])
+
+    def derivatives(self, at: Estimate) -> tuple[None, list[tuple[str, Floats]]]:
+        return None, []
+
+    def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
+        """By the residuals of all frames, less what all have in common in the camera's axes: that belongs to
+        the readout or the lens."""
+        own = np.concatenate([at.swing_rad, at.drift_m[:, None]], axis=1)
+        own = np.einsum("fji,ftj->fti", at.rotations, own)
+        own = np.einsum("fij,ftj->fti", at.rotations, own - np.median(own, axis=0)).reshape(len(own), -1)
+        sd, terms = self.sd(components), self.terms
+        of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
+        redundancy = 1.0 - variances[:, self.columns(at)] / sd**2
+        least = [1.0 if self.common else LEAST_SWING] * terms + [LEAST_SWING] * 2
+        most = [self.most_swing] * terms + [MOST_DRIFT] * 2
+        for k, name in enumerate(self.component_names()):
+            factor, its = components[name], sd * (of == k)
+            of_term = (its > _STIFF * its.max(axis=1, keepdims=True)).astype(float)
+            told = np.pad(of_term, ((0, 0), (6, 0))), np.pad(-own, ((0, 0), (6, 0)))
+            r = float((of_term * redundancy).sum()) - (its.max(axis=0) > 0.0).sum()
+            if r <= LEAST_REDUNDANCY:
+                found = float(np.clip(factor, least[k], most[k]))
+                yield Component(name, found, *told, least=least[k], most=most[k])
+                continue
+            squares = float((of_term * (own / sd) ** 2).sum())
+            scatter = factor * float(np.sqrt(squares / r))
+            follows, found = float(least[k] < scatter < most[k]), float(np.clip(scatter, least[k], most[k]))
+            yield Component(name, found, *told, squares, r, follows, least[k], most[k])

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
-from geomosaic.adjustment.problem.bundle_model import MEASURED_SD_PX, Bundle, Priors
-from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.terms.collinearity import interior_of, kinds_of, project, readout_of
+from geomosaic.adjustment.problem.interior import interior_of
+from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.terms.collinearity import kinds_of, project, readout_of
+from geomosaic.adjustment.terms.term import MEASURED_SD_PX
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -58,27 +58,6 @@ def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl
         )
         for p in survey.control
         if p.images
-    )
-
-
-def with_control(tracks: Tracks, priors: Priors, control: Sequence[GroundControl]) -> tuple[Tracks, Priors]:
-    """Tie points first, then the control points that aren't for checking, held by their own deviations."""
-    used = [c for c in control if not c.check]
-    if not used:
-        return tracks, priors
-    p = len(priors.points_m)
-    seen = [(frame, p + k, col, row) for k, c in enumerate(used) for frame, col, row in c.observations]
-    frame, point, col, row = np.array(seen).T
-    joined = Tracks(
-        np.concatenate([tracks.frame, frame.astype(np.intp)]),
-        np.concatenate([tracks.point, point.astype(np.intp)]),
-        np.concatenate([tracks.image_px, np.column_stack([col, row])]),
-    )
-    return joined, replace(
-        priors,
-        points_m=np.concatenate([priors.points_m, [c.enu_m for c in used]]),
-        points_sd_m=np.concatenate([priors.points_sd_m, [c.sd_m for c in used]]),
-        control=np.concatenate([priors.control, np.ones(len(used), dtype=bool)]),
     )
 
 
@@ -134,18 +113,19 @@ def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
     return out
 
 
-def spread_of(bundle: Bundle, camera_of: Ints) -> Spread:
-    """Covariance of what depends on a bundle's poses and cameras, with all their correlations.
+def spread_of(solution: Solution, camera_of: Ints) -> Spread:
+    """Covariance of what depends on a solution's poses and cameras, with all their correlations.
 
     Args: camera_of (f,): the camera's index of each frame.
     """
+    layout = solution.estimate.layout
 
     def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
-        poses, shared = np.zeros((len(camera_of), 6, 3)), np.zeros((len(bundle.reduced.shared), 3))
+        poses, shared = np.zeros((len(camera_of), 6, 3)), np.zeros((layout.size, 3))
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
-        of_cameras = shared[: bundle.interior_sd.size].reshape(*bundle.interior_sd.shape, 3)
+        of_cameras = shared[layout.interior].reshape(len(layout.cameras), -1, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
-        return bundle.reduced.propagate(poses, shared)
+        return solution.reduced.propagate(poses, shared)
 
     return spread
 

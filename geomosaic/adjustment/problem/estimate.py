@@ -1,0 +1,119 @@
+"""Values of all unknowns, and how a step changes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.problem.interior import READOUT
+from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.camera.rotation import exp_turn
+from geomosaic.estimation.linear import pseudo_inverse
+
+Floats = NDArray[np.float64]
+
+
+class Step(NamedTuple):
+    """Corrections of poses (f, d), points (p, 3) and shared unknowns (s,)."""
+
+    pose: Floats
+    points: Floats
+    shared: Floats
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values of the unknowns in the work frame.
+
+    positions_m (f, 3), rotations (f, 3, 3), points_m (p, 3). swing_rad (f, t, 3): factors of the t functions
+    of the row by which a frame rotates while it is read, drift_m (f, 3): its movement meanwhile besides its
+    velocity, see `rolling_shutter_rotation`; t is 0 where all rows are read at once. shared (s,): in the
+    order of the layout. memo: quantities derived from the estimate, computed once.
+    """
+
+    layout: UnknownLayout
+    positions_m: Floats
+    rotations: Floats
+    points_m: Floats
+    shared: Floats
+    swing_rad: Floats
+    drift_m: Floats
+    memo: dict[int, tuple[object, Floats]] = field(init=False, default_factory=dict, compare=False)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "memo": {}}
+
+    @property
+    def interior(self) -> Floats:
+        """Each camera's numbers in the order of INTERIOR, (c, 9)."""
+        return self.shared[self.layout.interior].reshape(len(self.layout.cameras), -1)
+
+    @property
+    def level_m(self) -> float:
+        """The ground's level above the surface as given."""
+        return float(self.shared[self.layout.level])
+
+    def value(self, name: str, size: int) -> Floats:
+        """A part of the shared unknowns, (size,); zeros where nothing solves for it."""
+        found = self.layout.slices.get(name)
+        return np.zeros(size) if found is None else self.shared[found]
+
+    @property
+    def while_read(self) -> Floats:
+        """Swing and drift in one row a frame, (f, 3 t + 3), or (f, 0)."""
+        frames, terms = self.swing_rad.shape[:2]
+        if not terms:
+            return np.zeros((frames, 0))
+        return np.column_stack([self.swing_rad.reshape(frames, -1), self.drift_m])
+
+    def stepped(self, step: Step, share: float = 1.0) -> Estimate:
+        """The estimate after a share of a step. What turns and scales the whole block comes last.
+
+        Images do not change by a turn and scale of the whole block, however large. Added to the other
+        corrections instead of multiplied, both would miss the images by their products: a principal point
+        that moves by 4 px moves the positions, and 5 % of that movement are 0.2 px in every image.
+        """
+        pose, point, shared = (share * part for part in step)
+        frames = len(self.positions_m)
+        if not len(point):
+            middle, shift = self.positions_m.mean(axis=0), pose[:, :3].mean(axis=0)
+        else:
+            middle, shift = self.points_m.mean(axis=0), point.mean(axis=0)
+        away = np.concatenate([self.positions_m, self.points_m]) - middle
+        move = np.concatenate([pose[:, :3], point]) - shift
+        turn, scale = _turn_and_scale(away[frames:], move[frames:]) if len(point) else (np.zeros(3), 0.0)
+        turned = exp_turn(turn[None])[0]
+        away += move - np.cross(turn, away) - scale * away
+        places = (1.0 + scale) * away @ turned.T + middle + shift
+        shared = shared.copy()
+        readouts = shared[self.layout.interior].reshape(len(self.layout.cameras), -1)[:, READOUT]
+        in_step = scale * self.interior[:, READOUT]
+        readouts += np.where(readouts == 0.0, 0.0, scale * (readouts - in_step))
+        swing, drift_m = self.swing_rad, self.drift_m
+        if swing.shape[1]:
+            swing = (swing + pose[:, 6:-3].reshape(swing.shape)) @ turned.T
+            drift = pose[:, -3:] - np.cross(turn, drift_m) - scale * drift_m
+            drift_m = (1.0 + scale) * (drift_m + drift) @ turned.T
+        return replace(
+            self,
+            positions_m=places[:frames],
+            rotations=turned @ exp_turn(pose[:, 3:6] - turn) @ self.rotations,
+            points_m=places[frames:],
+            shared=self.shared + shared,
+            swing_rad=swing,
+            drift_m=drift_m,
+        )
+
+
+def _turn_and_scale(away: Floats, move: Floats) -> tuple[Floats, float]:
+    """The turn (3,) in rad and the scale that movements (n, 3) of points have in common, by least squares in
+    which distant points count little."""
+    square = (away**2).sum(axis=1)
+    weight = 1.0 / np.maximum(square + np.median(square), 1e-300)
+    weighted = away * weight[:, None]
+    inertia = float(weight @ square) * np.eye(3) - weighted.T @ away
+    turn = pseudo_inverse(inertia, symmetric=True) @ np.cross(weighted, move).sum(axis=0)
+    return turn, float((weighted * move).sum()) / max(float(weight @ square), 1e-300)

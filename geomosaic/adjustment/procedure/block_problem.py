@@ -1,0 +1,214 @@
+"""The problem of a block: its observations, and what is assumed before the images count."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.ground.ground_choice import DEM_SD_M, flying_height_m
+from geomosaic.adjustment.model import Block, GroundControl, Settings
+from geomosaic.adjustment.problem.interior import READOUT
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.terms.attitudes import Attitudes
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
+from geomosaic.adjustment.terms.image_observations import ImageObservations
+from geomosaic.adjustment.terms.interior_orientation import interior_unknowns
+from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
+from geomosaic.adjustment.terms.rolling_shutter_rotation import (
+    GUST_M_PER_S,
+    LEVEL_AXES,
+    MOST_GUSTS,
+    MOST_SWING,
+    RATE_SD_RAD_PER_S,
+    TERMS,
+    UPWARDS,
+    VIBRATION_TERMS,
+    RollingShutterRotation,
+    recorded_share,
+)
+from geomosaic.adjustment.terms.terrain import Terrain
+from geomosaic.constants import tuned
+from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.prior import position_assumed
+from geomosaic.placement.reach import flying_heights_m
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+NOMINAL_READOUT_S = tuned(0.05, "s", "where nothing reports one: small cameras take 0.01 to 0.1 s")
+_ZERO_SD_RAD_PER_S = tuned(0.05, "rad/s", "of a small gyroscope's zero; less: it is followed")
+_DEM_LEVEL_SD_M = tuned(2.0, "m", "between a DEM and the frames' heights: datums and geoid models")
+_ANY_RELIEF = tuned(0.3, "share of the flying height", "of unknown ground; less: hills are pressed flat")
+_HILLS = tuned(50.0, "points", "independent places of relief; more: hills without a DEM tilt a block")
+_LEVEL_SD_SHARE = tuned(0.04, "share of the flying height", "of the ground's level: barometers, relief")
+_BEGUN_SD_SHARE = tuned(0.1, "share of the flying height", "of an assumed position: tilts of 5 degrees")
+_LEAST_LEVEL_SD_M = tuned(2.0, "m", "of the ground's level, however low: barometers drift so in an hour")
+
+
+def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Floats) -> BlockProblem:
+    """The problem of a block with tie points that begin at points_m (p, 3), bound to the terrain.
+
+    A frame without position is weakly drawn to where it begins: that holds a block that nothing else holds.
+    """
+    assumed = position_assumed(block.poses)
+    begun_sd_m = _BEGUN_SD_SHARE * flying_heights_m(block.poses, block.ground)
+    sd_m = np.where(assumed[:, None], begun_sd_m[:, None], block.poses.positions_sd_m)
+    reported = replace(block.poses, positions_sd_m=sd_m)
+    interior = tuple(
+        interior_unknowns(c, readout=settings.rolling_shutter, free_lens=settings.free_lens)
+        for c in block.lenses
+    )
+    free = np.zeros(len(points_m), dtype=bool)
+    image = ImageObservations(
+        tracks=tracks,
+        camera_of=block.lens_of,
+        cameras=block.lenses,
+        reported=reported,
+        control=free,
+        rolling=any(u.sd[READOUT] for u in interior) or any(c.readout_s for c in block.lenses),
+        left_out=np.zeros(len(assumed), dtype=bool),
+        local=np.ones(len(points_m)),
+    )
+    tilt_sd_rad = float(np.median(reported.rotations_sd_rad[:, :2]))
+    points = PointCoordinates(
+        points_m, _tie_point_sd_m(block, points_m), free, np.ones_like(points_m), tilt_sd_rad
+    )
+    parts, one = _frames_of_parts(block), np.ones((len(assumed), 3))
+    frames = [
+        GnssPositions(reported, assumed, parts, one, settings.lever_arm, settings.gps_lag),
+        Attitudes(reported, parts, one, settings.boresight),
+    ]
+    rotation = _rolling_shutter_rotation(block, settings)
+    return BlockProblem(
+        image=image,
+        interior=interior,
+        points=points,
+        frames=(*frames, rotation) if rotation else tuple(frames),
+        terrain=terrain_of(block, image),
+    )
+
+
+def with_control(problem: BlockProblem, control: Sequence[GroundControl]) -> BlockProblem:
+    """The problem with control points, which come last; check points are left out."""
+    used = [c for c in control if not c.check]
+    if not used:
+        return problem
+    p = len(problem.points.given_m)
+    marks = [(frame, p + k, col, row) for k, c in enumerate(used) for frame, col, row in c.observations]
+    frame, point, col, row = np.array(marks).T
+    tracks = Tracks(
+        np.concatenate([problem.tracks.frame, frame.astype(np.intp)]),
+        np.concatenate([problem.tracks.point, point.astype(np.intp)]),
+        np.concatenate([problem.tracks.image_px, np.column_stack([col, row])]),
+    )
+    by_hand = np.concatenate([problem.points.control, np.ones(len(used), dtype=bool)])
+    given_m = np.concatenate([problem.points.given_m, [c.enu_m for c in used]])
+    sd_m = np.concatenate([problem.points.sd_m, [c.sd_m for c in used]])
+    local = np.concatenate([problem.image.local, np.ones(len(used))])
+    image = replace(problem.image, tracks=tracks, control=by_hand, local=local)
+    points = replace(
+        problem.points, given_m=given_m, sd_m=sd_m, control=by_hand, weight=np.ones_like(given_m)
+    )
+    terrain = problem.terrain
+    if terrain is not None:
+        terrain = replace(terrain, bound=~by_hand, frame_share=image.frame_share())
+    return replace(problem, image=image, points=points, terrain=terrain)
+
+
+def with_offset(problem: BlockProblem, sd_m: Floats) -> BlockProblem:
+    """The problem in which all positions may be off in common, with deviations (3,) east, north and up."""
+    east, north, up = (float(v) for v in sd_m)
+    frames = tuple(
+        replace(t, offset_sd_m=(east, north, up)) if isinstance(t, GnssPositions) else t
+        for t in problem.frames
+    )
+    return replace(problem, frames=frames)
+
+
+def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutterRotation | None:
+    swing_sd_rad, drift_sd_m = _swing_sd_rad(block, settings), _drift_sd_m(block, settings)
+    if swing_sd_rad is None or drift_sd_m is None:
+        return None
+    most = MOST_SWING if settings.turning else MOST_GUSTS
+    common = settings.turning and _zero_unknown(block, settings)
+    return RollingShutterRotation(swing_sd_rad, drift_sd_m, common, most)
+
+
+def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
+    """First deviations of the swings, (f, t, 3); None where all rows are read at once.
+
+    Without `turning` a constant rate about level axes stands for errors of the velocities; with a gyroscope
+    whose zero is unknown yet, one about all axes stands for that.
+    """
+    readouts_s = _readouts_s(block, settings)
+    if readouts_s is None:
+        return None
+    recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
+    known = np.isfinite(recorded)
+    most = VIBRATION_TERMS if settings.vibrating else TERMS
+    rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, most
+    if not settings.turning:
+        rate_sd, terms = GUST_M_PER_S / flying_height_m(block), 1
+    elif _zero_unknown(block, settings):
+        rate_sd, terms = _ZERO_SD_RAD_PER_S, most if known.any() else 1
+    sd = np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
+    guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
+    sd[known, 1:] = guessed[:, None]
+    return sd[:, :, None] * (np.ones(3) if settings.turning else LEVEL_AXES)
+
+
+def _drift_sd_m(block: Block, settings: Settings) -> Floats | None:
+    """First deviations of the drifts, (f, 3). No rotation stands for vertical errors of velocities; along the
+    ground a rate about a level axis differs too little from a drift where frames do rotate."""
+    readouts_s = _readouts_s(block, settings)
+    if readouts_s is None:
+        return None
+    return GUST_M_PER_S * np.abs(readouts_s)[:, None] * (UPWARDS if settings.turning else np.ones(3))
+
+
+def _readouts_s(block: Block, settings: Settings) -> Floats | None:
+    """Of each frame, (f,); None where all rows are read at once."""
+    if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
+        return None
+    return np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
+
+
+def _zero_unknown(block: Block, settings: Settings) -> bool:
+    return block.poses.turns is not None and settings.rate_sd_rad_per_s is None
+
+
+def _tie_point_sd_m(block: Block, points_m: Floats) -> Floats:
+    """Tie points are free; all together, no further from the start than a flying height."""
+    return np.full((len(points_m), 3), flying_height_m(block) * np.sqrt(len(points_m)))
+
+
+def terrain_of(block: Block, image: ImageObservations) -> Terrain:
+    """A DEM binds the tie points; a level ground only determines their common height.
+
+    Relief is alike over many points: all of them together count as 50. Else their number would tilt the block
+    until its hills lie level in the mean, against the attitudes.
+    """
+    height, bound, share = flying_height_m(block), ~image.control, image.frame_share()
+    if block.ground.kind == "dem":
+        return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M, bound, share)
+    reported_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
+    level_sd_m = float(max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, reported_sd_m))
+    relief = _ANY_RELIEF * float(np.sqrt(max(int(bound.sum()) / _HILLS, 1.0)))
+    return Terrain(block.ground, relief, level_sd_m, bound, share)
+
+
+def part_of_frames(block: Block) -> Ints:
+    """Number of the connected part of the block that each frame belongs to, (f,)."""
+    number = np.zeros(len(block.names), dtype=np.intp)
+    for k, frames in enumerate(connected_parts(len(block.names), block.ties.frames)):
+        number[frames] = k
+    return number
+
+
+def _frames_of_parts(block: Block) -> tuple[Ints, ...]:
+    """The frames of each connected part."""
+    part = part_of_frames(block)
+    return tuple(np.flatnonzero(part == k) for k in np.unique(part))

@@ -1,0 +1,92 @@
+"""Which shared unknowns a block determines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.interior import READOUT
+from geomosaic.adjustment.solver.normal_equations import reduce_normals
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.term import Components
+from geomosaic.constants import tuned
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import inverse
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+_DETERMINED = tuned(0.7, "share of the prior deviation", "more: what images hardly show goes astray")
+_ERRORS_ALIKE = tuned(5.0, "times the image deviation", "neighbouring keypoints err alike; 1: lenses 9 % off")
+_INFORMATIVE = tuned(600, "image observations a frame", "more show nothing new of what all frames share")
+
+
+def undetermined(problem: BlockProblem, at: Estimate, components: Components) -> Bools:
+    """Which optional shared unknowns the block does not determine, (s,): worst first, until all others are.
+
+    Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
+    is not what it seems. A number counts as determined if with image errors _ERRORS_ALIKE times as large its
+    deviation would still be below _DETERMINED of its prior deviation. All count as not determined where their
+    covariance is singular.
+    """
+    layout = at.layout
+    many = len(problem.tracks.frame) / (_INFORMATIVE * len(at.positions_m))
+    wider = components.also({IMAGE: _ERRORS_ALIKE * max(1.0, float(np.sqrt(many))) * components[IMAGE]})
+    shared = reduce_normals(replace(problem, held=None).normals(at, wider)).shared_covariance()
+    sd = np.where(layout.optional, layout.sd, 0.0)
+    free = np.flatnonzero(sd > 0.0)
+    try:
+        shown = inverse(shared[np.ix_(free, free)] / np.outer(sd[free], sd[free])) - np.eye(len(free))
+    except NotSolvableError:
+        return sd > 0.0
+    out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
+    while left.size:
+        share = np.sqrt(np.diag(inverse(shown[np.ix_(left, left)] + np.eye(left.size))))
+        worst = int(share.argmax())
+        if share[worst] < _DETERMINED:
+            break
+        out[free[left[worst]]] = True
+        left = np.delete(left, worst)
+    return out
+
+
+def with_unreported_readouts(
+    problem: BlockProblem, at: Estimate, components: Components
+) -> tuple[BlockProblem, Floats]:
+    """The problem whose held readout times carry what they may be off by, and their scores, (c,).
+
+    A readout that is neither reported nor solved for is held at 0. Its prior deviation becomes the step that
+    the images would have it make, with that step's deviation. The score is the step by its deviation (Rao
+    1948): many frames together may show what in each image is far below the noise.
+    """
+    layout, none = at.layout, np.zeros(len(problem.cameras))
+    unreported = np.array([0.0 if c.readout_s else c.readout_sd_s for c in problem.cameras])
+    unreported[layout.of_readouts(layout.sd) > 0.0] = 0.0
+    moving = problem.image.reported.velocities_m_per_s is not None
+    if not moving or problem.held is None or not unreported.any():
+        return problem, none
+    readouts = np.arange(len(none)) * at.interior.shape[1] + READOUT
+    free = _with_readout_sd(problem, layout.of_readouts(layout.sd) + unreported)
+    begun = replace(at, layout=free.layout)
+    reduced = reduce_normals(free.normals(begun, components))
+    step_s = reduced.solve()[1].ravel()[readouts]
+    own_s = np.sqrt(np.diag(reduced.covariance()[1])[readouts])
+    asked = unreported > 0.0
+    sd_s = np.where(asked, np.hypot(step_s, own_s), layout.of_readouts(free.layout.sd))
+    held = problem.held.copy()
+    held[readouts] |= asked
+    return replace(_with_readout_sd(problem, sd_s), held=held), np.where(asked, step_s / own_s, 0.0)
+
+
+def _with_readout_sd(problem: BlockProblem, sd_s: Floats) -> BlockProblem:
+    """With other prior deviations of the readout times (c,)."""
+    parts = []
+    for part, its in zip(problem.interior, sd_s, strict=True):
+        sd = part.sd.copy()
+        sd[READOUT] = its
+        parts.append(replace(part, sd=sd))
+    image = replace(problem.image, rolling=problem.image.rolling or bool(np.any(sd_s)))
+    return replace(problem, interior=tuple(parts), image=image)

@@ -1,0 +1,110 @@
+"""What a solve returns, and what another one begins from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import SharedUnknowns, SolveStep
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.interior import interior_of
+from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.adjustment.solver.normal_equations import Reduced
+from geomosaic.adjustment.terms.term import Components
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Start:
+    """What another solve goes on from: poses and cameras, the estimate, the variance components, held shared
+    unknowns (s,), and the factor of the image deviation about each point (p,), None where unknown."""
+
+    poses: Poses
+    cameras: tuple[Camera, ...]
+    estimate: Estimate
+    components: Components
+    held: Bools
+    local: Floats | None
+
+    @property
+    def points_m(self) -> Floats:
+        """(p, 3)"""
+        return self.estimate.points_m
+
+    def of_points(self, points_m: Floats, cameras: tuple[Camera, ...] | None = None) -> Start:
+        """The same with other points, about which nothing else is known, and other lenses."""
+        start = Start(**{f.name: getattr(self, f.name) for f in fields(Start)})
+        cameras = cameras or self.cameras
+        shared = self.estimate.shared.copy()
+        shared[self.estimate.layout.interior] = np.concatenate([interior_of(c) for c in cameras])
+        estimate = replace(self.estimate, points_m=points_m, shared=shared)
+        return replace(start, cameras=cameras, estimate=estimate, local=None)
+
+    def shared_in(self, layout: UnknownLayout) -> tuple[Floats, Bools]:
+        """Values and held flags of the shared unknowns in the order of another layout, by name; what it does
+        not know keeps its prior value."""
+        values, held = layout.given.copy(), np.zeros(layout.size, dtype=bool)
+        for name, mine in self.estimate.layout.slices.items():
+            its = layout.slices.get(name)
+            if its is not None:
+                values[its], held[its] = self.estimate.shared[mine], self.held[mine]
+        return values, held
+
+
+@dataclass(frozen=True)
+class Solution(Start):
+    """The solution of a block. Covariances are scaled with the estimated variance components.
+
+    points_sd_m (p, 3): as if poses and cameras were known. pose_covariance (f, 6, 6): of east, north, up (m)
+    and turns about them (rad). shared_sd (s,), shared_correlation (s, s): of the shared unknowns; held ones
+    keep their prior values, and the covariances hold what is not known of them. implausible (s,): those held
+    since the images drew them where no lens has them. residual_px (m, 2): observed minus computed. weight
+    (m,): robust weights, 1 for a good observation. left_out (f,): frames that could not be solved for.
+    reduced: the last normal equations. readout_score (c,): by how many of its deviations the solution would
+    leave a readout time of 0 that is held since none is reported. steps: of the solve.
+    """
+
+    points_sd_m: Floats
+    pose_covariance: Floats
+    shared_sd: Floats
+    shared_correlation: Floats
+    implausible: Bools
+    residual_px: Floats
+    weight: Floats
+    left_out: Bools
+    reduced: Reduced
+    readout_score: Floats
+    steps: tuple[SolveStep, ...] = ()
+
+    def of_ties(self, points: int, observations: int) -> Solution:
+        """The solution without control points, which come last."""
+        return replace(
+            self,
+            estimate=replace(self.estimate, points_m=self.points_m[:points]),
+            points_sd_m=self.points_sd_m[:points],
+            residual_px=self.residual_px[:observations],
+            weight=self.weight[:observations],
+            local=None if self.local is None else self.local[:points],
+        )
+
+    def shared_unknowns(self) -> SharedUnknowns:
+        """The shared unknowns that are not known beforehand, but for the ground's level, in the units of
+        their names."""
+        layout = self.estimate.layout
+        rows = np.flatnonzero((layout.sd > 0.0) & (np.arange(layout.size) != layout.level))
+        names, unit = layout.names, layout.unit[rows]
+        return SharedUnknowns(
+            of=tuple(names[k][0] for k in rows),
+            names=tuple(names[k][1] for k in rows),
+            given=layout.given[rows] / unit,
+            found=self.estimate.shared[rows] / unit,
+            sd=self.shared_sd[rows] / unit,
+            correlation=self.shared_correlation[np.ix_(rows, rows)],
+            held=self.held[rows],
+        )

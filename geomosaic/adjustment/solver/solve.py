@@ -1,0 +1,187 @@
+"""Bundle adjustment: poses, lenses and ground points at once, with GNSS and IMU as weighted observations."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.interior import READOUT, with_interior
+from geomosaic.adjustment.solver.clearance import clearances_m
+from geomosaic.adjustment.solver.determinability import undetermined, with_unreported_readouts
+from geomosaic.adjustment.solver.normal_equations import reduce_normals
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.solution import Solution, Start
+from geomosaic.adjustment.solver.steps import Progress, settle, with_held
+from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
+from geomosaic.adjustment.terms.rolling_shutter_rotation import (
+    RollingShutterRotation,
+    with_drift,
+    with_swing,
+)
+from geomosaic.adjustment.terms.term import Components
+from geomosaic.camera.exterior import Poses
+from geomosaic.constants import tuned
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.robust import student_weight
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+_MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is left is half a survey")
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """How to solve. rough: to compare models by, in half the time. self_calibration: whether what frames
+    share is solved for, or held. same_model: whether the start is of this model of lens and
+    shutter, or only where to begin."""
+
+    rough: bool = False
+    self_calibration: bool = True
+    same_model: bool = True
+
+
+def solve(
+    problem: BlockProblem, poses: Poses, start: Start | None = None, options: SolveOptions | None = None
+) -> Solution:
+    """Scoring on the reduced normal equations, Student's distribution of image errors, variance components.
+
+    Minimises the image observations' cost, the terms' squares (positions, attitudes, points) and the shared
+    unknowns' priors. After every convergence the variance components are estimated anew, so a wrongly stated
+    deviation does no harm. Frames at which the system breaks down are left out and tried again once all
+    others are solved.
+
+    Args: poses: to begin from (reported ones may be far off); start: an earlier solution whose lenses, points
+        and variance components to go on from.
+    Raises: NotSolvableError if more than half of the frames would have to be left out.
+    """
+    options = options or SolveOptions()
+    left_out = np.zeros(len(poses), dtype=bool)
+    while True:
+        try:
+            solved = _solved(problem, poses, start, options, left_out)
+            break
+        except NotSolvableError as error:
+            weak = [i for i in error.frames if not left_out[i]]
+            if not weak or left_out.sum() + len(weak) > _MOST_LEFT_OUT * len(poses):
+                raise
+            left_out[weak] = True
+    if left_out.any():
+        options = replace(options, same_model=True)
+        with suppress(NotSolvableError):
+            return _solved(problem, solved.poses, solved, options, np.zeros_like(left_out))
+    return solved
+
+
+def _solved(
+    problem: BlockProblem, poses: Poses, start: Start | None, options: SolveOptions, left_out: Bools
+) -> Solution:
+    """The solution with all unknowns that the block determines."""
+    at, held = _first_estimate(problem, poses, start)
+    problem = problem.without(left_out, at)
+    settled = (
+        start is not None and options.same_model and start.estimate.swing_rad.shape == at.swing_rad.shape
+    )
+    components = start.components if start is not None and settled else _first_components(problem, at)
+    if start is None:
+        held = at.layout.optional & (not options.self_calibration)
+    elif start.local is not None:
+        problem = replace(problem, image=replace(problem.image, local=start.local))
+    problem = replace(problem, clearance_m=clearances_m(problem.tracks, at.positions_m, at.points_m))
+    implausible, may_free = np.zeros_like(held), start is not None and options.self_calibration
+    progress = Progress(problem, at, components)
+    while True:
+        progress = with_held(replace(progress, problem=replace(progress.problem, held=held)))
+        before = progress.steps
+        progress = settle(replace(progress, steps=()), rough=True, settled=settled)
+        progress = replace(progress, steps=before + progress.steps)
+        problem, at = progress.problem, progress.at
+        implausible = implausible | implausible_principal_points(at, problem.cameras)
+        more = implausible | undetermined(problem, at, progress.components)
+        more = more if may_free else held | more
+        if np.array_equal(more, held):
+            break
+        held, may_free = more, False
+    scores = np.zeros(len(problem.cameras))
+    if not options.rough:
+        before = progress.steps
+        progress = settle(replace(progress, steps=()), rough=False, settled=True)
+        progress = replace(progress, steps=before + progress.steps)
+        problem, scores = with_unreported_readouts(progress.problem, progress.at, progress.components)
+        at = replace(progress.at, layout=problem.layout)
+        progress = replace(progress, problem=problem, at=at)
+    return replace(_finished(progress), implausible=implausible, held=held, readout_score=scores)
+
+
+def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:
+    """Where the unknowns begin, and which shared ones are held."""
+    layout, frames = problem.layout, len(poses)
+    shared, held = layout.given.copy(), np.zeros(layout.size, dtype=bool)
+    points_m = problem.points.given_m
+    if start is not None:
+        (shared, held), points_m = start.shared_in(layout), start.points_m
+    terms = next((t.terms for t in problem.frames if isinstance(t, RollingShutterRotation)), 0)
+    swing_rad, drift_m = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
+    if start is not None and start.estimate.swing_rad.shape == swing_rad.shape:
+        swing_rad, drift_m = start.estimate.swing_rad, start.estimate.drift_m
+    positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
+    return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift_m), held
+
+
+def _first_components(problem: BlockProblem, at: Estimate) -> Components:
+    """Image coordinates count by their present median residual, all else as stated."""
+    ones = {name: 1.0 for term in problem.terms for name in term.component_names()}
+    return Components(ones | problem.image.first_components(at))
+
+
+def _deviations(variance: Floats, before: Floats) -> Floats:
+    """Their roots; the deviations before the solve where rounding left none above zero."""
+    return np.asarray(np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), before))
+
+
+def _finished(progress: Progress) -> Solution:
+    """The solution with its covariances."""
+    problem, at, components = progress.problem, progress.at, progress.components
+    layout, image = at.layout, problem.image
+    reduced = reduce_normals(problem.normals(at, components))
+    if problem.held is not None and problem.held.any():
+        reduced = reduced.considering(np.where(problem.held, layout.sd, 0.0) ** 2)
+    covariance, shared = reduced.covariance()
+    covariance = covariance[:, :6, :6]
+    stated = np.column_stack([term.sd(components) for term in problem.frames[:2]])
+    sd = _deviations(np.diagonal(covariance, axis1=1, axis2=2), stated)
+    shared_sd = _deviations(np.diag(shared), problem.shared_sd(layout))
+    standardised = image.standardised(at, components)
+    weight = np.nan_to_num(student_weight(standardised) / student_weight(np.zeros(1)))
+    poses = replace(
+        image.reported,
+        positions_m=at.positions_m,
+        rotations=at.rotations,
+        positions_sd_m=sd[:, :3],
+        rotations_sd_rad=sd[:, 3:],
+    )
+    if at.swing_rad.shape[1]:
+        readouts_s = at.interior[image.camera_of, READOUT]
+        poses = with_drift(with_swing(poses, at.swing_rad, readouts_s), at.drift_m, readouts_s)
+    return Solution(
+        poses=poses,
+        cameras=tuple(with_interior(c, row) for c, row in zip(image.cameras, at.interior, strict=True)),
+        estimate=at,
+        components=components,
+        held=np.zeros(layout.size, dtype=bool) if problem.held is None else problem.held,
+        local=image.local,
+        points_sd_m=_deviations(np.diagonal(reduced.points_inverse, axis1=1, axis2=2), problem.points.sd_m),
+        pose_covariance=covariance,
+        shared_sd=shared_sd,
+        shared_correlation=shared / shared_sd[:, None] / shared_sd,
+        implausible=np.zeros(layout.size, dtype=bool),
+        residual_px=image.tracks.image_px - image.computed_px(at),
+        weight=weight * image.used,
+        left_out=image.left_out,
+        reduced=reduced,
+        readout_score=np.zeros(len(image.cameras)),
+        steps=progress.steps,
+    )

@@ -1,0 +1,192 @@
+"""Steps of a solve, until unknowns, robust weights and variance components have converged."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import SolveStep
+from geomosaic.adjustment.problem.estimate import Estimate, Step
+from geomosaic.adjustment.solver.clearance import too_near
+from geomosaic.adjustment.solver.local_image_variance import local_factors
+from geomosaic.adjustment.solver.normal_equations import Reduced, reduce_normals
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.single_points import settled_points, wandering
+from geomosaic.adjustment.solver.variance_components import variance_components
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
+from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.term import Components
+from geomosaic.constants import sourced, tuned
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.robust import share_down_weighted
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """A step is the last if it moves no frame by more than `move` of its position's deviation, and gains no
+    more than `gain` of the cost or is no longer than `step` deviations (`_length`). By the gain alone a
+    large block would stop while its scale is off: among 100,000 observations such a gain hides."""
+
+    gain: float
+    move: float
+    step: float
+
+
+_ROUGH = tuned(_Stop(1e-3, 0.3, 0.0), "shares, deviations", "more: components before lenses settle")
+_FINE = sourced(
+    _Stop(1e-7, 0.01, 0.015),
+    "shares, deviations",
+    "0.02 leaves 0.08 deviations",
+    "tests/test_bundle_oracle.py",
+)
+_STANDS = tuned(0.03, "share of a variance component", "a dozen frames know it to a third")
+_ROUGHLY = tuned(0.15, "share of a variance component", "the same, well enough to compare models")
+_STEPS_BETWEEN = tuned(2, "steps", "between estimates of the variance components")
+_MOST_STEPS = tuned(30, "steps", "of a block that begins anywhere: those that converge take 5 to 15")
+_ROUNDS = tuned(12, "rounds", "of variance components: those that converge take 2 to 6")
+_DAMPING = tuned(1e-9, "share of the diagonal", "more: it holds up place, turn and scale of the whole block")
+_MOST_DAMPING = tuned(1e6, "share of the diagonal", "steps are next to none: the system is broken")
+_SHARES = tuned((1.0, 0.5, 0.25, 0.1), "of a step", "tried before damping where the whole raises the cost")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A solve on its way: the problem with its present robust weights, the estimate, the components, and the
+    steps that led here."""
+
+    problem: BlockProblem
+    at: Estimate
+    components: Components
+    steps: tuple[SolveStep, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        return self.problem.cost(self.at, self.components)
+
+
+def with_held(progress: Progress) -> Progress:
+    """Held unknowns are at their prior values; the others follow to first order, where that is better."""
+    problem, at = progress.problem, progress.at
+    known = problem.known(at.layout)
+    off = np.where(known, at.layout.given - at.shared, 0.0)
+    if not off.any():
+        return progress
+    alone = replace(progress, at=replace(at, shared=at.shared + off))
+    with suppress(NotSolvableError):
+        reduced = reduce_normals(problem.normals(at, progress.components))
+        gone = _cleared(problem, at, at.stepped(_step_of(reduced)))
+        shared = np.where(known, alone.at.shared, gone.shared)
+        together = replace(progress, at=replace(gone, shared=shared))
+        if together.cost < alone.cost:
+            return together
+    return alone
+
+
+def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
+    """Iterates until unknowns, robust weights and variance components have converged. settled: whether the
+    image's component is taken to have converged already."""
+    for _ in range(_ROUNDS):
+        problem = progress.problem.reweighted(progress.at, progress.components)
+        most = _STEPS_BETWEEN if progress.steps else _MOST_STEPS
+        progress, reduced = _converge(replace(progress, problem=problem), most, _ROUGH)
+        problem, at = progress.problem, progress.at
+        if settled:
+            image = problem.image
+            counts = ~image.by_hand & image.used
+            local = local_factors(image.tracks, at.points_m, image.lengths_px(at), counts)
+            problem = replace(problem, image=replace(image, local=local))
+        found = variance_components(problem, at, progress.components, reduced, image_only=not settled)
+        del reduced  # the next ones take as much
+        progress = replace(progress, problem=problem, components=found.components)
+        if settled and max(found.image_change, found.other_change) < (_ROUGHLY if rough else _STANDS):
+            break
+        settled = found.image_change < 0.1
+    if not rough:
+        progress, _ = _converge(progress, _MOST_STEPS, _FINE)
+    return progress
+
+
+def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Reduced]:
+    """Steps until `stop`, or `most`; and the last step's equations without damping."""
+    problem, components = progress.problem, progress.components
+    sd_m = next(t for t in problem.frames if isinstance(t, GnssPositions)).sd(components)
+    at, damping, cost = progress.at, 0.0, progress.cost
+    steps: list[SolveStep] = []
+    while True:
+        normals = problem.normals(at, components)
+        gain, moved, step_m = 0.0, 0.0, 0.0
+        while True:
+            try:
+                reduced = reduce_normals(normals, damping)
+                step = _step_of(reduced, problem.known(at.layout))
+            except NotSolvableError:
+                if damping > _MOST_DAMPING:
+                    raise
+                damping = max(10.0 * damping, _DAMPING)
+                continue
+            whole = damping == 0.0
+            alone = wandering(reduced) if whole else np.zeros(0, np.intp)
+            for share in _SHARES if whole else _SHARES[:1]:
+                trial = settled_points(problem, at.stepped(step, share), components, alone)
+                trial = _cleared(problem, at, trial)
+                trial_cost = problem.cost(trial, components)
+                if trial_cost < cost:
+                    break
+            if trial_cost < cost or damping > _MOST_DAMPING or _share_moved(step, sd_m) < stop.move:
+                break
+            damping = max(10.0 * damping, _DAMPING)
+        if trial_cost < cost:
+            gain, moved = cost - trial_cost, _share_moved(step, sd_m)
+            step_m = float(np.linalg.norm(trial.positions_m - at.positions_m, axis=1).max())
+            at, cost = trial, trial_cost
+        down = _down_weighted(problem, at, components)
+        steps.append(SolveStep("", cost, components[IMAGE], damping, step_m, down))
+        little = gain <= stop.gain * max(cost, 1.0) or _length(reduced, step) <= stop.step
+        if len(steps) >= most or (little and moved <= stop.move):
+            progress = replace(progress, at=at, steps=(*progress.steps, *steps))
+            return progress, reduced if damping == 0.0 else reduce_normals(normals)
+        damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
+        del normals, reduced  # the next ones take as much
+
+
+def _step_of(reduced: Reduced, known: Bools | None = None) -> Step:
+    """The solution of the equations; without what it leaves of known and held numbers, so that a readout
+    that stays does not follow the block's scale either."""
+    pose, interior, points, level, platform = reduced.solve()
+    shared = np.concatenate([interior.ravel(), [level], platform])
+    return Step(pose, points, shared if known is None else np.where(known, 0.0, shared))
+
+
+def _length(reduced: Reduced, step: Step) -> float:
+    """Of a step, in deviations of the solution: no unknown, nor any sum of them, moves by more."""
+    square = float(reduced.pose_side @ step.pose.ravel() + reduced.shared_side @ step.shared)
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def _down_weighted(problem: BlockProblem, at: Estimate, components: Components) -> float:
+    """The share of the image observations that count for less than half."""
+    length = problem.image.standardised(at, components)[problem.image.used]
+    return share_down_weighted(np.nan_to_num(length, nan=np.inf))
+
+
+def _cleared(problem: BlockProblem, before: Estimate, after: Estimate) -> Estimate:
+    """The estimate after a step, but points that would come too near to a camera stay where they were."""
+    if problem.clearance_m is None:
+        return after
+    near = too_near(problem.tracks, problem.clearance_m, after.positions_m, after.points_m)
+    if not len(near):
+        return after
+    points = after.points_m.copy()
+    points[near] = before.points_m[near]
+    return replace(after, points_m=points)
+
+
+def _share_moved(step: Step, sd_m: Floats) -> float:
+    """The largest move of a frame, as a share of its position's deviation."""
+    return float((np.abs(step.pose[:, :3]) / sd_m).max())

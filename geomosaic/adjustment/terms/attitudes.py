@@ -1,0 +1,99 @@
+"""Reported attitudes, with the boresight angles between camera and IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.adjustment.terms.frame_components import FrameGroup, robust_weights
+from geomosaic.adjustment.terms.image_observations import ImageObservations
+from geomosaic.adjustment.terms.shared_by_frames import common_mean
+from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.rotation import CAMERA_FROM_BODY, exp_turn, log_turn
+from geomosaic.constants import tuned
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
+TILT, YAW, BORESIGHT = "tilt", "yaw", "boresight"
+BORESIGHT_SD_RAD = tuned(np.radians(3.0), "rad", "of mounts of small drones; less: boresights are held")
+
+
+@dataclass(frozen=True)
+class Attitudes(FrameTerm):
+    """Attitudes of f frames, as turns about east, north and up; residuals by component `tilt` and `yaw`.
+
+    The camera's axes are the body's: forward is the image's top, right its right side, down the view.
+    boresight: whether the angles are solved for by which the reported attitude is turned further than the
+    camera's, about forward, right and down. parts: frames of each connected part.
+    """
+
+    reported: Poses
+    parts: tuple[Ints, ...]
+    weight: Floats
+    boresight: bool = False
+
+    name: ClassVar[str] = "attitudes"
+
+    def unknowns(self) -> tuple[Unknowns, ...]:
+        if not self.boresight:
+            return ()
+        names = "boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg"
+        zero, one = np.zeros(3), np.ones(3)
+        unit = np.radians(1.0) * one
+        return (Unknowns(BORESIGHT, "platform", names, zero, BORESIGHT_SD_RAD * one, unit),)
+
+    def component_names(self) -> tuple[str, ...]:
+        return TILT, YAW
+
+    def columns(self, at: Estimate) -> slice:
+        return slice(3, 6)
+
+    def miss(self, at: Estimate) -> Floats:
+        back = exp_turn(-(CAMERA_FROM_BODY @ at.value(BORESIGHT, 3))[None])[0]
+        return log_turn(self.reported.rotations @ back @ np.swapaxes(at.rotations, 1, 2))
+
+    def sd(self, components: Components) -> Floats:
+        tilt, yaw = components[TILT], components[YAW]
+        sd_rad = self.reported.rotations_sd_rad * [tilt, tilt, yaw]
+        return np.asarray(np.where(np.isfinite(sd_rad), sd_rad, np.inf))
+
+    def derivatives(self, at: Estimate) -> tuple[Floats, list[tuple[str, Floats]]]:
+        by_pose = np.broadcast_to(np.eye(3, 6, 3), (len(at.rotations), 3, 6))
+        return by_pose, [(BORESIGHT, at.rotations @ CAMERA_FROM_BODY)]
+
+    def own_miss(self, at: Estimate, components: Components) -> Floats:
+        """Residuals (f, 3) without the heading that the frames of each part have in common."""
+        miss, sd = self.miss(at), self.sd(components)
+        for part in self.parts:
+            miss[part, 2] -= common_mean(miss[part, 2], sd[part, 2])
+        return miss
+
+    def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
+        share = variances[:, self.columns(at)] * self.information(components)
+        own, sd = self.own_miss(at, components), self.sd(components)
+        for name, numbers, common in ((TILT, [0, 1], 0.0), (YAW, [2], 1.0)):
+            counted = np.broadcast_to(np.isin(np.arange(3), numbers), own.shape)
+            group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common)
+            yield group.component(components[name], share, variances.shape[1], 3)
+
+    def reweighted(self, image: ImageObservations, at: Estimate, components: Components) -> Self:
+        own = self.own_miss(at, components) / self.sd(components)
+        observed = np.ones(own.shape, dtype=bool)
+        return replace(self, weight=robust_weights(own, observed, self.parts, ([0, 1], [2])))
+
+    def without(self, frames: Bools, at: Estimate) -> Self:
+        stay, sd_rad = frames[:, None], self.reported.rotations_sd_rad
+        reported = replace(
+            self.reported,
+            rotations=np.where(stay[:, None], at.rotations, self.reported.rotations),
+            rotations_sd_rad=np.where(stay, np.minimum(sd_rad, np.pi), sd_rad),
+        )
+        return replace(self, reported=reported)

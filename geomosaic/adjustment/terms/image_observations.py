@@ -1,0 +1,217 @@
+"""Image coordinates of tie and control points: the collinearity equations, Student's distribution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.interior import READOUT
+from geomosaic.adjustment.problem.tracks import Tracks, part_of
+from geomosaic.adjustment.solver.normal_equations import Normals, build_normals
+from geomosaic.adjustment.solver.observation_groups import AT_ONCE
+from geomosaic.adjustment.terms.collinearity import (
+    image_from_ground,
+    kinds_of,
+    project_by_levers,
+    readout_of,
+)
+from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import MEDIAN_LENGTH, tuned
+from geomosaic.estimation.robust import INFORMATION, median_of_known, student_cost, student_weight
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
+BEHIND = tuned(1e6, "deviations", "of an image behind its camera: farther off than any in front of it")
+_LEAST_SIGMA_PX = tuned(0.02, "px", "less: exact (simulated) tie points weigh without bound")
+_SCALINGS = tuned(12, "rounds", "each halves the error of the scale; fewer: it has not converged")
+IMAGE, CONTROL_IMAGE = "image", "control image"
+
+
+@dataclass(frozen=True)
+class ImageObservations:
+    """m image coordinates of p points in f frames.
+
+    camera_of (f,): of each frame, its place among cameras. reported: velocities and turns of the platform.
+    control (p,): points measured by hand, whose coordinates have a deviation of their own. rolling: whether a
+    camera reads its rows one after the other, or may. left_out (f,): frames whose images do not count. local
+    (p,): factor of the image deviation about each point, see `local_image_variance`.
+    """
+
+    tracks: Tracks
+    camera_of: Ints
+    cameras: tuple[Camera, ...]
+    reported: Poses
+    control: Bools
+    rolling: bool
+    left_out: Bools
+    local: Floats
+
+    def of(self, which: Ints) -> Self:
+        """Some of the observations, of the same points."""
+        return replace(self, tracks=part_of(self.tracks, which))
+
+    @cached_property
+    def by_hand(self) -> Bools:
+        """Which observations are of control points, (m,)."""
+        return np.asarray(self.control[self.tracks.point])
+
+    @cached_property
+    def used(self) -> Bools:
+        """Which observations count, (m,): those of frames that are not left out."""
+        return np.asarray(~self.left_out[self.tracks.frame])
+
+    @cached_property
+    def shown(self) -> Floats:
+        """The share of an error's square that residuals show along the directions in which they do, (m,).
+
+        A point takes three of the two numbers that each of its k images gives: residuals are shorter than
+        errors (Baarda 1968, section 4). Those of a point in two images have one direction, across the plane
+        of both rays, and half of the square in it.
+        """
+        views = self.tracks.lengths[self.tracks.point]
+        return np.where(self.by_hand, 1.0, 1.0 - 1.5 / np.maximum(views, 3))
+
+    @property
+    def longest_side_px(self) -> float:
+        """Of all cameras' images: no image deviation is larger."""
+        return float(max(max(c.width_px, c.height_px) for c in self.cameras))
+
+    def frame_share(self) -> Floats:
+        """Each frame's share of the observations, (f,)."""
+        counts = np.bincount(self.tracks.frame, minlength=len(self.camera_of))
+        return counts / max(len(self.tracks.frame), 1)
+
+    def sd_px(self, components: Components) -> Floats:
+        """Present deviation of each observation, (m,)."""
+        of_ties = components[IMAGE] * self.local[self.tracks.point]
+        return np.where(self.by_hand, components[CONTROL_IMAGE], of_ties)
+
+    def computed_px(self, at: Estimate) -> Floats:
+        """Image coordinates of the points while the measured rows are read, (m, 2); NaN behind the camera."""
+        kept = at.memo.get(id(self.tracks))
+        if kept is not None and kept[0] is self.tracks:
+            return kept[1]
+        parts = np.array_split(np.arange(len(self.tracks.frame)), max(len(self.tracks.frame) // AT_ONCE, 1))
+        out = np.concatenate([image_from_ground(*self.of(i).arguments(at)) for i in parts])
+        at.memo[id(self.tracks)] = self.tracks, out
+        return out
+
+    def lengths_px(self, at: Estimate) -> Floats:
+        """Lengths of the residuals, (m,); NaN behind the camera."""
+        away = self.tracks.image_px - self.computed_px(at)
+        return np.asarray(np.hypot(away[:, 0], away[:, 1]))
+
+    def standardised(self, at: Estimate, components: Components) -> Floats:
+        """Residual lengths over their deviations, (m,); NaN behind the camera."""
+        return np.asarray(self.lengths_px(at) / (self.sd_px(components) * np.sqrt(self.shown)))
+
+    def cost(self, at: Estimate, components: Components) -> float:
+        """Twice the negative logarithm of their likelihood."""
+        length = self.standardised(at, components)
+        cost = self.shown * student_cost(np.where(np.isfinite(length), length, BEHIND))
+        return float(cost[self.used].sum())
+
+    def normals(self, at: Estimate, components: Components) -> Normals:
+        """The normal equations of Fisher's scoring: weights are the observations' expected information."""
+        sd_px, computed = self.sd_px(components), self.computed_px(at)
+
+        def linearised(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
+            some = self.of(which)
+            image, levers, by_interior, by_point = project_by_levers(
+                *some.arguments_in_own_rows(at, computed[which])
+            )
+            residual, sd = some.tracks.image_px.T - image, sd_px[which]
+            counts = np.isfinite(residual).all(axis=0) & self.used[which]
+            length = np.linalg.norm(residual, axis=0) / (sd * np.sqrt(self.shown[which]))
+            weight = np.where(counts, student_weight(length) / sd**2, 0.0)
+            residual /= INFORMATION
+            for a in (residual, levers.arms_m, by_interior, by_point):
+                a[..., ~counts] = 0.0
+            return residual, weight, levers, by_interior, by_point
+
+        sightings = self.tracks.sightings(len(at.positions_m), len(at.points_m))
+        n = build_normals(
+            sightings, self.camera_of, at.interior.shape, linearised, terms=at.swing_rad.shape[1]
+        )
+        q = at.layout.platform_size
+        return replace(
+            n,
+            pose_mounting=np.zeros((*n.pose_side.shape, q)),
+            mounting=np.zeros((q, q)),
+            mounting_side=np.zeros(q),
+        )
+
+    def arguments(self, at: Estimate, rows_px: Floats | None = None) -> tuple[Any, ...]:
+        """What `project` and `image_from_ground` take, a row an observation; rolling shutters at rows_px
+        (m,), or the measured rows."""
+        frame = self.tracks.frame
+        camera = self.camera_of[frame]
+        interior, kinds = at.interior[camera], kinds_of(self.cameras)
+        first = at.positions_m[frame], at.rotations[frame], interior, at.points_m[self.tracks.point]
+        kind = None if kinds is None else kinds[camera]
+        if not self._reads_rows(at):
+            return *first, None, kind
+        rows = self.tracks.image_px[:, 1] if rows_px is None else rows_px
+        swings = bool(at.swing_rad.shape[1])
+        read = readout_of(
+            *(self.reported, at.rotations, at.swing_rad if swings else None, at.drift_m if swings else None),
+            *(frame, rows, self._heights_px[camera], interior[:, READOUT]),
+        )
+        return first[0], read.rotations, *first[2:], read, kind
+
+    def arguments_in_own_rows(self, at: Estimate, computed_px: Floats) -> tuple[Any, ...]:
+        """The same with rolling shutters at the points' own rows, see `Readout`; computed_px (m, 2): see the
+        method of that name."""
+        if not self._reads_rows(at):
+            return self.arguments(at)
+        rows = np.clip(computed_px[:, 1], 0.0, self._heights_px[self.camera_of[self.tracks.frame]])
+        return self.arguments(at, np.where(np.isnan(rows), self.tracks.image_px[:, 1], rows))
+
+    @cached_property
+    def _heights_px(self) -> Floats:
+        return np.array([c.height_px for c in self.cameras])
+
+    def _reads_rows(self, at: Estimate) -> bool:
+        moving = self.reported.velocities_m_per_s is not None or self.reported.turns is not None
+        return self.rolling and (moving or bool(at.swing_rad.shape[1]))
+
+    def first_components(self, at: Estimate) -> dict[str, float]:
+        """Image deviations by the present median residuals."""
+        length = self.lengths_px(at)
+        return {
+            name: float(np.clip(median_of_known(length[which]), MEASURED_SD_PX, self.longest_side_px))
+            for name, which in ((IMAGE, ~self.by_hand), (CONTROL_IMAGE, self.by_hand))
+        }
+
+    def components(self, at: Estimate, components: Components, unknowns: float) -> dict[str, float]:
+        """Image deviations by the residuals; unknowns: how many the tie points determine."""
+        length, out = self.lengths_px(at), {}
+        tied = ~self.by_hand & self.used
+        if tied.any():
+            shown = self.shown[tied]
+            error_px = length[tied] / np.sqrt(shown) / self.local[self.tracks.point[tied]]
+            redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
+            sigma_px = _scale_px(error_px, shown, redundancy, components[IMAGE])
+            out[IMAGE] = float(np.clip(sigma_px, _LEAST_SIGMA_PX, self.longest_side_px))
+        control_px = median_of_known(length[self.by_hand]) / MEDIAN_LENGTH
+        out[CONTROL_IMAGE] = float(np.clip(control_px, MEASURED_SD_PX, self.longest_side_px))
+        return out
+
+
+def _scale_px(error_px: Floats, shown: Floats, redundancy: float, first_px: float) -> float:
+    """The scale of Student's distribution of errors with this redundancy; NaN count as beyond all."""
+    error_px, scale_px = np.nan_to_num(error_px, nan=1e6 * first_px), first_px
+    for _ in range(_SCALINGS):
+        error = error_px / scale_px
+        squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION
+        scale_px *= float(np.sqrt(squares / redundancy))
+    return scale_px
