@@ -29,7 +29,7 @@ from geomosaic.adjustment.terms.collinearity import (
     readout_of,
 )
 from geomosaic.adjustment.terms.mounting import MOUNTING
-from geomosaic.adjustment.terms.rolling_shutter_rotation import with_drift, with_swing
+from geomosaic.adjustment.terms.row_functions import with_drift, with_swing
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z, exp_turn, log_turn

@@ -20,11 +20,7 @@ from geomosaic.matching.tracks import join
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _PARALLEL: float = tuned(
-    float(np.radians(0.5) ** 2),
-    "rad²",
-    "weight of a point's given place beside its rays, half a degree squared: with less, points of rays "
-    "that are all but parallel run away along them; with more, far points are drawn to where they were "
-    "given",
+    float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: drawn to near_m"
 )
 
 

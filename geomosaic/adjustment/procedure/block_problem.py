@@ -24,12 +24,10 @@ from geomosaic.adjustment.terms.rolling_shutter_rotation import (
     MOST_GUSTS,
     MOST_SWING,
     RATE_SD_RAD_PER_S,
-    TERMS,
     UPWARDS,
-    VIBRATION_TERMS,
     RollingShutterRotation,
-    recorded_share,
 )
+from geomosaic.adjustment.terms.row_functions import TERMS, VIBRATION_TERMS, recorded_share
 from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.constants import tuned
 from geomosaic.placement.graph import connected_parts

@@ -25,51 +25,14 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_GEOIDS: tuple[int, int] = sourced(
-    (3855, 5773),
-    "EPSG",
-    "whose undulation sea level's is, the first whose grid is installed",
-    "EGM2008, EGM96",
-)
-_DRIFT_CLEARLY = sourced(
-    3.0,
-    "deviations",
-    "of the scatter about it, beyond which heights drift: one flight in 400 by chance",
-    "normal distribution: 0.3 %",
-)
-_SEA_LEVEL_SD_M = sourced(
-    30.0,
-    "m",
-    "of sea level about the ellipsoid where no geoid grid is installed: most receivers write heights "
-    "above it, and none says so",
-    "EGM96: root mean square of the geoid's heights 30.6 m, from -107 to 85 m",
-)
-_TAKE_OFF = tuned(
-    0.5,
-    "flying heights",
-    "within which the ground comes out about height 0 where heights count from the take-off: it lies on "
-    "the same slope, not a whole flying height away; by the sea both are the same",
-)
-_LAND_M = sourced(
-    800.0,
-    "m",
-    "of the land above the sea, which is what heights that count from the take-off leave out",
-    "ETOPO1's hypsographic curve: land lies 797 m high in the mean",
-)
-_MAY_BE_CHANCE = tuned(
-    0.5,
-    "share of the stated variance",
-    "down to which a dozen frames may scatter by chance; with less scatter the rest of what is stated "
-    "may be a shift of all positions",
-)
+_GEOIDS = sourced((3855, 5773), "EPSG", "of sea level, the first that is installed", "EGM2008, EGM96")
+_DRIFT_CLEARLY = sourced(3.0, "deviations of the scatter", "beyond: heights drift", "normal: 0.3 %")
+_SEA_LEVEL_SD_M = sourced(30.0, "m", "of sea level about the ellipsoid without a geoid grid", "EGM96: 30.6 m")
+_TAKE_OFF = tuned(0.5, "flying heights", "of the ground about height 0 where heights count from take-off")
+_LAND_M = sourced(800.0, "m", "of the land above the sea, which such heights leave out", "ETOPO1: mean 797 m")
+_MAY_BE_CHANCE = tuned(0.5, "share of the stated variance", "less scatter: the rest may be a common shift")
 _COMMON_SD_M = sourced(
-    2.5,
-    "m per axis",
-    "shift that all positions of a flight may share at most: clocks, orbits and the ionosphere move a "
-    "code receiver's by 1 to 4 m for hours; with less, good positions claim a place that they don't "
-    "know",
-    "chosen below GPS SPS Performance Standard, 5th edition 2020, table 3.8-3: 8 m horizontally at 95 "
-    "%, the globe's mean, are 3.3 m per axis",
+    2.5, "m per axis", "largest common shift of positions of a flight", "GPS SPS 2020: 3.3"
 )
 
 

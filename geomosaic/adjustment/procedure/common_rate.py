@@ -8,7 +8,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.solver.solution import Solution
-from geomosaic.adjustment.terms.rolling_shutter_rotation import with_swing
+from geomosaic.adjustment.terms.row_functions import with_swing
 from geomosaic.constants import tuned
 
 _LEAST_FRAMES = tuned(5, "frames", "of which a median is no chance")

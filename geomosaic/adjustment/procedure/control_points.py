@@ -23,12 +23,7 @@ from geomosaic.survey.model import ControlPoint, Survey, Warn
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DISAGREES = tuned(
-    5.0,
-    "deviations",
-    "beyond which a control point is called wrong: of a hundred thousand none is by chance, and what "
-    "a stated deviation forgets is below it",
-)
+_DISAGREES = tuned(5.0, "deviations", "beyond: a control point is called wrong")
 _UNKNOWN_SD = tuned(1e3, "m", "of a coordinate that is not given: farther than any frame sees")
 
 Spread = Callable[[Ints, Floats, Floats], Floats]

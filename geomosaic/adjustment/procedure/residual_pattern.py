@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.adjustment.problem.tracks import frame_by_frame
-from geomosaic.adjustment.terms.rolling_shutter_rotation import TERMS, VIBRATION_TERMS
+from geomosaic.adjustment.terms.row_functions import TERMS, VIBRATION_TERMS
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares

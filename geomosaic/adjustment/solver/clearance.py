@@ -6,18 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.tracks import Tracks, frame_by_frame
-from geomosaic.constants import sourced
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_NEAREST = sourced(
-    0.05,
-    "share of a frame's usual distance to its points",
-    "nearer than which none comes, whatever its images say: a wrong match by the image of another camera "
-    "draws its point to that camera, where a slope without bound outweighs all that is known of the "
-    "camera; with more, trees below a low flight would be held down",
-    "chosen; tests/test_clearance.py: cameras thrown off by 12 to 33 m of 100",
-)
+_NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are held down")
 
 
 def clearances_m(tracks: Tracks, positions_m: Floats, points_m: Floats) -> Floats:

@@ -17,11 +17,8 @@ from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.solver.steps import Progress, settle, with_held
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
-from geomosaic.adjustment.terms.rolling_shutter_rotation import (
-    RollingShutterRotation,
-    with_drift,
-    with_swing,
-)
+from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
+from geomosaic.adjustment.terms.row_functions import with_drift, with_swing
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import tuned

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.terms.pose_jacobian import Levers
-from geomosaic.adjustment.terms.rolling_shutter_rotation import recorded_share, terms_at
+from geomosaic.adjustment.terms.row_functions import recorded_share, terms_at
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, Lens
@@ -18,11 +18,7 @@ from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_MOST_BY_ROW = tuned(
-    0.5,
-    "rows a row",
-    "by which a frame is stretched while it is read: one of twice or two thirds of its height is no image",
-)
+_MOST_BY_ROW = tuned(0.5, "rows a row", "of stretching while a frame is read: more is no image")
 
 
 @dataclass(frozen=True)
