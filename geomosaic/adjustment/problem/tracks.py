@@ -19,9 +19,7 @@ from geomosaic.matching.tracks import join
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_PARALLEL: float = tuned(
-    float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: drawn to near_m"
-)
+_PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: near_m wins")
 
 
 @dataclass(frozen=True)

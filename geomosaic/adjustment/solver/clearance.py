@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.tracks import Tracks, frame_by_frame
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
