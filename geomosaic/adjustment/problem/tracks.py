@@ -19,6 +19,9 @@ from geomosaic.matching.tracks import join
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+_OVER = tuned(
+    1.25, "times the observations asked for", "of the median frame; more: each asks for fewer"
+)
 _PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: near_m wins")
 
 
@@ -91,7 +94,7 @@ def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -
     """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
 
     Each frame asks, cell by cell of a grid of cells x cells, for its longest tracks; a track stays if
-    any frame asks for it.
+    any frame asks for it. Where frames ask for other frames' tracks too, each asks for fewer.
 
     Args: sizes_px (frames, 2): width and height of each frame.
     """
@@ -103,8 +106,12 @@ def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -
     cell = (tracks.frame * cells + at[:, 1]) * cells + at[:, 0]
     order = np.lexsort((tracks.point, -length, cell))
     rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
-    asked = order[rank < max(1, per_frame // cells**2)]
-    return np.isin(np.arange(tracks.points), tracks.point[asked])
+    for need in range(max(1, per_frame // cells**2), 0, -1):
+        asked = np.isin(np.arange(tracks.points), tracks.point[order[rank < need]])
+        taken = np.bincount(tracks.frame[asked[tracks.point]], minlength=len(sizes_px))
+        if np.median(taken) <= _OVER * per_frame:
+            break
+    return asked
 
 
 def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:
