@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.footprint import FEW, sightings
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 OFF_VERTICAL_DEG = sourced(60.0, "degrees", "steepest view: beyond, heights move the map 1.7 times", "tan 60")
-COARSER = sourced(4.0, "mosaic px", "coarsest view used: beyond, 15 of 16 pixels are invented", "4^2")
+COARSER = tuned(4.0, "mosaic px", "coarsest view used: beyond, 15 of 16 pixels are invented")
 _FAR_INSIDE = sourced(2.0, "limits", "cap: beyond, a place is good enough", "definition")
 
 
