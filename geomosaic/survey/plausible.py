@@ -84,12 +84,7 @@ FASTEST: Final = Limit(1000.0, "m/s", "three times the speed of sound", "SR-71: 
 FASTEST_TURN: Final = Limit(
     35.0, "rad/s", "2000 degrees a second, where small gyroscopes end", "InvenSense MPU-6000, full scale"
 )
-_NEIGHBOURS = tuned(
-    8,
-    "frames",
-    "that a frame's height is held against, in plan as in time: of fewer two wrong ones decide, more "
-    "reach over to another slope",
-)
+_NEIGHBOURS = tuned(8, "frames", "that judge a height: of fewer two wrong ones decide; more reach slopes")
 
 
 def plausible_positions(
