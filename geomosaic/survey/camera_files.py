@@ -21,7 +21,7 @@ from geomosaic.survey.shutters import UNREPORTED_SD_S
 _MAX_BYTES = tuned(
     {".json": 128 << 20, ".yaml": 256 << 10},
     "bytes by suffix",
-    "a larger file is another kind: YAML takes half a minute a MB",
+    "JSON may be a whole reconstruction; YAML takes half a minute a megabyte",
 )
 _OPENSFM_MODELS: Final = {
     "perspective": "brown",

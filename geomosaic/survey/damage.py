@@ -39,7 +39,7 @@ _CONTEXT_ROWS = sourced(16, "rows", "left off above damage: less leaves its colo
 _TAIL = tuned(
     np.random.default_rng(1).integers(0, 254, 4096, dtype=np.uint8).tobytes(),
     "bytes",
-    "put where data are lost; no 0xFF, so none reads as a marker",
+    "put where data are lost: rows that change lie below the damage; no 0xFF, so none is a marker",
 )
 
 

@@ -24,7 +24,7 @@ _AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills 
 _METRES = tuned(
     {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0},
     "m by unit",
-    "of heights; other units are refused",
+    "names of the metre, and none; a DEM in other units is refused",
 )
 
 

@@ -19,8 +19,8 @@ _FIRST_YEAR = tuned(1900, "year", "an earlier one is of an unset clock and would
 _MM_PER_UNIT = sourced(
     {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001},
     "mm by unit",
-    "of focal planes",
-    "CIPA DC-008 for 2 and 3; ExifTool for 4 and 5",
+    "of the unit in which a focal plane's resolution is counted",
+    "CIPA DC-008 (EXIF) for 2 and 3; ExifTool for 4 and 5",
 )
 
 

@@ -37,8 +37,8 @@ SENSOR_WIDTHS_MM = sourced(
         "e-pl1": 17.3,
     },
     "mm",
-    "whole sensor by EXIF's model",
-    "data sheets; Theta-Limited/DroneModels; OpenSfM, sensor_data.json",
+    "width of the whole sensor by EXIF's model: a wrong one scales the focal length",
+    "formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, 4/3 17.3, 35 mm 35.9; DroneModels; OpenSfM",
 )
 
 
@@ -73,21 +73,21 @@ SENSORS = sourced(
         "imx477": Sensor((4056,), 1.55),
     },
     "px, um, mm",
-    "pitch by part of make and model",
-    "Theta-Limited/DroneModels; QGroundControl; Raspberry Pi docs",
+    "pixel pitch by part of make and model, the first that fits; a wrong one scales the focal length",
+    "Theta-Limited/DroneModels; QGroundControl; Raspberry Pi; M30T as M3T, Vue TZ20 as Boson, others Tau 2",
 )
 _SHAPE = tuned(0.01, "share", "of a ratio of sides: 336 x 256 and 4:3 differ by 0.016")
 _ONE_LENGTH = sourced(
     {"zr10"},
     "model",
-    "zooms that always tag the long end",
-    "ArduPilot, AP_Mount_Siyi.cpp: 5 to 47 mm",
+    "zooms that tag the long end at any zoom: trusted, the focal length is up to 9 times too long",
+    "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm",
 )
 _ACTION_MAKES = sourced(
     {"gopro", "xiaoyi", "sjcam", "drift"},
     "make",
-    "makers of action cameras",
-    "OpenSfM, camera_calibration.yaml",
+    "of action cameras, which have several fields of view and do not tag the mode",
+    "OpenSfM, opensfm/data/camera_calibration.yaml: all but sjcam",
 )
 _WIDE_MODE_MM = sourced(16.0, "equivalent mm", "longest fisheye mode", "OpenSfM: GoPro wide 15 and 16")
 _ACTION = sourced(0.47, "focal / side", "of wide modes", "OpenSfM: 0.466 and 0.47; gyroflow: 0.444")

@@ -23,8 +23,8 @@ DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
 _BYTES = sourced(
     {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4},
     "bytes by type",
-    "of a pixel in one band",
-    "definition",
+    "of a pixel in one band; other types count as 8",
+    "definition of the types",
 )
 _MOST_SIDE_PX = sourced(32_766, "px", "of a frame: cv2.remap fails beyond", "OpenCV, remap: less than 32,767")
 _MOST_BYTES = tuned(4 << 30, "bytes", "of a decoded frame: the largest have 3.6e9; more fills the memory")

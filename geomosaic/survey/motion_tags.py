@@ -23,8 +23,8 @@ UNIT_DELAY_S = tuned(0.0425, "s", "lag of a Sequoia's rates: ties 1.59 px, 1.95 
 _SAMPLE = sourced(
     np.dtype([("time_us", "<u8"), ("rad_per_s", "<f4", 3), ("flags", "<u4")]),
     "bytes",
-    "a record, little endian",
-    "Parrot Sequoia's files",
+    "a record of the tag: 24 bytes, little endian",
+    "a Parrot Sequoia's files; docs/inputs.md",
 )
 _MOST_SAMPLES = tuned(4096, "samples", "at 1 kHz in 0.18 s there are 185: more is damaged")
 _LONGEST = sourced(4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4, "characters", "tag in base64", "RFC 4648")

@@ -28,13 +28,13 @@ READOUTS_S = sourced(
         "hero8 black": 0.017,
     },
     "s",
-    "first row to last, by EXIF's model",
-    "OpenDroneMap, opendm/rollingshutter.py",
+    "first row to last by EXIF's model: without it, lines flown to and fro shrink and stretch",
+    "OpenDroneMap, opendm/rollingshutter.py, by users with a blinking light",
 )
 _READOUTS_BY_SIZE = sourced(
     {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)},
     "megapixels from and to, s",
-    "other image sizes",
+    "images of other sizes than most by the model, which read other rows",
     "OpenDroneMap, opendm/rollingshutter.py",
 )
 READOUT_SD_SHARE = tuned(0.1, "share", "of a model's: crops have a sixth fewer rows; less binds wrong ones")
@@ -53,8 +53,8 @@ UNREPORTED_SD_S = tuned(0.04, "s", "without a report, 0 or 0.02 to 0.1: less hid
 _BANDS_AT_ONCE = sourced(
     {("sequoia", 1)},
     "model, bands",
-    "that expose all lines at once",
-    "Parrot Sequoia's frames",
+    "cameras that tag a line time but expose all lines at once: used, it would bend frames",
+    "Parrot Sequoia's one-band cameras; docs/inputs.md",
 )
 
 
