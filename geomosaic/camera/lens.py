@@ -32,10 +32,10 @@ _WIDEST_RAD = tuned(1.5, "rad", "off a fisheye's axis: tangents end at a right a
 _FISHEYE_POWERS = sourced((2, 4, 6, 8, 1), "powers", "of the angle", "Kannala and Brandt 2006, eq. 6; Pix4D")
 _STEPS = tuned(4096, "steps", "of tables, each 0.001 of the radius: fewer are coarse; more are slow")
 _TINY = tuned(1e-12, "focal lengths", "least radius to divide by: more bends what lies near the axis")
-_CLOSE = tuned(1e-12, "focal lengths", "step that ends the inverse: more shows in derivatives; less rounds")
+_CLOSE = tuned(1e-12, "focal lengths", "step that ends the inverse: more shows in derivatives; less is noise")
 _ROUNDS = tuned(50, "rounds", "of the inverse: a fisheye takes five, a strong Brown lens 30 at its corners")
 _FLATTEST = tuned(0.2, "1", "least slope of an inverse step: less lets it run off; more makes it short")
-_OUTSIDE = tuned(1.1, "corner radii", "reach of the formula: less loses corners; more means nothing")
+_OUTSIDE = tuned(1.1, "corner radii", "reach of the formula: less loses corners; more extrapolates")
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Nature:
 
 
 _NOMINAL_SD_PX = tuned(2.5, "px", "mounting of CCDs: less takes ground for cloud; more, cloud for ground")
-_LEVEL_SDS = tuned(2.35, "deviations", "from nominal: less rejects offset ground; more accepts clouds")
+_LEVEL_SDS = tuned(2.35, "deviations", "off nominal, beyond which a level is cloud: less rejects ground")
 _LEAST_KNOT_LINES = tuned(8, "lines", "knot spacing: with less, cells have too few pixels to be measured")
 _MOST_KNOT_LINES = tuned(64, "lines", "knot spacing: with more, a cloud edge or lost line spoils too much")
 _LEAST_STEEP_PX = tuned(0.5, "lines", "rise tested for lost lines: less tests noise; more misses some")

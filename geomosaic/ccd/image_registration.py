@@ -32,7 +32,7 @@ _PATCH_LINES = tuned(64, "lines", "patch height: lower fails at low contrast; hi
 _PIECE_LINES = tuned(16 * _PATCH_LINES, "lines", "read at once: fewer read margins twice; more take memory")
 _LEAST_CORRELATION = tuned(0.4, "1", "peak of a patch: less lets chance peaks in; more loses low contrast")
 _ODD_PX = tuned(1.5, "px", "off the median of 7 patches: less drops jitter; more lets wrong peaks in")
-_LEAST_PATCHES = sourced(5, "patches", "for a curve", "scipy.interpolate.make_smoothing_spline: at least 5")
+_LEAST_PATCHES = sourced(5, "patches", "for a pair's curve", "scipy: make_smoothing_spline takes at least 5")
 _BLUR_PX = sourced(8, "px", "half a box of `columns`: less makes pieces differ at their ends", "(17 - 1) / 2")
 _PHASE_SD_PX = tuned(0.02, "px", "pixel locking of parabola peaks: less claims too much; more too little")
 

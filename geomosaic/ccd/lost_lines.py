@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Floats, Images
 from geomosaic.ccd.rows import RowPair
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
 Ints = NDArray[np.intp]
 _KNOTS_APART = tuned(10, "knots", "left out at a step: fewer include its smoothed part; more say less")
 _KNOTS_FITTED = tuned(8, "knots", "under each line beyond: fewer follow noise; more miss bending relief")
-_ENOUGH_PAIRS = sourced(3, "pairs", "for a median motion: of two it has half of either's step", "a median")
+_ENOUGH_PAIRS = tuned(3, "pairs", "for a median as motion of all: of two it has half of either's step")
 _STEEP_KNOTS = tuned(8, "knots", "over which a rise is taken: fewer see a part of a step; more see relief")
 _STEEP_COARSE_PX = tuned(3.5, "lines", "rise on the path of 2 px bins: less tests its bins; more misses some")
-_LEAST_COARSE = tuned(3, "lines", "least step on the path: smaller drowns in bins; larger is found nowhere")
+_LEAST_COARSE = tuned(3, "lines", "least step on the path: smaller drowns in bins; larger is missed later")
 _COARSE_PX = tuned((-0.8, 0.0, 0.8), "px", "tried about the path: wider misses between; more take time")
 _AROUND_LINES = tuned(256, "lines", "compared on each side: fewer may miss the step; more include another")
 _SHARP_LINES = tuned(48, "lines", "on which one offset must win: fewer are noise; more merge near steps")

@@ -21,10 +21,10 @@ from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import inverse, solve
 
 _OWN_PX = tuned(2.0, "px", "deviation of own parts: less flattens relief and warmth; more runs off in gaps")
-_FREE_KNOTS = tuned(60, "knots", "of no joint pull to the level: fewer flatten slow motion; more run off")
+_FREE_KNOTS = tuned(60, "knots", "pulled to the level as one: fewer flatten slow motion; more run off")
 _JERK = tuned(2.1, "usual motion", "prior of a knot's change: less smooths jitter; more follows noise")
 _RELIEF = tuned(1.4, "usual relief", "prior of an own part's change: less cuts hills; more bridges at random")
-_LASTING = tuned(8.0**0.5, "learned steps", "a slope lasts 8 strides: less claims too much; more too little")
+_LASTING: float = tuned(8.0**0.5, "learned steps", "of a level, as slopes last for 8: less claims too much")
 _MOTION_ORDER = tuned(12, "knots", "autoregression, two a tone: fewer cannot bridge jitter; more learn noise")
 _OWN_STRIDE = tuned(4, "knots", "between knots of own parts: nearer slopes are noise; farther lose hills")
 _MOST_RADIUS = tuned(0.9995, "1", "of roots; half in 1386 knots: 1 never decays; less damps jitter in gaps")
@@ -65,9 +65,9 @@ class Smoothed:
         return self.motion[None] + self.own
 
 
-LEVEL = sourced(np.array([1.0]), "1", "the next knot stays at the level", "zero first difference")
-STRAIGHT = sourced(np.array([2.0, -1.0]), "1", "the next knot goes straight on", "zero second difference")
-CUBIC = sourced(np.array([4.0, -6.0, 4.0, -1.0]), "1", "the next continues a cubic", "zero fourth difference")
+LEVEL = sourced(np.array([1.0]), "1", "prediction: the next stays at the level", "zero first difference")
+STRAIGHT = sourced(np.array([2.0, -1.0]), "1", "prediction: goes straight on", "zero second difference")
+CUBIC = sourced(np.array([4.0, -6.0, 4.0, -1.0]), "1", "prediction: a cubic", "zero fourth difference")
 
 
 def first_habits(likely: Expected) -> Habits:

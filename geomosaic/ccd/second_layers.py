@@ -30,7 +30,7 @@ _PIECE_KNOTS = tuned(3, "knots", "two give a slope, the middle one its straightn
 _STRAIGHT_PX = tuned(0.15, "px", "bend of a piece: 99 % have 0.06; more admits noisy slopes; less leaves few")
 _MOST_AHEAD_KNOTS = sourced(12, "knots", "to the next piece: a miss has grown 64-fold there", "(12 / 3)^3")
 _LEAST_BREAK_PX = tuned(0.6, "px", "of a break: ground has 0.11, 0.35 at low contrast; more passes clouds")
-_BREAK_DEVIATIONS = tuned(6.0, "deviations", "and so significant: less breaks at jitter; more passes clouds")
+_BREAK_DEVIATIONS = tuned(6.0, "deviations", "significance of a break: less finds jitter; more passes clouds")
 _LEAST_SD_PX = tuned(0.03, "px", "of misses, as over ground: less breaks still curves; more hides far breaks")
 
 

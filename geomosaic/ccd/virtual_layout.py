@@ -23,8 +23,8 @@ _COMPUTED: Final = (
     "relief, 0.5 px of jitter at 22 Hz, seed 1"
 )
 KNOT_PX = tuned(64, "columns", "knot spacing: 64 is off by 2e-4 px, 256 by 4e-3; closer takes time")
-_HEIGHT_ROWS = tuned(16, "rows", "of _IMAGE_ROWS: 16 is off by 8e-6 px, 64 by 1e-4; closer takes time")
-_IMAGE_ROWS = tuned(4, "rows", "between solved rows: 4 leaves 2e-3 px, 8 7e-3, 16 3e-2")
+_HEIGHT_ROWS = tuned(16, "rows", "between ground heights, of _IMAGE_ROWS: 16 is off by 8e-6 px, 64 by 1e-4")
+_IMAGE_ROWS = tuned(4, "rows", "between solved rows: 4 is off by 2e-3 px, 8 by 7e-3, 16 by 3e-2")
 _SAMPLE_LINES = tuned(512, "lines", "of extents and first guesses, off by 1.4: more miss jitter's peaks")
 _SAMPLE_STEP = tuned(8, "lines", "between their poses: 8 is off by 0.007 px, 32 by 0.1; less takes memory")
 _SPARE_LINES = tuned(64, "lines", "of poses past the wanted ones: guesses are off by 1.4; more take time")

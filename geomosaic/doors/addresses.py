@@ -18,7 +18,7 @@ _STORES: Final = {"s3": "/vsis3/", "gs": "/vsigs/", "az": "/vsiaz/"}
 _KNOWN: Final = "https://, s3://, gs:// or az://"
 _SPOILED: Final = re.compile(r"(?:^|/)(https?|ftp|s3|gs|az):/+(.*)", re.DOTALL)
 _LIST_BYTES = tuned(32 << 20, "bytes", "of a list: 100,000 addresses have 10 MB; larger is no list")
-_NAME_BYTES = tuned(200, "bytes", "of a name: file systems hold 255, and the temporary one is some 40 longer")
+_NAME_BYTES = tuned(200, "bytes", "of a file's name: systems allow 255, and the temporary name takes 40 more")
 
 
 @dataclass(frozen=True)

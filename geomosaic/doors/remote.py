@@ -25,7 +25,7 @@ from geomosaic.errors import CancelledError, GeomosaicError, InputError
 
 MOST_FILES = tuned(100_000, "files", "of a survey, which has thousands: more is a whole store by mistake")
 _PIECE_BYTES = tuned(8 << 20, "bytes", "per request: less takes more requests; more delays a stop")
-_TRIES = tuned(4, "connections", "for a file: fewer give up at a hiccup; more hide a broken server")
+_TRIES = tuned(4, "connections", "for a file: fewer give up at an interruption; more hide a broken server")
 _HTTP: Final = {
     "GDAL_HTTP_CONNECTTIMEOUT": "10",
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",

@@ -22,7 +22,7 @@ _WINDOW_SHARE = tuned(0.05, "share", "of the side, local statistics: half and tw
 _TARGET_SD = tuned(40.0, "grey levels", "local deviation to reach: more is clipped at black and white")
 _MOST_NOISE = tuned(4.0, "grey levels", "amplified noise: 1 loses half of the tie points; more adds JPEG's")
 _LEAST_NOISE: float = sourced(12.0**-0.5, "grey levels", "deviation of rounding to levels", "1 / sqrt(12)")
-_NOISE_PER_MEAN = sourced(math.sqrt(math.pi / 2.0) / 6.0, "1", "noise deviation factor", "Immerkaer 1996 (8)")
+_NOISE_PER_MEAN = sourced(math.sqrt(math.pi / 2.0) / 6.0, "1", "noise per mean difference", "Immerkaer 1996")
 
 
 def raised(

@@ -19,7 +19,7 @@ Ints = NDArray[np.intp]
 _FREE_LEAST = tuned(1.5, "least numbers", "of a free search: less ties by chance; more leaves frames loose")
 _FEW = tuned(1200, "keypoints", "coarsest, tried first: fewer miss small overlaps; more are slow")
 _TOLERANCES = tuned(12.0, "tolerances", "least search radius: less defeats the ratio test; more takes time")
-_SPREAD = tuned(3.0, "90 % misses", "search radius: less cuts off hills; more compares other ground")
+_SPREAD = tuned(3.0, "90 % residuals", "search radius: less cuts off hills; more compares other ground")
 
 
 @dataclass(frozen=True)

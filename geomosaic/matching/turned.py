@@ -30,7 +30,7 @@ Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 _TOGETHER = tuned(0.7, "mean length", "of unit vectors, for a usual course: less is chance; more fails")
 _TOLERANCE_RAD = tuned(np.radians(30.0), "rad", "off a quarter turn: less misses wind drift; 45° is any turn")
-_MISPLACED = tuned(4.0, "usual gaps", "from neighbours, for no course: less drops good ones; more keeps bad")
+_MISPLACED = tuned(4.0, "usual gaps", "beyond which it gives no course: less drops good ones; more keeps bad")
 _SEEN = tuned(100, "tie points", "of a pair for a median: fewer are noisy; more take time")
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 

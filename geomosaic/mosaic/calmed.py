@@ -14,12 +14,12 @@ from geomosaic.surface.terrain import filled
 
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
-_UNSURE_NODES = tuned(8.0, "node spacings", "deviation to smooth at: 6 cuts roof edges; more skips crowns")
+_UNSURE_NODES = tuned(8.0, "node spacings", "deviation to smooth at: 6 cuts roofs; more leaves torn crowns")
 _WIDE_M = tuned(2.5, "m", "least width of a smoothed area: less smooths single crowns")
 _WIDE_NODES = tuned(12.0, "node spacings", "least width smoothed: 6 leaves 30.1 % wrong walls, not 23.9 %")
 _CALM_M = tuned(4.0, "m", "Gaussian: less still stretches what frames show; more makes woods lean")
 _APRON_M = tuned(2.0, "m", "from sure to smoothed heights: less makes a wall; more skips small woods")
-_SQUARE_M = tuned(1.0, "m", "cells that are smoothed, a quarter of the Gaussian: more show; less takes time")
+_SQUARE_M = tuned(1.0, "m", "smoothing grid, a quarter of the Gaussian: coarser shows; finer takes time")
 
 
 def calmed(ground: GroundSurface) -> GroundSurface:

@@ -28,7 +28,7 @@ _PLACE_PX = tuned(192, "frame px", "side of a tested place: larger dilutes house
 _BLOCK_PX = tuned(32, "frame px", "compared square: larger is alike by land forms; smaller by chance")
 _MOST_PLACES = tuned(60, "places", "tested in two frames each: the median is good to 0.01; more take time")
 _NEIGHBOURS = tuned(4, "frames", "nearest to a frame, one a side: fewer leave seams untested")
-_APART_M = tuned(1.0, "m", "between the grounds where they are tested: less moves a frame by a pixel or two")
+_APART_M = tuned(1.0, "m", "the grounds' difference where they are tested: less moves frames by 1 or 2 px")
 _LEAST_LESS = tuned(0.03, "1 - correlation", "gain on what stands: less is noise; more misses small towns")
 _NOTHING_ALIKE = tuned(0.9, "1 - correlation", "where frames say nothing: woods in wind leave 0.98")
 

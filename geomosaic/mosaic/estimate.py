@@ -72,7 +72,7 @@ _SOURCE_BYTES = tuned(0.05, "bytes/px", "of the packed frame indices: less state
 
 _FRAMES_BYTES = sourced(0.45, "bytes/px", "of reduced frames and keypoints", "18 frames of 9 MP: 3.9 MB each")
 _SURFACE_BYTES = sourced(8.0, "bytes/px", "of a surface of 4 px cells on disk", "18 frames: 360 MB for 46 MP")
-_SURFACE_CELL_PX = sourced(4.0, "ground px", "cell for which both hold; another misstates them", "measured")
+_SURFACE_CELL_PX = tuned(4.0, "ground px", "cell for which `_SURFACE_BYTES` holds: another misstates them")
 
 
 @dataclass(frozen=True)

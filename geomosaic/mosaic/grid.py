@@ -16,7 +16,7 @@ from geomosaic.mosaic.views import FrameView
 
 MAX_GIGAPIXELS = tuned(100.0, "gigapixels", "1000 km² at 0.1 m; more is mostly due to a wrong position")
 MOST_PIXELS_PER_FRAME_PIXEL = tuned(200.0, "1", "more is nearly empty; a diagonal line fills 1 %")
-_ROUNDED = tuned(0.05, "share", "off the frames' GSD for two digits: less than 4.8 % finds none for some")
+_ROUNDED = tuned(0.05, "share", "off the frames' GSD, for two digits: below 0.048 some have none")
 _FINER = tuned(0.5, "frame GSDs", "warns below: four times the space for nothing; more warns too often")
 _COARSER = tuned(4.0, "frame GSDs", "warns above: 15 of 16 pixels are lost, mostly by a slip")
 _LEFT_OUT_SHARE = tuned(0.1, "share", "frames dropped as too far: more drops survey; less lets a few stop it")

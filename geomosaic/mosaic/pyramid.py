@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
 
-TILE_PX = sourced(512, "px", "GeoTIFF tile: smaller is more to look up; larger more to read", "GDAL's COG")
+TILE_PX = sourced(512, "px", "GeoTIFF tile: smaller is more to look up; larger more to read", "GDAL: COG")
 _MOST_OVERVIEWS = tuned(7, "halvings", "of a 512-row block, then four rows: more would leave it none")
 _EFFORT = tuned(2, "ISA-L level", "1 gains 1 % less; 3 takes a quarter longer for half a percent")
 Flags = NDArray[np.bool_]

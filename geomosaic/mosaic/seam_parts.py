@@ -23,12 +23,12 @@ from geomosaic.survey.small import Spare
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_BAND = tuned(0.5, "share", "of a frame's width for seams: less leaves no way; more lets houses lean")
+_BAND = tuned(0.5, "share", "of a frame's part around seams: less leaves no way; more lets houses lean")
 _LEAST_BAND_CELLS = tuned(6.0, "cells", "with high overlap: narrower leaves a seam no choice")
 _EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
 _HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a storey is 2.5")
 _WIDEST_M = tuned(60.0, "m", "widest object: less misses halls; more takes hills for objects")
-_FINE_M = tuned(2.0, "m", "node spacing that shows houses: coarser takes ridges for them")
+_FINE_M = tuned(2.0, "m", "coarsest node spacing that shows houses: coarser surfaces show ridges")
 _SOME = tuned(4, "cells", "between samples of brightness: all would take longer than the cut")
 _LEAST_WHITE = tuned(1e-6, "values", "divisor of black images: 0 divides by zero")
 _WHITE = sourced(255.0, "grey levels", "of 8 bits, the scale on which values are compared", "definition")

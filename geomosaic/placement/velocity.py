@@ -17,7 +17,7 @@ Bools = NDArray[np.bool_]
 _STEPS = tuned(3, "steps", "each side, for a median: fewer show clock rounding; more straighten curves")
 _PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
 _CORNER = sourced(1.35, "usual speeds", "change at a corner: less breaks jittery lines", "2 sin(85 deg / 2)")
-_FRACTION_S = tuned(0.01, "s", "off a whole second: less is rounding; more calls fine clocks coarse")
+_FRACTION_S = tuned(0.01, "s", "off a whole second: less takes rounding as fine; more, fine clocks as coarse")
 _ALIKE = tuned(0.5, "share", "of speed between sides: less drops jittery steps; more mixes corners")
 
 

@@ -14,7 +14,7 @@ Floats32 = NDArray[np.float32]
 _MOST_SAMPLES = tuned(8_000_000, "samples", "around a camera, 32 MB: fewer thin horizon views; more are slow")
 _LINES_AT_ONCE = tuned(256, "lines", "computed together: all take five times the memory; fewer cost calls")
 _STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips beside walls; more take time")
-_SURELY = tuned(1.0, "deviations", "lower by which a surface hides: 2 shows hidden roofs; 0 hides by noise")
+_SURELY = tuned(1.0, "deviations", "by which an occluder is lowered: 2 shows hidden roofs; 0 hides by noise")
 _POLE_M = tuned(1.0, "m", "widest object that hides nothing: more sees through walls and chimneys")
 _BESIDE_NODES = tuned(2, "nodes", "around all rays: fewer miss the line and the next node at the edge")
 

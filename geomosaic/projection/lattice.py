@@ -24,7 +24,7 @@ from geomosaic.projection.warp import Sight, bare_window
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 sends more to the exact way")
+STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails _MOST_OFF_PX often")
 _MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
 _CELLS_AT_ONCE = tuned(256, "cells", "computed together: more do not fit the cache; fewer cost calls")
 

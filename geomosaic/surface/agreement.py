@@ -20,8 +20,8 @@ from geomosaic.surface.visibility import Asked
 Floats = NDArray[np.float64]
 Steps = NDArray[np.int16]
 _EVERY_CELLS = tuned(4, "cells", "between cells at which frames are compared: 1 takes 16 times as long")
-_MARGIN_BITS = tuned(0.5, "bits", "in which the steepest frame is first: frames 3 px off agree worse by 2 up")
-_LEAST_SHARE = tuned(0.5, "share", "of the best frame's likeness, to be preferred: less lets unlike ones in")
+_MARGIN_BITS = tuned(0.5, "bits", "by which the steepest may agree worse and be first; 3 px off cost 2 to 4")
+_LEAST_SHARE = tuned(0.5, "share", "of the best likeness, to be asked early: less lets unlike frames in")
 
 
 def agreeing(

@@ -20,7 +20,7 @@ Steps = NDArray[np.int16]
 _MOST_BITS = tuned(14, "bits", "cap a frame: 12 differ by chance; lower, bad views count as mismatches")
 AGREEING = sourced(2, "frames", "best beside the first", "simulated towns: 1 to 3 % wrong roofs, 3: 2 to 7 %")
 CHANCE_BITS = sourced(12, "bits", "bits that differ by chance", "half of the census's")
-_UNSEEN_BITS = tuned(8, "bits", "cost of unseen heights: near chance, seen ones always win; too low, unseen")
+_UNSEEN_BITS = tuned(8, "bits", "cost of a height that < 2 frames see: more favours seen ones; less unseen")
 _CHANCE_FRAMES = tuned(0.3, "frames", "weight of chance: with 0 one agreeing frame counts as two")
 PER_BIT: Final = 4
 """Costs count in quarters of a bit."""

@@ -19,7 +19,7 @@ Floats32 = NDArray[np.float32]
 _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Correlations for which the two tables below hold; straight between."""
 _SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of simulated ones are within")
-_WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "other height at a step, by correlation (simulated)")
+_WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "that have a step's other height, by correlation")
 _ASIDE_CELLS = tuned(0.3, "cells", "horizontal error: simulated crowns of slope 3 are off by 0.6 to 1.3")
 _AROUND_CELLS = tuned(13, "cells", "window of steps and support: `sharpening`'s reach both ways, and itself")
 _DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes stay below 4.6, woods do not")
