@@ -38,21 +38,9 @@ def sourced(value: T, unit: str, reason: str, source: str) -> T:
     return value
 
 
-NORMAL_PER_MAD = sourced(
-    1.4826,
-    "1",
-    "standard deviations of a normal distribution in one median absolute deviation",
-    "1 / Phi^-1(3/4)",
-)
-MEDIAN_ONE = sourced(
-    0.6745, "deviations", "median size of a normal error of one number with a deviation of 1", "Phi^-1(3/4)"
-)
-MEDIAN_LENGTH = sourced(
-    math.sqrt(math.log(4.0)),
-    "deviations",
-    "median length of errors of two numbers with a deviation of 1 each",
-    "Rayleigh's distribution: sqrt(2 ln 2)",
-)
+NORMAL_PER_MAD = sourced(1.4826, "1", "normal deviations in a median absolute deviation", "1 / Phi^-1(3/4)")
+MEDIAN_ONE = sourced(0.6745, "deviations", "median size of a normal error of one number", "Phi^-1(3/4)")
+MEDIAN_LENGTH = sourced(math.sqrt(math.log(4.0)), "1", "median of planar errors", "Rayleigh: sqrt(2 ln 2)")
 
 
 @dataclass(frozen=True)

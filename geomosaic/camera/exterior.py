@@ -10,28 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z, turned_by
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
-_SETTLED_PX = tuned(
-    1e-4,
-    "px",
-    "the row that sees a point is found while the camera moves or turns when a round moves it no "
-    "farther: what the tie points would show is a hundred times more",
-)
-MOST_ROUNDS = sourced(
-    30,
-    "rounds",
-    "to look for it: three where a camera moves, twelve where it turns by 0.1 rad to each side; where it "
-    "turns faster than rows are read no row is the one, and rounds would go on for ever",
-    "computed of 4000 x 3000 px, f 3000 px, 100 m high at 15 m/s, rows read in 0.06 s",
-)
+_SETTLED_PX = tuned(1e-4, "px", "row step that ends the search: tie points show a hundred times as much")
+MOST_ROUNDS = tuned(30, "rounds", "to find a row: three at 15 m/s, twelve at 0.1 rad; faster turns have none")
 
-LEAST_RECORDED = tuned(
-    -0.4,
-    "share of the height from the middle row on",
-    "up to which a record has to reach to be one of the frame: below, a tenth of the rows is left of it",
-)
+LEAST_RECORDED = tuned(-0.4, "share", "of the height, from the middle row: less leaves a tenth of the rows")
 
 
 def row_moved_px(camera: Camera, before_px: NDArray[Any], row_px: NDArray[Any]) -> NDArray[Any]:

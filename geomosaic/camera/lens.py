@@ -28,55 +28,14 @@ Floats = NDArray[np.float64]
 Array = NDArray[Any]
 
 TERMS: Final = ("k1", "k2", "k3", "p1", "p2")
-_WIDEST_RAD = tuned(
-    1.5,
-    "rad",
-    "how far from the axis a fisheye is followed: ideal coordinates are 14 there and endless at a "
-    "right angle; less would cut the corners off the widest lenses",
-)
-_FISHEYE_POWERS: tuple[int, ...] = sourced(
-    (2, 4, 6, 8, 1),
-    "powers of the angle",
-    "by which each of TERMS multiplies the angle, in their order",
-    "Kannala and Brandt 2006, equation 6; the last is Pix4D's",
-)
-_STEPS = tuned(
-    4096,
-    "steps",
-    "of the tables in which a lens's limit is looked for and one polynomial is fitted to another: each "
-    "is less than a thousandth of the corner's radius; with fewer the limit is coarse, more only take "
-    "time",
-)
-_TINY = tuned(
-    1e-12,
-    "focal lengths",
-    "least radius that is divided by: on the axis it is 0; a larger one would bend what lies beside the axis",
-)
-_CLOSE = tuned(
-    1e-12,
-    "focal lengths",
-    "the inverse ends with such a step, 1e-8 px of a long lens; a larger one shows in derivatives by "
-    "differences, a smaller one is lost in rounding",
-)
-_ROUNDS = sourced(
-    50,
-    "rounds",
-    "of the inverse: Newton's steps of a fisheye end after five, the fixed point of a strong Brown "
-    "lens takes thirty at the corners, which fewer would leave off",
-    "computed: of k1 -0.3, k2 0.1, k3 -0.02 at 0.9 focal lengths 5 rounds leave 5e-6, 30 rounds 1.4e-12",
-)
-_FLATTEST = tuned(
-    0.2,
-    "1",
-    "slope of the bent radius that a step of the inverse reckons with at least: with less, steps fly "
-    "off where a lens hardly bends outwards any more; with more, they are too short",
-)
-_OUTSIDE = tuned(
-    1.1,
-    "share of the farthest corner's radius",
-    "how far the formula counts as the lens: points just outside the image keep a place; with less "
-    "than 1 corners are lost, much farther out terms that were fitted inside mean nothing",
-)
+_WIDEST_RAD = tuned(1.5, "rad", "off a fisheye's axis: tangents end at a right angle; less cuts corners")
+_FISHEYE_POWERS = sourced((2, 4, 6, 8, 1), "powers", "of the angle", "Kannala and Brandt 2006, eq. 6; Pix4D")
+_STEPS = tuned(4096, "steps", "of tables, each 0.001 of the radius: fewer are coarse; more are slow")
+_TINY = tuned(1e-12, "focal lengths", "least radius to divide by: more bends what lies near the axis")
+_CLOSE = tuned(1e-12, "focal lengths", "step that ends the inverse: more shows in derivatives; less is noise")
+_ROUNDS = tuned(50, "rounds", "of the inverse: a fisheye takes five, a strong Brown lens 30 at its corners")
+_FLATTEST = tuned(0.2, "1", "least slope of an inverse step: less lets it run off; more makes it short")
+_OUTSIDE = tuned(1.1, "corner radii", "reach of the formula: less loses corners; more extrapolates")
 
 
 @dataclass(frozen=True)

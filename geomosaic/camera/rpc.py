@@ -8,28 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 
 Floats = NDArray[np.float64]
 _OFFSETS = ("LINE_OFF", "SAMP_OFF", "LAT_OFF", "LONG_OFF", "HEIGHT_OFF")
 _SCALES = ("LINE_SCALE", "SAMP_SCALE", "LAT_SCALE", "LONG_SCALE", "HEIGHT_SCALE")
 _COEFFICIENTS = ("LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF")
-_ROUNDS = sourced(
-    4,
-    "rounds",
-    "each divides the residuals by the last one's denominators, by which they are multiplied in linear "
-    "equations: with one, parts of the image would count less where these are small",
-    "Tao and Hu 2001, PE&RS 67 (12), section 3, for the way; their number is chosen",
-)
-_RIDGE = sourced(
-    1e-8,
-    "half images of residual for 1 of a coefficient",
-    "what coefficients cost, so that terms that look alike don't grow against each other; a larger one "
-    "pulls all of them to 0 and the fit off",
-    "computed on the ideal scene of simulate.strip_plan.StripPlan: residuals up to 3e-8 px, with 1e-4 "
-    "up to 0.001 px",
-)
+_ROUNDS = sourced(4, "rounds", "of division by denominators: one weighs unevenly", "Tao and Hu 2001, 3")
+_RIDGE = tuned(1e-8, "half images", "per 1 of a coefficient: 1e-4 leaves 0.001 px, this 3e-8 px")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,40 +12,13 @@ import cv2
 import numpy as np
 
 from geomosaic.ccd.model import Flags, Floats, Images
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
-CELL_PX = tuned(
-    8,
-    "px",
-    "side of the cells whose mean greys are looked at, a whole number of them in a block of 32 lines: "
-    "in smaller ones noise and single roofs are bright, larger ones at a cloud's edge take ground with "
-    "them",
-)
-_BINS = sourced(
-    128,
-    "bins",
-    "of the histogram that is parted in two: fewer place the border by more than a hundredth of the "
-    "range, more are mostly empty",
-    "chosen; Otsu 1979 for the two groups",
-)
-_STANDS_OUT = tuned(
-    0.2,
-    "of the darker group's mean",
-    "by which the brighter group's must be above it to be suspected: with less, fields beside woods are "
-    "asked last, with more, thin clouds are asked first",
-)
-_IN_PART = tuned(
-    0.25,
-    "share of the way from the darker group's mean to the brighter's",
-    "above which a place counts as bright: rows that clouds cover in part lie between; more takes them "
-    "for ground, less takes ground for clouds",
-)
-_MOST_SHARE = tuned(
-    0.97,
-    "share of the scene",
-    "the bright part must be less, else nothing is suspected: what is left would be too little to draw "
-    "curves by; with less, scenes mostly under clouds would be matched by the clouds",
-)
+CELL_PX = tuned(8, "px", "cell of a mean grey, divides 32: smaller is noisy; larger mixes cloud and ground")
+_BINS = tuned(128, "bins", "of Otsu's histogram: fewer blur the threshold; more are mostly empty")
+_STANDS_OUT = tuned(0.2, "share", "above the darker group: less suspects fields; more misses thin clouds")
+_IN_PART = tuned(0.25, "share", "of the way to the brighter mean: more takes partly clouded rows for ground")
+_MOST_SHARE = tuned(0.97, "share", "bright part of a scene: above, the rest is too small to draw curves by")
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,9 @@ import cv2
 import numpy as np
 
 from geomosaic.ccd.model import Flags, Images
-from geomosaic.constants import sourced
+from geomosaic.constants import tuned
 
-_BOX_PX = sourced(
-    17,
-    "px",
-    "side of the boxes, three of which stand for a Gaussian of 8.5 px: smaller ones take away detail "
-    "that is to be matched, larger ones leave a cloud's mark on more of the ground beside it",
-    "chosen; sqrt(3 (17^2 - 1) / 12) = 8.5 px, the deviation of three boxes",
-)
+_BOX_PX = tuned(17, "px", "three boxes make a Gaussian of 8.5 px: smaller removes detail that matching needs")
 
 
 def column_gains(image: Images, valid: Flags) -> Images:

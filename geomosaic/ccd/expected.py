@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.ccd.model import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -41,44 +41,12 @@ class Nature:
     steady_s: float = 0.303
 
 
-_NOMINAL_SD_PX = tuned(
-    2.5,
-    "px",
-    "deviation of the nominal geometry, whatever the camera: how CCDs are mounted, and how well that is "
-    "known; with less, the ground of CCDs that are mounted aside is taken for clouds, with more, low "
-    "clouds for the ground",
-)
-_LEVEL_SDS = sourced(
-    2.35,
-    "deviations of the ground's level across the track",
-    "what all pairs see farther from the nominal geometry is rather a cloud: less doubts ground that is "
-    "only mounted aside, more believes clouds where nothing else is seen",
-    "chosen; 2.35 times TH-1's 4.26 px are the 10 px that commit 71ef8ba had set",
-)
-_LEAST_KNOT_LINES = tuned(
-    8,
-    "lines",
-    "between knots, at least: with fewer, the cells of a knot have too few pixels to be measured by "
-    "themselves",
-)
-_MOST_KNOT_LINES = tuned(
-    64,
-    "lines",
-    "between knots, at most, two blocks of the correlation volumes: with more, a cloud's edge or a lost "
-    "line spoils more lines, and curves bend between knots unseen",
-)
-_LEAST_STEEP_PX = tuned(
-    0.5,
-    "lines",
-    "least rise of a curve that is asked for lost lines, half of the smallest step that they make: less "
-    "asks wherever curves are rough, more passes over single lines, whose step the smoother spreads",
-)
-_MOST_PX = tuned(
-    1e3,
-    "px, and lines for a metre of height",
-    "what is expected is held to so much, far beyond any search: odd numbers of a geometry file, a "
-    "flight some metres high say, would give any; less would bind real cameras",
-)
+_NOMINAL_SD_PX = tuned(2.5, "px", "mounting of CCDs: less takes ground for cloud; more, cloud for ground")
+_LEVEL_SDS = tuned(2.35, "deviations", "off nominal, beyond which a level is cloud: less rejects ground")
+_LEAST_KNOT_LINES = tuned(8, "lines", "knot spacing: with less, cells have too few pixels to be measured")
+_MOST_KNOT_LINES = tuned(64, "lines", "knot spacing: with more, a cloud edge or lost line spoils too much")
+_LEAST_STEEP_PX = tuned(0.5, "lines", "rise tested for lost lines: less tests noise; more misses some")
+_MOST_PX = tuned(1e3, "px", "cap: an odd geometry file would give any deviation; less binds real cameras")
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,7 @@ import numpy as np
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets
 from geomosaic.constants import tuned
 
-_SURE_PX = tuned(
-    0.5,
-    "px",
-    "deviation up to which offsets are as good as measured: then the lines themselves showed too little",
-)
+_SURE_PX = tuned(0.5, "px", "deviation up to which a gap counts as low contrast: more hides real gaps")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from geomosaic.ccd.columns import flattened
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
+    UNKNOWN_SD_PX,
     UNRELIABLE,
     Floats,
     Overlap,
@@ -23,54 +24,17 @@ from geomosaic.ccd.model import (
     Settings,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.ccd.sift_chains import NOTHING_SD_PX, bridging_sd, pieces
+from geomosaic.ccd.sift_chains import bridging_sd, pieces
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.strips import StripGeometry
 
-_PATCH_LINES = tuned(
-    64,
-    "lines",
-    "height of a patch: lower ones hold too little to match where contrast is low, higher ones blur "
-    "what jitter moves within them (a swing of TH-1's 22 Hz takes 149 lines)",
-)
-_PIECE_LINES: int = tuned(
-    16 * _PATCH_LINES,
-    "lines",
-    "read at once, a whole number of patches: fewer read the spare lines at both ends more often, more "
-    "take memory",
-)
-_LEAST_CORRELATION = tuned(
-    0.4,
-    "1",
-    "coefficient at a patch's peak below which it is doubtful: with less, peaks of chance bend the "
-    "curve, with more, patches of low contrast are lost",
-)
-_ODD_PX = tuned(
-    1.5,
-    "px",
-    "by which a patch may lie off the middle of the seven about it: less drops what jitter moves, more "
-    "lets wrong peaks bend the curve",
-)
-_LEAST_PATCHES = sourced(
-    5,
-    "patches",
-    "of a pair for a curve at all: a smoothing spline can't be drawn through fewer",
-    "scipy.interpolate.make_smoothing_spline: at least 5 points",
-)
-_BLUR_PX = sourced(
-    8,
-    "px",
-    "half the side of a box of `flattened`, whose three boxes reach three times as far: with fewer "
-    "spare lines a piece's ends would look otherwise than in the whole, more are read for nothing",
-    "(17 - 1) / 2, of columns._BOX_PX",
-)
-_PHASE_SD_PX = tuned(
-    0.02,
-    "px",
-    "deviation that neighbouring patches share, so that their scatter doesn't show it: a parabola's "
-    "peak leans to whole pixels; with less, smooth curves claim too much, with more, good ones too "
-    "little",
-)
+_PATCH_LINES = tuned(64, "lines", "patch height: lower fails at low contrast; higher blurs TH-1's jitter")
+_PIECE_LINES = tuned(16 * _PATCH_LINES, "lines", "read at once: fewer read margins twice; more take memory")
+_LEAST_CORRELATION = tuned(0.4, "1", "peak of a patch: less lets chance peaks in; more loses low contrast")
+_ODD_PX = tuned(1.5, "px", "off the median of 7 patches: less drops jitter; more lets wrong peaks in")
+_LEAST_PATCHES = sourced(5, "patches", "for a pair's curve", "scipy: make_smoothing_spline takes at least 5")
+_BLUR_PX = sourced(8, "px", "half a box of `columns`: less makes pieces differ at their ends", "(17 - 1) / 2")
+_PHASE_SD_PX = tuned(0.02, "px", "pixel locking of parabola peaks: less claims too much; more too little")
 
 
 def image_registration(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -134,7 +98,7 @@ def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
         usual = median_filter(offset[good], size=(7, 1), mode="nearest")
         good[good] = np.abs(offset[good] - usual).max(axis=1) <= _ODD_PX
     if good.sum() < _LEAST_PATCHES:
-        zero, far = np.zeros(lines), np.full(lines, NOTHING_SD_PX)
+        zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
         return PairOffsets(pair, zero, zero.copy(), far, far.copy(), label)
     at = centre[good]
     t = np.arange(lines, dtype=np.float64)

@@ -15,6 +15,8 @@ from geomosaic.ccd.lost_lines import Step, lasting, steps
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
+    RELIABLE_SD_PX,
+    UNKNOWN_SD_PX,
     UNRELIABLE,
     Flags,
     Floats,
@@ -25,69 +27,17 @@ from geomosaic.ccd.model import (
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.survey.strips import StripGeometry
 
 Ints = NDArray[np.intp]
-_WINDOW_LINES = tuned(
-    20000,
-    "lines",
-    "solved at once, of all pairs: more take memory by their number, in fewer there is less to learn "
-    "from how curves go, and more is solved twice",
-)
-_MARGIN_LINES = tuned(
-    2000,
-    "lines",
-    "by which a window reaches over its ends, and over as many two windows fade into each other: with "
-    "fewer, gaps at an end are bridged from one side alone, more are solved twice",
-)
-_LEAST_KNOTS = tuned(
-    16,
-    "knots",
-    "that both strips of a pair must share: of fewer nothing is said, since curves would be what was "
-    "expected of them beforehand; more would refuse short scenes that can be matched",
-)
-_MOST_ROUNDS = tuned(
-    2,
-    "rounds",
-    "in which a window's curves are asked for more lost lines and solved anew: one finds the smaller "
-    "steps beside those found first, another what these hid; each further one takes the time of a whole "
-    "solution",
-)
-_BESIDE_LINES = tuned(
-    3.0,
-    "lines",
-    "so near to lost lines, beyond their number, a line may belong to either side: with less, lines on "
-    "the wrong side are believed, with more, good ones are not",
-)
-_RESAMPLING_SD_PX: tuple[float, float] = sourced(
-    (0.004, 0.003),
-    "px: columns, lines",
-    "deviation of every line: what resampling leaves, and what the overlap's columns differ by, which "
-    "the smoother's covariance doesn't know; with less, clean scenes claim too much, with more, too "
-    "little",
-    "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
-    "interval",
-)
-_MEASURED_SD_PX = tuned(
-    0.25,
-    "px",
-    "stated deviation up to which a line may be called measured; four of it are a pixel: with more, "
-    "lines that hang on their neighbours are called so, with less, lines of low contrast are not",
-)
-_RELIABLE_SD_PX = sourced(
-    0.6,
-    "px",
-    "stated deviation beyond which a line is unreliable, since its 90 % interval passes a pixel: with "
-    "more, misplaced lines count as bridged, with less, usable ones are given up",
-    "1 px / 1.645 = 0.61 px; that it is a pixel is chosen",
-)
-_UNKNOWN_SD_PX = tuned(
-    10.0,
-    "px",
-    "deviation of lines that nothing shows: about as far as TH-1's ground may lie from the nominal "
-    "geometry; less would claim knowledge, more says no more",
-)
+_WINDOW_LINES = tuned(20000, "lines", "solved at once: more take memory; fewer teach less about the motion")
+_MARGIN_LINES = tuned(2000, "lines", "overlap of windows: fewer bridge gaps from one side; more take time")
+_LEAST_KNOTS = tuned(16, "knots", "shared by a pair: fewer leave it to the prior; more refuse short scenes")
+_MOST_ROUNDS = tuned(2, "rounds", "searches for lost lines: one misses hidden steps; each takes a solution")
+_BESIDE_LINES = tuned(3.0, "lines", "doubtful at lost lines: less trusts the wrong side; more loses some")
+_RESAMPLING_SD_PX = tuned((0.004, 0.003), "px: columns, lines", "from resampling: less claims too much")
+_MEASURED_SD_PX = tuned(0.25, "px", "for a measured line: more admits lines that hang on neighbours")
 
 
 def joint(
@@ -202,7 +152,7 @@ def _of_pair(
     sd_col, sd_line = (np.interp(at, centres, sd[:, axis]) for axis in (0, 1))
     nearest = np.clip(np.rint((at - centres[0]) / step).astype(int), 0, knots - 1)
     label = _labels(whole.own[k][nearest] >= 0.5, outside | unsure, np.maximum(sd_col, sd_line))
-    sd_col[outside], sd_line[outside | unsure] = _UNKNOWN_SD_PX, _UNKNOWN_SD_PX
+    sd_col[outside], sd_line[outside | unsure] = UNKNOWN_SD_PX, UNKNOWN_SD_PX
     return PairOffsets(pair, col, line, sd_col, sd_line, label)
 
 
@@ -216,10 +166,10 @@ def _beside(at: Floats, places: Ints, reach: Floats) -> Flags:
 
 def _labels(own: Flags, outside: Flags, sd_px: Floats) -> np.ndarray:
     label = np.where(own & (sd_px <= _MEASURED_SD_PX), MEASURED, BRIDGED)
-    label[(sd_px > _RELIABLE_SD_PX) | outside] = UNRELIABLE
+    label[(sd_px > RELIABLE_SD_PX) | outside] = UNRELIABLE
     return label.astype(np.uint8)
 
 
 def _nothing(pair: int, lines: int) -> PairOffsets:
-    zero, far = np.zeros(lines), np.full(lines, _UNKNOWN_SD_PX)
+    zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
     return PairOffsets(pair, zero, zero, far, far, np.full(lines, UNRELIABLE, dtype=np.uint8))

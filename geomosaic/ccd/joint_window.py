@@ -27,98 +27,21 @@ from geomosaic.ccd.second_layers import widest_step
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
 from geomosaic.constants import tuned
 
-_COARSE_SD_PX = tuned(
-    1.2,
-    "px",
-    "deviation of the way through the volumes, whose bins are 2 px, for the first curves: with less, "
-    "these follow every bin, with more, what was expected beforehand",
-)
-_ANCHOR: Floats = tuned(
-    40.0**-2 * np.eye(2),
-    "px^-2",
-    "information of the way through the volumes at every knot, a deviation of 40 px: little, but "
-    "nothing runs off where nothing else is known; more would draw curves to whole bins",
-)
-_FAR_PX = tuned(
-    3.5,
-    "px",
-    "where curves lie farther from the way through the volumes, not quite two bins, nothing is believed "
-    "that is measured along them, since they have slid to a cloud or to nothing: with less, what moves "
-    "within a block is lost, with more, clouds are let in",
-)
-_MOSTLY = tuned(
-    0.6,
-    "share of a knot's pixels",
-    "above which a knot is of the suspect part: with less, ground in it hides how clouds moved, with "
-    "more, small clouds are never asked",
-)
-_HARDLY = tuned(
-    0.1,
-    "share of a knot's pixels",
-    "of the suspect part, below which a knot is of the rest: with more, clouds have a say in where the "
-    "ground lies, with less, few knots are left to say it",
-)
-_MOVED_PX = tuned(
-    0.06,
-    "px",
-    "by which the suspect part must lie off the rest to be cloud, as much as resampling and relief may "
-    "do within a cell: with less, bright ground is left out, with more, low clouds in slow wind are "
-    "believed",
-)
-_MOVED_DEVIATIONS = tuned(
-    4.0,
-    "deviations",
-    "by which the suspect part must lie off the rest, too, to be cloud: less calls bright ground cloud "
-    "by chance where little of it is seen, more believes clouds there",
-)
-_UNSEEN_PX = tuned(
-    0.1,
-    "px",
-    "deviation of how far the suspect part lies off, from which on it is left out though not seen to "
-    "move: with more, clouds pass for still, with less, bright ground is lost where contrast is low",
-)
-_KNOTS_PER_FACT = tuned(
-    10.0,
-    "knots",
-    "that count as one fact of how far the suspect part lies off, since neighbours err alike: with "
-    "fewer, still ground seems to move, with more, it can hardly be decided whether anything does",
-)
-_ENOUGH_FIT = tuned(
-    0.3,
-    "share of the suspect part's knots",
-    "that must fit anything, else it can't be decided whether the part moves: with less, a few chance "
-    "fits decide, with more, bright ground of low contrast is lost",
-)
-_SURE_SD_PX = tuned(
-    0.25,
-    "px",
-    "deviation of a knot from which curves' habits are learned: with less, stretches long enough are "
-    "rare, with more, noise is taken for habit and bridges are unsteady",
-)
-_LEAST_FIT = tuned(
-    0.25,
-    "share of a knot's cells",
-    "that must fit for it to be measured itself, one of its four: with less, knots that only their "
-    "neighbours hold count, with more, a cloud over half the columns takes the knot",
-)
-_LEAST_KNOTS = tuned(
-    8,
-    "knots",
-    "measured of a pair, whose middle is its level: of fewer, one cloud's may be most, and the curves' "
-    "mean stands in; more would never ask pairs that are seen in few places",
-)
-_LASTING_SHARE = tuned(
-    0.05,
-    "share of a knot's variance",
-    "that lasts from knot to knot, what is left of the columns' pattern, so that more knots don't help: "
-    "with less, clean scenes claim too much, with more, too little",
-)
-_NEARBY_KNOTS = tuned(
-    31,
-    "knots",
-    "over whose mean information a knot's variance is taken for what lasts, odd so that it lies in "
-    "their middle: with fewer, single knots' contrast shows, with more, that of other ground",
-)
+_COARSE_SD_PX = tuned(1.2, "px", "of the path through bins of 2 px: less follows each bin; more the prior")
+_ANCHOR = tuned(40.0**-2 * np.eye(2), "px^-2", "40 px of deviation: 0 lets knots run off; more draws to bins")
+_FAR_PX = tuned(3.5, "px", "off the path, nearly two bins: less loses fast motion; more admits clouds")
+_MOSTLY = tuned(0.6, "share", "suspect pixels of a suspect knot: less lets ground in; more skips clouds")
+_HARDLY = tuned(0.1, "share", "suspect pixels of a ground knot: more lets clouds in; less leaves few")
+_MOVED_PX = tuned(0.06, "px", "offset that makes a cloud: less rejects bright ground; more keeps low clouds")
+_MOVED_DEVIATIONS = tuned(4.0, "deviations", "significance of it: less rejects bright ground by chance")
+_UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; less loses bright ground")
+_KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
+_ENOUGH_FIT = tuned(0.3, "share", "suspect knots that must fit to decide: less is chance; more loses ground")
+_SURE_SD_PX = tuned(0.25, "px", "of knots that train the predictor: less leaves few; more learns noise")
+_LEAST_FIT = tuned(0.25, "share", "cells that fit in a measured knot: more loses knots half under cloud")
+_LEAST_KNOTS = tuned(8, "knots", "for a pair's median level: fewer may be mostly one cloud's")
+_LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
+_NEARBY_KNOTS = tuned(31, "knots", "averaging of information, odd: fewer show single knots' contrast")
 
 
 @dataclass(frozen=True)

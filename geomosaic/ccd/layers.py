@@ -17,31 +17,10 @@ from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter1d
 from geomosaic.ccd.model import Floats
 from geomosaic.constants import tuned
 
-_LEAST_BINS = tuned(
-    1,
-    "bins",
-    "two layers must be farther apart than this along lines or columns: with less, the slopes of one "
-    "layer's peak, which reach as far, pass for another layer, with more, lower clouds are passed over",
-)
-_PEAK = tuned(
-    5.0,
-    "logarithm of a likelihood ratio",
-    "evidence above which a block's peak counts: with less, chance among some hundred shifts gives "
-    "vectors, with more, thin clouds and blocks of low contrast give none",
-)
-_NOTABLE = tuned(
-    0.004,
-    "of the volumes' correlation with themselves unmoved",
-    "what a vector's peak must exceed to be tried: less tries chance ones, a whole path each, more "
-    "passes over clouds on few lines",
-)
-_SECOND_COSTS = tuned(
-    1.0,
-    "logarithm of a likelihood ratio",
-    "what a block's evidence loses when the second layer explains it: the largest of nine bins is taken "
-    "there, which by chance alone is more than one; with less, noise makes clouds, with more, blocks "
-    "under clouds pull the ground",
-)
+_LEAST_BINS = tuned(1, "bins", "gap between layers: less splits one peak; more misses low clouds")
+_PEAK = tuned(5.0, "log-likelihood", "peak of a block: less gives chance vectors; more misses thin clouds")
+_NOTABLE = tuned(0.004, "share", "of the unmoved correlation: less tries chance; more misses small clouds")
+_SECOND_COSTS = tuned(1.0, "log-likelihood", "cost of a block in cloud: less makes clouds of noise")
 
 
 @dataclass(frozen=True)

@@ -14,22 +14,13 @@ from typing import Literal, Protocol
 import numpy as np
 
 from geomosaic.ccd.model import Floats, PairOffsets, StripOffsets
-from geomosaic.constants import sourced
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
 Ends = Literal["all", "common"]
 """Lines of the scene: those that any strip has, or those that all have."""
-_ROUNDS = sourced(
-    12,
-    "rounds",
-    "to find where a strip's pixel lies in the scene: each leaves about a hundredth of what the last "
-    "one left, fewer leave what shows; beside lost or repeated lines some pixels settle slowly, and "
-    "more help them little",
-    "fixed point; computed with the true offsets of simulate.strip_plan.StripPlan, seed 71, CCDs "
-    "mounted 4 px off, 3000 m of relief: 2e-3 px after two, 8e-11 after six; with seven lines repeated "
-    "76 of 40,000 pixels are off after twelve, by up to 1.1 px, and 57 after 20",
-)
+_ROUNDS = tuned(12, "rounds", "of the fixed point: each leaves 1 %, but repeated lines converge slowly")
 
 
 @dataclass(frozen=True, eq=False)

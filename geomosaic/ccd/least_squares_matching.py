@@ -20,70 +20,16 @@ from geomosaic.ccd.volumes import halved
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import solve_each
 
-_STEP: float = sourced(
-    1.0 / 32.0,
-    "px",
-    "to which curves are rounded before cv2.remap, which knows no finer step: with any other one, "
-    "images are taken from elsewhere than `_lands` says",
-    "OpenCV: cv2.INTER_TAB_SIZE is 32 steps to a pixel",
-)
-_MISFIT_PX = tuned(
-    0.06,
-    "px",
-    "what resampling, aliasing and relief leave within a cell, as a shift of the image: with less, "
-    "sharp ground is said not to fit, with more, clouds and lost lines fit",
-)
-_ALIKE_MISFIT_PX = sourced(
-    0.33,
-    "px",
-    "the same as an error of each pixel by itself, larger since within neighbouring pixels it is alike: "
-    "with less, stated deviations are too small where contrast is high, with more, too large",
-    "chosen; docs/results.md, short scenes, TH-1, clear, seeds from 201: 93 % lie in the stated 90 % "
-    "interval",
-)
-_CLOSE_MISFIT_PX = tuned(
-    0.117,
-    "px",
-    "the same for curves from which to learn how curves go, an eighth of its variance, since they "
-    "should rather lie too close than be too smooth: with less, noise is learned, with more, jitter is "
-    "smoothed away",
-)
-_MOST_RATIO = tuned(
-    1.8,
-    "of the mean square that noise and misfit explain",
-    "beyond which a cell counts less, by the square: with less, cells are lost by chance, with more, "
-    "those half under a cloud count in full",
-)
-_HOPELESS_RATIO = tuned(
-    5.0,
-    "of the mean square that noise and misfit explain",
-    "beyond which a cell doesn't count at all, a cloud or a misread ground: with less, cells at the "
-    "edge of something are lost, with more, many such together still pull",
-)
-_COL_GROUPS = tuned(
-    4,
-    "cells of a knot",
-    "side by side, into which the overlap's columns are parted: with fewer, a cloud's edge spoils a "
-    "whole knot, with more, each has too few pixels to judge it by",
-)
-_UNLIKE = tuned(
-    0.2,
-    "1",
-    "correlation of both images' gradients below which a cell doesn't count: with less, smooth clouds "
-    "that fit anything pull the curve, with more, ground of low contrast is lost",
-)
-_ALIKE = tuned(
-    0.4,
-    "1",
-    "correlation of both images' gradients from which on a cell counts in full: nearer to the other "
-    "limit, cells come and go by noise, with more, noisy ground counts too little",
-)
-_ALIKE_KNOTS = tuned(
-    5,
-    "knots",
-    "over which that correlation is taken, odd so that the knot lies in their middle: of fewer it is "
-    "noise where contrast is low, of more a cloud's edge reaches farther",
-)
+_STEP = sourced(1.0 / 32.0, "px", "of cv2.remap's tables, as `_lands` expects", "OpenCV: cv2.INTER_TAB_SIZE")
+_MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
+_ALIKE_MISFIT_PX = tuned(0.33, "px", "the same, correlated by pixel: less claims too much at high contrast")
+_CLOSE_MISFIT_PX = tuned(0.117, "px", "the same for learning: less learns noise; more smooths jitter away")
+_MOST_RATIO = tuned(1.8, "1", "misfit of full weight: less loses cells by chance; more admits half clouds")
+_HOPELESS_RATIO = tuned(5.0, "1", "misfit of no weight: less loses cells at edges; more lets clouds pull")
+_COL_GROUPS = tuned(4, "cells", "across a knot: fewer lose it at a cloud's edge; more lack pixels")
+_UNLIKE = tuned(0.2, "1", "gradient correlation of no weight: less lets smooth clouds in; more loses ground")
+_ALIKE = tuned(0.4, "1", "gradient correlation of full weight: less lets noise decide; more weakens ground")
+_ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noisy; more blur clouds' edges")
 
 
 @dataclass(frozen=True)

@@ -7,38 +7,13 @@ from numpy.typing import ArrayLike
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.model import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 
-_MOST_ROUNDS = sourced(
-    20,
-    "rounds",
-    "of Newton's, which end by themselves: as a rule three are enough; fewer lose points where "
-    "attitudes are noisy, and more find few of those that are left",
-    "computed with simulate.strip_plan.StripPlan, seed 7, 30 lines off: all of 3,000 points found after "
-    "three, with attitude noise of 1 microradian after four; with 10 microradians 173 lost after ten, "
-    "39 after 20, 25 after 40",
-)
-_SOLVED_LINES = tuned(
-    1e-5,
-    "lines",
-    "a step below which a point is found: far below what deviations state; a smaller one takes a round "
-    "more for nothing, a larger one shows",
-)
-_LOST_LINES = tuned(
-    1e-2,
-    "lines",
-    "last step beyond which a point isn't found: with more, wrong places are given where attitudes turn "
-    "back, with less, points are lost that are good enough",
-)
-_SLOPES: tuple[float, float] = sourced(
-    (0.4, 2.5),
-    "of the usual slope",
-    "between which a point's slope is held, so that steps neither run away nor stand still where "
-    "attitudes are noisy: held closer, steps are too short or too long to end, held less, they run away",
-    "chosen; computed with simulate.strip_plan.StripPlan, seed 7, attitude noise of 10 microradians: 39 "
-    "of 3,000 points lost, 87 between 0.8 and 1.25, 70 between 0.1 and 10, 355 without",
-)
+_MOST_ROUNDS = tuned(20, "rounds", "of Newton's method: three suffice but for noise of 10 microradians")
+_SOLVED_LINES = tuned(1e-5, "lines", "step that ends it: smaller takes a round for nothing; larger shows")
+_LOST_LINES = tuned(1e-2, "lines", "last step of a lost point: larger gives wrong places; smaller loses good")
+_SLOPES = tuned((0.4, 2.5), "usual slopes", "limits of a slope: closer slows steps; wider lets them run away")
 
 
 class LinePoses:

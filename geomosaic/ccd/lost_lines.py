@@ -17,78 +17,20 @@ from numpy.typing import NDArray
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Floats, Images
 from geomosaic.ccd.rows import RowPair
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
 Ints = NDArray[np.intp]
-_KNOTS_APART = tuned(
-    10,
-    "knots",
-    "on either side of a steep place that are left out when lines are laid through its curve before and "
-    "after: over nearer ones the smoother spreads the step, farther ones say less about the place",
-)
-_KNOTS_FITTED = tuned(
-    8,
-    "knots",
-    "beyond those, through which a line is laid: through fewer it turns with their noise, through more "
-    "it misses how relief bends",
-)
-_ENOUGH_PAIRS = sourced(
-    3,
-    "pairs",
-    "from which on the middle one is the motion of all: of two the middle has half of either's step",
-    "median: of three, one may be off by anything",
-)
-_STEEP_KNOTS = tuned(
-    8,
-    "knots",
-    "over which a curve's rise is taken: the smoother spreads a step over some; over fewer it is a part "
-    "of the step, over more, motion and relief rise as far",
-)
-_STEEP_COARSE_PX = tuned(
-    3.5,
-    "lines",
-    "rise of the way through the volumes, whose bins are 2 px, that is asked for lost lines: with less, "
-    "its own steps of a bin are, with more, steps of several lines are passed over, and matching begins "
-    "beside them",
-)
-_LEAST_COARSE = tuned(
-    3,
-    "lines",
-    "least step looked for along the way through the volumes: smaller ones are lost in its bins of 2 "
-    "px, and left to the curves that follow; larger ones these may not find",
-)
-_COARSE_PX: tuple[float, float, float] = tuned(
-    (-0.8, 0.0, 0.8),
-    "px",
-    "columns and lines tried about the way through the volumes, which is good to a bin of 2 px: closer "
-    "ones leave it off by more than images stay alike, wider ones miss between them, more take time "
-    "by their square",
-)
-_AROUND_LINES = tuned(
-    256,
-    "lines",
-    "compared on either side of a steep place: a step may lie off its middle, and with fewer beyond "
-    "them; with more, lines through the curve go astray, or another step is among them",
-)
-_SHARP_LINES = tuned(
-    48,
-    "lines",
-    "on either side of a step on which the one offset must fit and the other fail, and within which two "
-    "pairs' steps are one: fewer decide by noise where contrast is low, more don't distinguish "
-    "steps that are near to each other",
-)
-_MOST_MISFIT = tuned(
-    0.3,
-    "of the other offset's misfit",
-    "that may be left on either side of a step: with less, steps under noise are not found, with more, "
-    "relief and clouds' edges make steps",
-)
-_LEAST_SEEN = tuned(
-    0.6,
-    "share of the pixels",
-    "beside a step that must be seen: with less, what is left beside a cloud decides, with more, steps "
-    "near saturated or missing pixels are not found",
-)
+_KNOTS_APART = tuned(10, "knots", "left out at a step: fewer include its smoothed part; more say less")
+_KNOTS_FITTED = tuned(8, "knots", "under each line beyond: fewer follow noise; more miss bending relief")
+_ENOUGH_PAIRS = tuned(3, "pairs", "for a median as motion of all: of two it has half of either's step")
+_STEEP_KNOTS = tuned(8, "knots", "over which a rise is taken: fewer see a part of a step; more see relief")
+_STEEP_COARSE_PX = tuned(3.5, "lines", "rise on the path of 2 px bins: less tests its bins; more misses some")
+_LEAST_COARSE = tuned(3, "lines", "least step on the path: smaller drowns in bins; larger is missed later")
+_COARSE_PX = tuned((-0.8, 0.0, 0.8), "px", "tried about the path: wider misses between; more take time")
+_AROUND_LINES = tuned(256, "lines", "compared on each side: fewer may miss the step; more include another")
+_SHARP_LINES = tuned(48, "lines", "on which one offset must win: fewer are noise; more merge near steps")
+_MOST_MISFIT = tuned(0.3, "share", "of the other offset's: less misses noisy steps; more finds false ones")
+_LEAST_SEEN = tuned(0.6, "share", "valid pixels at a step: less decides beside clouds; more misses some")
 
 
 @dataclass(frozen=True)

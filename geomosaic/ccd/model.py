@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 
 Floats = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -23,26 +23,11 @@ Progress = Callable[[int, int], None]
 """Hears how much of how much is done; may raise to stop the work."""
 
 LABELS: Final = ("measured", "bridged", "unreliable")
-_LABEL: Final = "index into LABELS"
-_RECORDED: Final = "docs/recording.md, /strip_offsets/PAIR"
-MEASURED = sourced(
-    0,
-    _LABEL,
-    "own evidence in the images; another number is misread in recordings",
-    _RECORDED,
-)
-BRIDGED = sourced(
-    1,
-    _LABEL,
-    "from neighbouring lines and other pairs; another number is misread in recordings",
-    _RECORDED,
-)
-UNRELIABLE = sourced(
-    2,
-    _LABEL,
-    "hardly known, or seen by one strip; another number is misread in recordings",
-    _RECORDED,
-)
+MEASURED = sourced(0, "label", "own evidence in the images; fixed by recordings", "docs/recording.md")
+BRIDGED = sourced(1, "label", "from neighbouring lines and pairs; fixed by recordings", "docs/recording.md")
+UNRELIABLE = sourced(2, "label", "hardly known or seen by one CCD; fixed by recordings", "docs/recording.md")
+RELIABLE_SD_PX = sourced(0.6, "px", "more admits misplaced lines; less loses usable ones", "1 px / 1.645")
+UNKNOWN_SD_PX = tuned(10.0, "px", "of unseen lines, as far as TH-1 is off nominal: less claims too much")
 
 
 @dataclass(frozen=True)

@@ -20,60 +20,14 @@ from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import inverse, solve
 
-_OWN_PX = tuned(
-    2.0,
-    "px",
-    "deviation of own parts about their level: with less, relief and warmth are drawn flat, with more, "
-    "bridges run off",
-)
-_FREE_KNOTS = tuned(
-    60,
-    "knots",
-    "whose pull to the level together is one fact, so that curves forget where they were: with fewer, "
-    "slow motion is drawn to the level, with more, bridges run off before it holds them",
-)
-_JERK = sourced(
-    2.1,
-    "of what the motion usually changes within a knot",
-    "deviation of a knot off straight on, before anything was learned: with less, jitter is smoothed "
-    "away, with more, the first curves follow noise",
-    "chosen; for TH-1 it gives the 0.15 px that commit fab8136 had set",
-)
-_RELIEF = sourced(
-    1.4,
-    "of what relief usually changes within a stride",
-    "deviation of an own part off straight on, before anything was learned: with less, hills are cut "
-    "off, with more, gaps are bridged at random",
-    "chosen; for TH-1 it gives, with 0.05 px of warmth, the 0.08 px that commit 228a7ae had set",
-)
-_LASTING: float = sourced(
-    8.0**0.5,
-    "of an own part's change within a stride, as learned",
-    "deviation of its steps: a slope lasts for some eight strides, and steps that know nothing of each "
-    "other must be so much larger to go as far; with less, bridges claim too much, with more, too "
-    "little",
-    "square root of the number of steps that add up in line; the eight are chosen",
-)
-_MOTION_ORDER = sourced(
-    12,
-    "knots",
-    "from which the motion's next one is predicted, two for each of six pure tones: fewer can't bridge "
-    "jitter of as many, more learn noise where little is seen",
-    "x(n) = 2 cos(w) x(n - 1) - x(n - 2) of a pure tone; TH-1 has three; the six are chosen",
-)
-_OWN_STRIDE = tuned(
-    4,
-    "knots",
-    "between those by which own parts are predicted, which change slowly: from nearer ones a slope is "
-    "mostly noise, between farther ones hills are lost",
-)
-_MOST_RADIUS = sourced(
-    0.9995,
-    "1",
-    "largest root of the motion's prediction: a swing halves in 1,386 knots, with 1 it never would and "
-    "with more it grows where nothing is measured; with less, jitter dies out within gaps",
-    "chosen; ln(1 / 2) / ln(0.9995) = 1386",
-)
+_OWN_PX = tuned(2.0, "px", "deviation of own parts: less flattens relief and warmth; more runs off in gaps")
+_FREE_KNOTS = tuned(60, "knots", "pulled to the level as one: fewer flatten slow motion; more run off")
+_JERK = tuned(2.1, "usual motion", "prior of a knot's change: less smooths jitter; more follows noise")
+_RELIEF = tuned(1.4, "usual relief", "prior of an own part's change: less cuts hills; more bridges at random")
+_LASTING: float = tuned(8.0**0.5, "learned steps", "of a level, as slopes last for 8: less claims too much")
+_MOTION_ORDER = tuned(12, "knots", "autoregression, two a tone: fewer cannot bridge jitter; more learn noise")
+_OWN_STRIDE = tuned(4, "knots", "between knots of own parts: nearer slopes are noise; farther lose hills")
+_MOST_RADIUS = tuned(0.9995, "1", "of roots; half in 1386 knots: 1 never decays; less damps jitter in gaps")
 
 
 @dataclass(frozen=True)
@@ -111,27 +65,9 @@ class Smoothed:
         return self.motion[None] + self.own
 
 
-LEVEL: Floats = sourced(
-    np.array([1.0]),
-    "1",
-    "weights of the knot before that predict the next: it stays; others would draw a level away from itself",
-    "binomial coefficients: the first difference is 0",
-)
-STRAIGHT: Floats = sourced(
-    np.array([2.0, -1.0]),
-    "1",
-    "weights of two knots before, the nearest first, that predict the next: it goes straight on; "
-    "others would bend slopes",
-    "binomial coefficients: the second difference is 0",
-)
-CUBIC: Floats = sourced(
-    np.array([4.0, -6.0, 4.0, -1.0]),
-    "1",
-    "weights of four knots before, the nearest first, that predict the next: it goes on as a cubic, "
-    "which ties the knots between strides to each other and no more; with fewer, hills would count as "
-    "unrest",
-    "binomial coefficients: the fourth difference is 0",
-)
+LEVEL = sourced(np.array([1.0]), "1", "prediction: the next stays at the level", "zero first difference")
+STRAIGHT = sourced(np.array([2.0, -1.0]), "1", "prediction: goes straight on", "zero second difference")
+CUBIC = sourced(np.array([4.0, -6.0, 4.0, -1.0]), "1", "prediction: a cubic", "zero fourth difference")
 
 
 def first_habits(likely: Expected) -> Habits:

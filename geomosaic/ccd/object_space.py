@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses, on_height
 from geomosaic.ccd.model import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.model import Warn
@@ -22,35 +22,10 @@ from geomosaic.survey.strips import StripGeometry
 Heights = Callable[[Floats, Floats], Floats]
 """Ellipsoidal heights (m) of longitudes and latitudes (degrees)."""
 
-_HEIGHT_ROUNDS = sourced(
-    3,
-    "rounds",
-    "to find the ground's height where a ray meets it: a ray's foot moves by less than a fifteenth of "
-    "its height (TH-1), so 1.5 m are left after one, 8 mm after two, 0.05 mm after three; each takes as "
-    "long again",
-    "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m "
-    "of relief, 0.5 px of jitter at 22 Hz, seed 1",
-)
-_DEM_SD_M = tuned(
-    10.0,
-    "m",
-    "deviation of a DEM's heights, 0.04 px of TH-1's: with less, virtual_line claims too much between "
-    "rows that are far apart, with more, too little",
-)
-_NO_DEM_SD_M = tuned(
-    200.0,
-    "m",
-    "deviation of the ground about one level height where no DEM is given: 0.9 px of TH-1's, so that "
-    "virtual_line calls no line reliable; with less, it would call them so over hills, with more, hardly "
-    "any where rows stand close either",
-)
-_SAMPLE_LINES = tuned(
-    129,
-    "lines",
-    "of the scene, evenly spread, at which it is asked, at three columns of each CCD, how much of it the "
-    "DEM covers, how high the ground is in the mean, and from where to where: with fewer, hills between "
-    "go unseen, more read more of the DEM",
-)
+_HEIGHT_ROUNDS = tuned(3, "rounds", "of ray and ground (TH-1): one leaves 1.5 m, two 8 mm, three 0.05 mm")
+_DEM_SD_M = tuned(10.0, "m", "0.04 px of TH-1's: less makes virtual_line claim too much; more too little")
+_NO_DEM_SD_M = tuned(200.0, "m", "of ground without a DEM: less calls hills reliable; more hardly any line")
+_SAMPLE_LINES = tuned(129, "lines", "of a scene, to sample the DEM: fewer miss hills; more read more of it")
 
 
 @dataclass(frozen=True, eq=False)

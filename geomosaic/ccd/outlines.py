@@ -14,7 +14,7 @@ from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.scene_rpc import SceneRpc
 from geomosaic.ccd.virtual_layout import ideal_camera
-from geomosaic.constants import sourced
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strips import StripGeometry
@@ -23,42 +23,11 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
     "relief, 0.5 px of jitter at 22 Hz, seed 1"
 )
-_ALONG = sourced(
-    33,
-    "points",
-    "of an outline along each long side: jitter and relief bend it, and with 33 and 9 across it lies "
-    "within 1.1 m of the outline of 2049 and 513 points, with 9 and 5 within 4 m; more make the file "
-    "long",
-    _COMPUTED,
-)
-_ACROSS = sourced(
-    9,
-    "points",
-    "of an outline across, at its first and its last line: with 2, and 2 along, the scene's outline is "
-    "65 m off, by relief and the meridians' convergence; more make the file long",
-    _COMPUTED,
-)
-_STEP_LINES = sourced(
-    16,
-    "lines",
-    "from one pose to the next, straight in between: moves an outline by 0.06 m, 64 by 0.8 m; fewer take "
-    "more time alone",
-    _COMPUTED,
-)
-_RPC_ROUNDS = sourced(
-    8,
-    "rounds",
-    "of Newton's to find a place by the RPC: after one 67 m are left, after two 0.4 mm, after three "
-    "nothing; the others are for RPCs that bend more",
-    _COMPUTED,
-)
-_STEP_DEG = sourced(
-    1e-5,
-    "degrees",
-    "about a metre, over which the RPC's slopes are taken: from 1e-9 to 1e-3 all find the same places; "
-    "much less drowns in rounding, much more is no slope where an RPC bends",
-    _COMPUTED,
-)
+_ALONG = tuned(33, "points", "per long side: 33 are within 1.1 m, 9 within 4 m; more make long files")
+_ACROSS = tuned(9, "points", "per short side: two are 65 m off; more make long files")
+_STEP_LINES = tuned(16, "lines", "between poses: 16 move an outline by 0.06 m, 64 by 0.8 m")
+_RPC_ROUNDS = tuned(8, "rounds", "of Newton's method: one leaves 67 m, two 0.4 mm; more for bent RPCs")
+_STEP_DEG = tuned(1e-5, "degrees", "of a numerical slope, 1 m: less drowns in rounding; more misses bends")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,121 +16,24 @@ from geomosaic.ccd.model import Flags, Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
-_BIN_PX = sourced(
-    2,
-    "px",
-    "of a whole shift in the volumes, which are of images halved: any other number gives offsets of "
-    "the wrong size",
-    "structure: volumes.volume halves the images",
-)
-_WINDOW_BLOCKS = tuned(
-    8,
-    "blocks",
-    "256 lines, over which a pair's evidence is summed for its own part: of fewer, blocks under clouds "
-    "lead it off, over more, relief moves it by more than it can follow",
-)
-_ALONE = sourced(
-    0.24,
-    "share of what a step costs the motion of all",
-    "what a step of one bin costs a pair taken alone, for the first path: its evidence is a fraction of "
-    "all pairs'; with more, the path doesn't follow jitter, with less, it follows noise",
-    "chosen: 24 and 100 before commit caa242d made both follow the camera",
-)
-_JUMP = tuned(
-    250.0,
-    "logarithm of a likelihood ratio",
-    "what a jump along lines costs an own part, for any number of lost lines: more than the 240 of a "
-    "window whose 8 blocks all say their most, so that no window jumps for itself; with much more, lost "
-    "lines near an end are missed",
-)
-_WARMTH_PX = tuned(
-    0.05,
-    "px",
-    "by which own parts change from window to window beside relief, by warmth: with less, steps where "
-    "the ground is level cost too much to be taken, with more, clouds lead own parts off",
-)
-_CHANCE_SD = sourced(
-    0.6,
-    "logarithm of a likelihood ratio",
-    "least deviation of a block's evidence where nothing matches, by which peaks of all blocks' sum are "
-    "judged: with less, peaks of chance are layers, with more, ground that few blocks show is none",
-    "chosen; volumes of tools/bench_strips.py, seed 3, have 0.7 to 0.9 of clear ground, 0.5 to 0.7 "
-    "with clouds on a fifth, 0.3 to 0.5 on half, 0 of what is hardly asked: so it counts under clouds",
-)
-_PEAK_FROM = tuned(
-    4.0,
-    "deviations of chance",
-    "from which on a peak begins to be a layer, of 120 blocks what one or two good ones say: with less, "
-    "some of the volumes' hundreds of shifts are layers by chance, with more, ground that clouds hide "
-    "but for a gap is none",
-)
-_PEAK_FULL = tuned(
-    8.0,
-    "deviations of chance",
-    "from which on a peak is a layer for certain, and more of them don't make it the ground: with more, "
-    "clouds that hide most of the ground would win by how often they are seen",
-)
-_THERE = tuned(
-    8.0,
-    "logarithm of a likelihood ratio",
-    "in favour of a shift at which a layer is for certain: more than what speaks against the farthest "
-    "one, else a pair that sees one layer far off would be put where it sees nothing",
-)
-_FAR_COST = tuned(
-    6.0,
-    "logarithm of a likelihood ratio",
-    "against a layer far from nominal, at most: where nothing else is seen it may still be the ground; "
-    "with less, clouds weigh nearly as much as a layer near nominal, with as much as speaks for a "
-    "layer, far ground is lost",
-)
-_LEVELS_SD_BINS = tuned(
-    1.0,
-    "bins",
-    "least deviation of the pairs' own levels about the middle of all: with less, CCDs mounted a bin "
-    "aside are drawn to it, with more, a pair follows its clouds",
-)
-_HOLD = tuned(
-    0.4,
-    "logarithm of a likelihood ratio, a block and a bin's square",
-    "that holds an own part to its pair's level: with less, clouds draw it away where the ground is "
-    "hidden, with more, high relief can't",
-)
-_DARK_CLOUDS_COST = tuned(
-    3.0,
-    "logarithm of a likelihood ratio",
-    "against clouds that are darker than the ground, odds of 20 to 1: with less, clouds near nominal "
-    "pass for the ground, with more, snow and sand pass for clouds",
-)
-_LAYER_GAIN = tuned(
-    0.003,
-    "share of the evidence of one layer",
-    "that a second layer must explain beyond: with less, noise is a layer, since the better of two "
-    "shifts is taken in each block, with more, clouds on few lines are passed over",
-)
-_LAYER_SHARE = tuned(
-    0.05,
-    "share of a pair's blocks",
-    "on which each of two layers must be seen: with less, single wrong blocks make a pair one with two "
-    "layers, with more, few clouds and small gaps make none",
-)
-_LAYER_PAIRS = tuned(
-    0.4,
-    "share of the pairs",
-    "that must see both layers, since clouds lie over several: with less, lost lines of one pair are a "
-    "layer, with more, clouds over one side of the scene are none",
-)
-_LAYER_CHANGES = tuned(
-    1.5,
-    "changes from layer to layer, in the mean of those pairs",
-    "that must be exceeded: lost lines change it once, for good, a cloud comes and goes; with less, "
-    "lost lines are clouds, with more, one large cloud is none",
-)
-_BRIGHT_WEIGHT = tuned(
-    0.05,
-    "of the weight of other blocks",
-    "that bright blocks have: enough to find bright ground where nothing else is seen, not to lead the "
-    "path off to clouds",
-)
+_BIN_PX = sourced(2, "px", "a whole shift of halved images; another scales all offsets", "volumes.volume")
+_WINDOW_BLOCKS = tuned(8, "blocks", "summed for an own part: fewer follow clouds; more miss relief")
+_ALONE = tuned(0.24, "share", "of the joint motion's cost: more misses jitter; less follows noise")
+_JUMP = tuned(250.0, "log-likelihood", "a jump's cost: below 240 windows jump alone; more misses lost lines")
+_WARMTH_PX = tuned(0.05, "px", "own change without relief: less forbids steps; more lets clouds lead")
+_CHANCE_SD = tuned(0.6, "log-likelihood", "least noise of a block: less makes layers of chance peaks")
+_PEAK_FROM = tuned(4.0, "deviations", "peak of a doubtful layer: less finds chance; more loses ground")
+_PEAK_FULL = tuned(8.0, "deviations", "peak of a certain layer: more lets frequent clouds win")
+_THERE = tuned(8.0, "log-likelihood", "gain of a certain layer: below _FAR_COST, a far one loses to none")
+_FAR_COST = tuned(6.0, "log-likelihood", "cap of a far layer's cost: less admits clouds; more loses ground")
+_LEVELS_SD_BINS = tuned(1.0, "bins", "least deviation of levels: less binds offset CCDs; more follows clouds")
+_HOLD = tuned(0.4, "log-likelihood", "a bin's square off the level: less follows clouds; more misses relief")
+_DARK_CLOUDS_COST = tuned(3.0, "log-likelihood", "of clouds below ground's grey: more rejects snow")
+_LAYER_GAIN = tuned(0.003, "share", "more evidence by two layers: less finds noise; more misses small clouds")
+_LAYER_SHARE = tuned(0.05, "share", "of a pair's blocks in each layer: less counts stray blocks")
+_LAYER_PAIRS = tuned(0.4, "share", "of pairs with both layers: less counts lost lines; more misses clouds")
+_LAYER_CHANGES = tuned(1.5, "changes", "between layers a pair: lost lines make one; more misses large clouds")
+_BRIGHT_WEIGHT = tuned(0.05, "share", "weight of bright blocks: 0 loses bright ground; more follows clouds")
 
 
 @dataclass(frozen=True)

@@ -27,73 +27,17 @@ from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
 
-_PIECE_LINES = tuned(
-    512,
-    "lines",
-    "read at once: in fewer, the spare lines at both ends are a larger part of what is read, and "
-    "columns' responses are determined worse, more take memory",
-)
-_MOST_PIECES = tuned(
-    64,
-    "pieces",
-    "of a strip that are looked at, evenly spread, 32,768 lines in all: nearly all of a scene of TH-1; "
-    "more take time by their number and show the same gain",
-)
-_SPARE_LINES = tuned(
-    32,
-    "lines",
-    "read beyond both ends of a piece, since the right strip's part lies off by the offsets: more than "
-    "the 24 lines of the search; with fewer, blocks at the ends are lost",
-)
-_BLOCK_PX: tuple[int, int] = tuned(
-    (16, 8),
-    "lines, columns",
-    "of a block whose mean greys are compared: in smaller ones noise and what is misplaced by a "
-    "fraction of a pixel count, larger ones have less contrast, and fewer fit an overlap",
-)
-_ROUGH_BLOCK_PX: tuple[int, int] = tuned(
-    (64, 24),
-    "lines, columns",
-    "of a block where no offsets are known: both sides see mostly the same ground for all that they are "
-    "some pixels off; in smaller ones they don't, larger ones don't fit an overlap",
-)
-_LEAST_BLOCKS = tuned(
-    24,
-    "blocks",
-    "of a pair for a gain and an offset, and for going by measured lines alone: fewer leave chance a "
-    "say, more would part runs at narrow overlaps",
-)
-_OFFSET_SD = tuned(
-    0.01,
-    "of the full scale",
-    "deviation of the offset between neighbours about 0: with less, real offsets are taken for gains, "
-    "with more, blocks of one grey, which don't distinguish the two, make large offsets of noise",
-)
-_ODD_COLUMN = tuned(
-    0.1,
-    "of the response of the columns about it",
-    "by which a column's may be off: beyond, it is dead or bright and left out; with less, columns of "
-    "an unequal sensor go, with more, bad ones spoil their blocks",
-)
-_LEAST_CORRELATION = tuned(
-    0.3,
-    "1",
-    "of both sides' greys, below which the one that varies far less sees no ground, but noise: with "
-    "less, a stuck CCD has a gain by chance, with more, ground of low contrast parts a run",
-)
-_LIKE_VARIANCE = tuned(
-    4.0,
-    "ratio of the variances",
-    "up to which both sides vary alike, gains being within a factor of two, and correlation isn't "
-    "asked: with less, level ground under noise parts a run, with more, a stuck CCD that is noisy has a "
-    "gain",
-)
-_LEAST_VARIANCE = tuned(
-    1e-6,
-    "counts²",
-    "below which a side is of one grey to the last digit: far below the noise of means of blocks, far "
-    "above rounding; with 0 a stuck CCD could vary by rounding",
-)
+_PIECE_LINES = tuned(512, "lines", "read at once: fewer resolve columns' gains worse; more take memory")
+_MOST_PIECES = tuned(64, "pieces", "of a strip, nearly a whole TH-1 scene: more take time and change nothing")
+_SPARE_LINES = tuned(32, "lines", "margin of a piece, past the search of 24: fewer lose blocks at its ends")
+_BLOCK_PX = tuned((16, 8), "lines, columns", "of a mean grey: smaller is noisy; larger has less contrast")
+_ROUGH_BLOCK_PX = tuned((64, 24), "lines, columns", "the same without offsets: smaller sees different ground")
+_LEAST_BLOCKS = tuned(24, "blocks", "for a gain and an offset: fewer are chance; more fail in narrow overlap")
+_OFFSET_SD = tuned(0.01, "full scale", "prior of an offset: less makes it a gain; more makes it noise")
+_ODD_COLUMN = tuned(0.1, "share", "off its neighbours: less drops good columns; more keeps dead ones")
+_LEAST_CORRELATION = tuned(0.3, "1", "below, the flatter side is noise: less lets a stuck CCD in")
+_LIKE_VARIANCE = tuned(4.0, "ratio", "of variances that needs no correlation: less parts level ground")
+_LEAST_VARIANCE = tuned(1e-6, "counts²", "of a uniform side: 0 lets a stuck CCD pass by rounding")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from geomosaic.ccd.line_poses import LinePoses
 from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.virtual_layout import ideal_camera
-from geomosaic.constants import sourced
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
 from geomosaic.geodesy.local import geodetic_from_ecef
@@ -25,45 +25,11 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
     "relief, 0.5 px of jitter at 22 Hz, seed 1"
 )
-_ROWS = sourced(
-    65,
-    "rows",
-    "of the raster at which it is asked what the strips see, for the cubic that takes jitter off and for "
-    "the residuals: 17 to 129 give the same within 1e-4 px; in an image-space layout fewer than jitter "
-    "has swings would let it into the cubic",
-    _COMPUTED,
-)
-_COLS_OF_A_CCD = sourced(
-    5,
-    "columns",
-    "of each CCD at each of those rows: 2 to 17 give the same within 1e-4 px, as a CCD is straight; more "
-    "take time alone",
-    _COMPUTED,
-)
-_NODES: tuple[int, int, int] = sourced(
-    (15, 25, 5),
-    "columns, lines, heights",
-    "of the lattice that the RPC is fitted to: with 3 heights its terms of the third degree are not "
-    "determined and it is 1.1 px off the strips, with 5 1e-4 px; more nodes than 5 x 5 x 5 change "
-    "nothing there, and are for scenes that bend more",
-    _COMPUTED,
-)
-_SPAN_M = sourced(
-    500.0,
-    "m",
-    "below the lowest and above the highest ground for which the RPC holds too, for another DEM's "
-    "heights and buildings; with 0, level ground would have no span to fit to. From 0 to 2000 m over "
-    "hills the fit is the same",
-    _COMPUTED,
-)
-_STEP_LINES = sourced(
-    64,
-    "lines",
-    "from one pose of the ideal line to the next, whose attitude is straight, so only the orbit bends "
-    "between: 64 leave the RPC's residuals as they are, 512 treble them, 2048 make 5e-3 px of 1e-4; also "
-    "how far poses reach over the scene's ends",
-    _COMPUTED,
-)
+_ROWS = tuned(65, "rows", "of the residual raster: 17 to 129 agree within 1e-4 px; fewer let jitter in")
+_COLS_OF_A_CCD = tuned(5, "columns", "in each row: 2 to 17 agree within 1e-4 px; more take time")
+_NODES = tuned((15, 25, 5), "columns, lines, heights", "of the fit: 3 heights leave 1.1 px, 5 1e-4 px")
+_SPAN_M = tuned(500.0, "m", "margin of heights: 0 leaves level ground no span; 2000 fits as well")
+_STEP_LINES = tuned(64, "lines", "between poses: 64 leave the residuals; 512 treble them")
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,82 +21,17 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 4 CCDs, 8192 lines, seed 1, with 900 m of "
     "relief and at a contrast of 2 %"
 )
-_BESIDE_KNOTS = sourced(
-    4,
-    "knots",
-    "on either side of a step, whose medians are compared: of fewer, single wrong knots make steps, "
-    "with more, a cloud's edge and its end fall into one side",
-    "chosen in commit 85d59ff, 5 before",
-)
-_MOST_APART_KNOTS = tuned(
-    24,
-    "knots",
-    "that the middles of both sides may lie apart, and half as many that steps keep from lost lines: "
-    "more lines hide what happens between, with fewer, a step in a gap goes unseen",
-)
-_LEAST_PX = sourced(
-    0.5,
-    "px",
-    "by which two pairs must go apart, beyond what the steepest ground makes: over ground they do by "
-    "0.1 px, by 0.26 at low contrast; with less, good scenes are doubted, with more, low clouds in slow "
-    "wind are believed",
-    _COMPUTED,
-)
-_LOST_PX = tuned(
-    0.7,
-    "lines",
-    "by which what is known of dline changes from knot to knot where lines were lost, one at least: "
-    "with less, a DEM's relief is taken for lost lines and steps there are not looked for, with more, "
-    "steps at lost lines are taken for clouds",
-)
-_MOST_SPREAD = sourced(
-    0.3,
-    "share of the step's length",
-    "by which each side may spread about its median: it is 0.03 px over ground, 0.12 at low contrast; "
-    "with more, unrest makes steps, with less, steps of half a pixel are lost at low contrast",
-    _COMPUTED,
-)
-_PIECE_KNOTS = tuned(
-    3,
-    "knots",
-    "of a piece of a curve by itself: two for its slope and the middle one to see whether it is "
-    "straight; the code takes the middle one by its number",
-)
-_STRAIGHT_PX = sourced(
-    0.15,
-    "px",
-    "by which a piece's middle knot may lie off its ends' line: of 99 % it is 0.06 px, 0.21 at low "
-    "contrast; with more, pieces that noise tilts miss the next ones, with less, few are left to ask",
-    _COMPUTED,
-)
-_MOST_AHEAD_KNOTS = sourced(
-    12,
-    "knots",
-    "from the middle of a piece to the next one's: what a smooth curve may miss by has grown 64-fold "
-    "there, beyond any cloud's step",
-    "(12 / 3)^3, the third power of the distance",
-)
-_LEAST_BREAK_PX = sourced(
-    0.6,
-    "px",
-    "by which two pieces must miss each other: over ground they do by 0.11 px at most, by 0.35 at low "
-    "contrast; with less, good scenes are doubted, with more, low clouds are believed",
-    _COMPUTED,
-)
-_BREAK_DEVIATIONS = tuned(
-    6.0,
-    "deviations of neighbouring pieces' misses",
-    "by which two pieces must miss each other, too: with less, jitter breaks curves by itself, with "
-    "more, clouds are believed where the platform is restless",
-)
-_LEAST_SD_PX = sourced(
-    0.03,
-    "px",
-    "least deviation of those misses, about what they have over ground (0.03 to 0.04 px): with less, "
-    "curves that are still would break by what resampling leaves, with more, breaks farther ahead go "
-    "unseen",
-    _COMPUTED,
-)
+_BESIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
+_MOST_APART_KNOTS = tuned(24, "knots", "between the sides' middles: fewer miss gaps; more hide motion")
+_LEAST_PX = tuned(0.5, "px", "of a step: ground has 0.1, 0.26 at low contrast; more passes low clouds")
+_LOST_PX = tuned(0.7, "lines", "known change that is a lost line: less finds relief; more calls it a cloud")
+_MOST_SPREAD = tuned(0.3, "share", "scatter of a side: more makes steps of noise; less misses half a pixel")
+_PIECE_KNOTS = tuned(3, "knots", "two give a slope, the middle one its straightness; the code needs three")
+_STRAIGHT_PX = tuned(0.15, "px", "bend of a piece: 99 % have 0.06; more admits noisy slopes; less leaves few")
+_MOST_AHEAD_KNOTS = sourced(12, "knots", "to the next piece: a miss has grown 64-fold there", "(12 / 3)^3")
+_LEAST_BREAK_PX = tuned(0.6, "px", "of a break: ground has 0.11, 0.35 at low contrast; more passes clouds")
+_BREAK_DEVIATIONS = tuned(6.0, "deviations", "significance of a break: less finds jitter; more passes clouds")
+_LEAST_SD_PX = tuned(0.03, "px", "of misses, as over ground: less breaks still curves; more hides far breaks")
 
 
 def widest_step(offset_px: Floats, own: Flags, known_px: Floats, likely: Expected) -> float:

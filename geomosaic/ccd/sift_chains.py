@@ -16,6 +16,7 @@ from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
+    UNKNOWN_SD_PX,
     UNRELIABLE,
     Flags,
     Floats,
@@ -25,48 +26,15 @@ from geomosaic.ccd.model import (
     Settings,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
-_AGREE_PX = tuned(
-    1.0,
-    "px, along columns and along lines",
-    "within which points agree on a shift: with less, jitter within a piece parts good ones, with more, "
-    "low clouds and wrong matches agree with the ground",
-)
-_NEAR_PX = tuned(
-    0.5,
-    "px",
-    "by which the middle of a piece's points may lie off the scene's one offset for its lines to be "
-    "called measured: with more, lines that are misplaced by a pixel are, with less, none that moves",
-)
-_LEAST_POINTS = tuned(
-    6,
-    "points",
-    "that must agree: of 100 wrong matches in the search, six hardly ever do so by chance; with more, "
-    "segments of low contrast have no offset",
-)
-_ABNORMAL_PX = sourced(
-    2.0,
-    "px",
-    "by which a segment may leave the line between its neighbours: with less, drift and jitter are "
-    "abnormal, with more, segments on clouds are kept",
-    "chosen; that abnormal segments are left out since the platform moves slowly: Cheng et al. 2018, "
-    "Spacecraft Recovery & Remote Sensing 39(2), 84-92",
-)
-_MOST_TRIED = tuned(
-    500,
-    "points",
-    "whose shift is tried, evenly taken from all: one point is a shift, so a few right ones among them "
-    "are enough; more take time by the square",
-)
-NOTHING_SD_PX = tuned(
-    10.0,
-    "px",
-    "deviation of what nothing shows: about as far as TH-1's ground may lie from the nominal "
-    "geometry; less would claim knowledge, more says no more",
-)
+_AGREE_PX = tuned(1.0, "px", "of one shift: less parts points by jitter; more admits low clouds")
+_NEAR_PX = tuned(0.5, "px", "off the scene's offset, for measured lines: more admits misplaced ones")
+_LEAST_POINTS = tuned(6, "points", "that agree: fewer do by chance among 100; more lose low contrast")
+_ABNORMAL_PX = tuned(2.0, "px", "off its neighbours' line: less rejects jitter; more keeps clouds")
+_MOST_TRIED = tuned(500, "points", "as a shift: a few right ones suffice; more take time by the square")
 
 
 @dataclass(frozen=True)
@@ -202,7 +170,7 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
     moved = np.concatenate([np.zeros((0, 2)), *(part.moved_px for _, _, part in parts)])
     shift, inside = consensus(moved)
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
-    sd = np.full(2, NOTHING_SD_PX)
+    sd = np.full(2, UNKNOWN_SD_PX)
     if inside.sum() >= _LEAST_POINTS:
         sd = np.maximum(NORMAL_PER_MAD * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
         for first, stop, part in parts:
@@ -220,7 +188,7 @@ def segments(strips: Strips, settings: Settings, progress: Progress) -> tuple[Se
         overlap = strips.overlap(pair, first, stop)
         found = matched_points(overlap, strips.geometry, settings, settings.enhance)
         offset, inside = consensus(found.moved_px)
-        points, sd, centre = int(inside.sum()), np.full(2, NOTHING_SD_PX), 0.5 * (first + stop - 1)
+        points, sd, centre = int(inside.sum()), np.full(2, UNKNOWN_SD_PX), 0.5 * (first + stop - 1)
         if points >= _LEAST_POINTS:
             sd = found.moved_px[inside].std(axis=0, ddof=1) / points**0.5
             centre = float(found.left_px[inside, 1].mean()) - 0.5
@@ -269,7 +237,7 @@ def piecewise_linear(strips: Strips, settings: Settings, progress: Progress) -> 
 def _polyline(lines: int, found: Segments) -> PairOffsets:
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
     if not found.kept.any():
-        zero, far = np.zeros(lines), np.full(lines, NOTHING_SD_PX)
+        zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
         return PairOffsets(found.pair, zero, zero.copy(), far, far.copy(), label)
     t = np.arange(lines, dtype=np.float64)
     at, offset, own_sd = (a[found.kept] for a in (found.centre_line, found.offset_px, found.sd_px))

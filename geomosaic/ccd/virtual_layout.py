@@ -13,7 +13,7 @@ from geomosaic.ccd.layout import Ends, Places
 from geomosaic.ccd.line_poses import LinePoses
 from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
 from geomosaic.survey.strips import StripGeometry
@@ -22,64 +22,14 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
     "relief, 0.5 px of jitter at 22 Hz, seed 1"
 )
-KNOT_PX = sourced(
-    64,
-    "columns",
-    "from knot to knot, straight in between: by the ground's relief places are off by 2e-4 px, by 4e-3 "
-    "with 256; closer ones take time by their number",
-    _COMPUTED,
-)
-_HEIGHT_ROWS = sourced(
-    16,
-    "rows",
-    "from one row whose ground is looked up to the next, straight in between: off by 8e-6 px over hills "
-    "that are 8 km long, by 1e-4 px with 64, more over rougher ones; a multiple of _IMAGE_ROWS",
-    _COMPUTED,
-)
-_IMAGE_ROWS = sourced(
-    4,
-    "rows",
-    "from one row whose places in the strip are solved to the next, straight in between: jitter leaves "
-    "2e-3 px there, 7e-3 with 8, 3e-2 with 16; closer ones take time by their number",
-    _COMPUTED,
-)
-_SAMPLE_LINES = sourced(
-    512,
-    "lines",
-    "about, between the lines at which the CCDs' extent, the seams and first guesses of lines are found: "
-    "guesses in between are up to 1.4 lines off by jitter; with more, the solution begins farther off "
-    "and extremes of jitter at a CCD's edges go unseen, fewer take time alone",
-    _COMPUTED,
-)
-_SAMPLE_STEP = sourced(
-    8,
-    "lines",
-    "from one pose to the next, straight in between, for those first guesses and extents: they are off "
-    "by 0.007 px, by 0.1 with 32; shorter steps take more memory for a whole scene",
-    _COMPUTED,
-)
-_SPARE_LINES = sourced(
-    64,
-    "lines",
-    "for which poses are tabled beyond those that are asked for, twice as many at the scene's ends: "
-    "first guesses were up to 1.4 lines off, and where the table ends its last two poses go straight on; "
-    "more take time alone",
-    _COMPUTED,
-)
-_FIT_POINTS = sourced(
-    2000,
-    "points",
-    "of the attitude through which its straight line is drawn, every 18th line of 35,000: 500 leave 0.01 "
-    "px of jitter in it, 8000 differ by 0.003 px; with too few, jitter is met always at the same part of "
-    "its swing",
-    _COMPUTED,
-)
-_NOWHERE_PX = tuned(
-    -1e6,
-    "px",
-    "column and line of a place that no line of the strip sees: so far off that what is interpolated "
-    "towards it is beyond the strip too; nearer ones would put parts of the strip there",
-)
+KNOT_PX = tuned(64, "columns", "knot spacing: 64 is off by 2e-4 px, 256 by 4e-3; closer takes time")
+_HEIGHT_ROWS = tuned(16, "rows", "between ground heights, of _IMAGE_ROWS: 16 is off by 8e-6 px, 64 by 1e-4")
+_IMAGE_ROWS = tuned(4, "rows", "between solved rows: 4 is off by 2e-3 px, 8 by 7e-3, 16 by 3e-2")
+_SAMPLE_LINES = tuned(512, "lines", "of extents and first guesses, off by 1.4: more miss jitter's peaks")
+_SAMPLE_STEP = tuned(8, "lines", "between their poses: 8 is off by 0.007 px, 32 by 0.1; less takes memory")
+_SPARE_LINES = tuned(64, "lines", "of poses past the wanted ones: guesses are off by 1.4; more take time")
+_FIT_POINTS = tuned(2000, "points", "of the mean attitude: 500 leave 0.01 px of jitter, 8000 differ by 0.003")
+_NOWHERE_PX = tuned(-1e6, "px", "a place no line sees: nearer ones would draw parts of the strip there")
 
 
 def ideal_camera(geometry: StripGeometry, model: Pushbroom) -> Pushbroom:

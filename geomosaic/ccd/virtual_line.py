@@ -9,10 +9,10 @@ import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses
-from geomosaic.ccd.model import BRIDGED, UNRELIABLE, Floats, PairOffsets, Progress, Settings
+from geomosaic.ccd.model import BRIDGED, RELIABLE_SD_PX, UNRELIABLE, Floats, PairOffsets, Progress, Settings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
@@ -20,48 +20,11 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
     "relief, 0.5 px of jitter at 22 Hz, seed 1"
 )
-_PIECE_LINES = tuned(
-    8192,
-    "lines",
-    "predicted at once, with one table of poses: more take memory by their number, and with fewer the "
-    "tables' lines between the rows are made more often",
-)
-_SPARE_LINES = tuned(
-    200,
-    "lines",
-    "for which poses are tabled beyond those that nominally see the ground: offsets are some px, with "
-    "attitudes that jump by 8 px below 80, and where the table ends its last two poses go straight on; "
-    "more take time alone",
-)
-_MODEL_SD_PX = tuned(
-    0.1,
-    "px",
-    "deviation of what a calibrated camera's looks, orbit and slow attitude leave between the rows, some "
-    "0.4 microradian of TH-1's: with less, the method claims what no camera has shown, with 0.6 no line "
-    "is reliable",
-)
-_RELIABLE_SD_PX = sourced(
-    0.6,
-    "px",
-    "stated deviation beyond which a line is unreliable, since its 90 % interval passes a pixel, as for "
-    "joint: with more, misplaced lines count as bridged, with less, usable ones are given up",
-    "1 px / 1.645 = 0.61 px; that it is a pixel is chosen",
-)
-_STEP_M = sourced(
-    50.0,
-    "m",
-    "by which the ground is raised and lowered to find the parallax of a metre of height: it comes out "
-    "alike with 5 m, and with 500 m but for 2 % of the columns' small part; much less drowns in "
-    "rounding, much more is no slope",
-    _COMPUTED,
-)
-_RELIEF_STEP_LINES = sourced(
-    4,
-    "lines",
-    "from one line for which the relief's part is found to the next, straight in between: off by 1e-4 "
-    "px, by 8e-3 with 32; closer ones take time by their number",
-    _COMPUTED,
-)
+_PIECE_LINES = tuned(8192, "lines", "predicted at once: more take memory; fewer make poses more often")
+_SPARE_LINES = tuned(200, "lines", "of poses past the nominal ones: attitudes jump by 80; more take time")
+_MODEL_SD_PX = tuned(0.1, "px", "left by a calibrated model: less claims too much; 0.6 trusts nothing")
+_STEP_M = tuned(50.0, "m", "of the numerical parallax: 5 to 500 agree; far less drowns in rounding")
+_RELIEF_STEP_LINES = tuned(4, "lines", "between lines of relief: 4 is off by 1e-4 px, 32 by 8e-3")
 
 
 def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -97,7 +60,7 @@ def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tupl
         noise = np.sqrt(2.0) * np.array([[noise_col], [noise_line]])
         sd = np.sqrt(_MODEL_SD_PX**2 + (parallax * space.height_sd_m) ** 2 + noise**2)
         sd[:, ~known] = np.maximum(sd[:, ~known], 10.0)
-        label = np.where(sd.max(axis=0) <= _RELIABLE_SD_PX, BRIDGED, UNRELIABLE)
+        label = np.where(sd.max(axis=0) <= RELIABLE_SD_PX, BRIDGED, UNRELIABLE)
         col, line = (_filled(axis) for axis in found)
         out.append(PairOffsets(pair, col, line, sd[0], sd[1], label.astype(np.uint8)))
     return tuple(out)

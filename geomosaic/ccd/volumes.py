@@ -6,30 +6,11 @@ import cv2
 import numpy as np
 
 from geomosaic.ccd.model import Floats, Images
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
-BLOCK_LINES = tuned(
-    32,
-    "lines",
-    "whose evidence is taken together: of fewer, low contrast shows no shift, of more, hardly any are "
-    "clear between small clouds, and lost lines part more of them",
-)
-_PIXELS_PER_FACT = sourced(
-    24.0,
-    "px of the halved image",
-    "of a band-passed image that count as one independent fact: with fewer, evidence reaches its "
-    "bound for fair matches as for good ones, with more, low contrast says nothing",
-    "chosen in commit 4bb0517, 4 before; correlations of ground that doesn't match vary as if every 6 "
-    "px were a fact (simulate.strip_plan.StripPlan, seed 1)",
-)
-_MOST_EVIDENCE = sourced(
-    30.0,
-    "logarithm of a likelihood ratio",
-    "of one block at most: with less, a good match says no more than a fair one, with more, a few "
-    "blocks of high contrast outvote all others",
-    "chosen; simulate.strip_plan.StripPlan, seed 1: at the true shift 24 on clear ground, 12 at a "
-    "contrast of 1 %, elsewhere 0.06 with a deviation of 0.14",
-)
+BLOCK_LINES = tuned(32, "lines", "of joint evidence: fewer fail at low contrast; more include clouds")
+_PIXELS_PER_FACT = tuned(24.0, "px", "that are one fact: fewer saturate fair matches; more mute low contrast")
+_MOST_EVIDENCE = tuned(30.0, "log-likelihood", "cap of a block: more lets a few blocks outvote all others")
 
 
 def halved(image: Images) -> Images:

@@ -12,19 +12,8 @@ import sys
 
 from geomosaic.constants import sourced, tuned
 
-_KEPT_BYTES: int = tuned(
-    256 << 20,
-    "bytes",
-    "of free memory at the heap's end that a process keeps: twice what a frame's keypoints take and give "
-    "back; with a quarter of it, next to nothing is gained",
-)
-_MAPPED_BYTES: int = sourced(
-    32 << 20,
-    "bytes",
-    "an array that takes more is mapped by itself, and goes when it is freed: images at full size, which "
-    "would leave holes",
-    "glibc, malloc.c: the most it takes for M_MMAP_THRESHOLD, half a thread's heap",
-)
+_KEPT_BYTES = tuned(256 << 20, "bytes", "of free heap kept: a quarter of it, and next to nothing is gained")
+_MAPPED_BYTES = sourced(32 << 20, "bytes", "larger arrays are mapped; heaps keep holes", "glibc, malloc.c")
 _OPTIONS = {
     "MALLOC_TRIM_THRESHOLD_": (-1, _KEPT_BYTES),
     "MALLOC_MMAP_THRESHOLD_": (-3, _MAPPED_BYTES),

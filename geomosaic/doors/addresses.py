@@ -17,12 +17,8 @@ from geomosaic.errors import FileError, InputError
 _STORES: Final = {"s3": "/vsis3/", "gs": "/vsigs/", "az": "/vsiaz/"}
 _KNOWN: Final = "https://, s3://, gs:// or az://"
 _SPOILED: Final = re.compile(r"(?:^|/)(https?|ftp|s3|gs|az):/+(.*)", re.DOTALL)
-_LIST_BYTES: int = tuned(
-    32 << 20,
-    "bytes",
-    "of a list of addresses: 100,000 have some 10 MB, a larger file is no list",
-)
-_NAME_BYTES = tuned(200, "bytes", "of a name: file systems hold 255, and the temporary one is some 40 longer")
+_LIST_BYTES = tuned(32 << 20, "bytes", "of a list: 100,000 addresses have 10 MB; larger is no list")
+_NAME_BYTES = tuned(200, "bytes", "of a file's name: systems allow 255, and the temporary name takes 40 more")
 
 
 @dataclass(frozen=True)

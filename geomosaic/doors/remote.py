@@ -23,23 +23,9 @@ from geomosaic.doors.files import printable
 from geomosaic.doors.gdal_failures import gdal_options
 from geomosaic.errors import CancelledError, GeomosaicError, InputError
 
-MOST_FILES = tuned(
-    100_000,
-    "files",
-    "a survey of frames has thousands; more is a whole store, given by mistake",
-)
-_PIECE_BYTES: int = tuned(
-    8 << 20,
-    "bytes",
-    "asked for at once, so that a frame takes one request or two and a stop waits for one piece of each "
-    "thread; GDAL gives at most 16 MB",
-)
-_TRIES = tuned(
-    4,
-    "connections",
-    "that may break off before a file is given up: GDAL itself tries again only where a server says so; "
-    "more would hide a server that never gives it whole",
-)
+MOST_FILES = tuned(100_000, "files", "of a survey, which has thousands: more is a whole store by mistake")
+_PIECE_BYTES = tuned(8 << 20, "bytes", "per request: less takes more requests; more delays a stop")
+_TRIES = tuned(4, "connections", "for a file: fewer give up at an interruption; more hide a broken server")
 _HTTP: Final = {
     "GDAL_HTTP_CONNECTTIMEOUT": "10",
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",

@@ -18,7 +18,7 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _SMALL_SHARE = 0.1
-_STILL = tuned(1e-6, "m and rad", "a frame that only its own tags place is left so near to them by a solve")
+_STILL = tuned(1e-6, "m and rad", "change of a pose without ties: the solve leaves less, so it is unadjusted")
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,9 @@ from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import DemHeights, read_dem_heights
 
 RESAMPLING: Final = {"nearest": "near", "bilinear": "bilinear", "cubic": "cubic", "lanczos": "lanczos"}
-_OFF_PX = tuned(
-    0.02,
-    "px",
-    "by which a pixel's place in the scene may be off, between places that are computed in full: a tenth "
-    "of what greys show; less takes time alone",
-)
-_SAMPLES = tuned(33, "places a side", "of the scene, at which its DEM's cover is told: a tenth of a percent")
-_MEMORY_MB = tuned(256, "MB", "of pixels that GDAL warps at once: with less, blocks are read twice")
+_OFF_PX = tuned(0.02, "px", "of GDAL's approximation, a tenth of what greys show: less takes time")
+_SAMPLES = tuned(33, "places a side", "of a scene, to measure its DEM's coverage: good to 0.1 %")
+_MEMORY_MB = tuned(256, "MB", "of pixels that GDAL warps at once: less reads blocks twice")
 
 
 def scene_rpc_of(scene: Path) -> Rpc | None:

@@ -24,18 +24,8 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-_PER_FRAME = tuned(
-    2000,
-    "image points a frame",
-    "that go along, the long tracks first: fewer leave dense matching without depths in parts of a "
-    "frame, more only make the files large",
-)
-_MOST_OFF_PX = tuned(
-    4.0,
-    "px",
-    "root mean square by which a point's rays may miss it: what is farther off is a mismatch; with less, "
-    "trees in the wind and frames without their turns would lose their points",
-)
+_PER_FRAME = tuned(2000, "points", "per frame: fewer leave gaps for dense matching; more are large files")
+_MOST_OFF_PX = tuned(4.0, "px", "RMS of a point's rays: more keeps mismatches; less loses trees in wind")
 _DOWN_AND_FORWARD = np.diag([1.0, -1.0, -1.0])
 """From axes to the right, the image's top and against the view to those to the right, down and forward."""
 

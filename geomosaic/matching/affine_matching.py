@@ -14,73 +14,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse_each
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
-_HALF_PX = sourced(
-    10,
-    "px of the images that are compared",
-    "from a window's middle to its edge: with 7 real tie points agree a sixth less well and a third more "
-    "are given up; 14 take twice the time for a tenth, and bend where there is relief",
-    "docs/results.md, tie points in the pixels",
-)
-_BLUR_PX = sourced(
-    0.6,
-    "px",
-    "both images are smoothed by: without, noise of single pixels and reading between them tell; with 1 "
-    "px real tie points agree a sixth less well",
-    "docs/results.md, tie points in the pixels",
-)
-_ROUNDS = tuned(10, "rounds", "most windows settle in five; one that hasn't in ten swings and is given up")
-_SETTLED_PX = tuned(
-    0.03,
-    "px",
-    "a window is done when it steps by less: a third of what windows are good to, and steps shrink by "
-    "more than half; a smaller one takes rounds, a larger one shows",
-)
-_FARTHEST_PX = tuned(
-    4.0,
-    "px",
-    "from the keypoint, per axis: keypoints of an image a quarter of the size are off by 1 px here, "
-    "hardly one by more than four; a window that went farther shows other texture",
-)
-_LEAST_LIKENESS = tuned(
-    0.8,
-    "correlation",
-    "below which two windows don't show the same: tie points that are right have 0.96 in the median, in "
-    "leaves in the wind 0.85; with less, wrong ones pass, with more, trees tie nothing",
-)
-_STRETCH_SD = tuned(
-    0.1,
-    "1",
-    "how far windows are believed to be stretched or slanted against the plane of the pair: slopes "
-    "of 20 degrees do so; more lets windows of little texture run away, less holds those on roofs",
-)
-_NOISE = tuned(
-    4.0,
-    "grey levels",
-    "of a pixel's difference, against which that belief is weighed: noise, JPEG, reading between pixels",
-)
-_LEAST_GAIN = tuned(
-    0.1,
-    "1",
-    "contrast over the template's below which there is no such texture; steps are divided by no less",
-)
-_AT_ONCE = tuned(
-    256,
-    "windows",
-    "worked on together: their derivatives take 3 MB and stay in the processor's cache; fewer cost calls",
-)
-_NEAR_SHARE = tuned(
-    0.7,
-    "of a window's half side",
-    "deviation of the bell by which pixels near the middle count more, since a window is a place and not "
-    "an area: a narrower one throws pixels away, a wider one feels the ground beside",
-)
+_HALF_PX = tuned(10, "px", "half a window: 7 agrees a sixth worse; 14 takes twice as long, bends on relief")
+_BLUR_PX = tuned(0.6, "px", "smoothing of both images: 0 matches noise; 1 agrees a sixth less well")
+_ROUNDS = tuned(10, "rounds", "most converge in five; a window that has not in ten oscillates and is dropped")
+_SETTLED_PX = tuned(0.03, "px", "step that ends it, a third of the accuracy: less takes rounds; more shows")
+_FARTHEST_PX = tuned(4.0, "px", "from the keypoint, an axis: less loses coarse ones; more finds other ground")
+_LEAST_LIKENESS = tuned(0.8, "correlation", "right ones have 0.96, leaves 0.85: less admits wrong ones")
+_STRETCH_SD = tuned(0.1, "1", "prior of stretch and slant: less binds roofs; more lets windows run off")
+_NOISE = tuned(4.0, "grey levels", "pixel noise that the stretch prior is weighed against: less binds more")
+_LEAST_GAIN = tuned(0.1, "1", "contrast ratio: below, the texture is not there; bounds steps too")
+_AT_ONCE = tuned(256, "windows", "computed together, 3 MB: more do not fit the cache; fewer cost calls")
+_NEAR_SHARE = tuned(0.7, "half sides", "Gaussian weight: less wastes pixels; more blurs the place")
 _SIDE: Final = 2 * _HALF_PX + 1
 TEMPLATE_PX: Final = _SIDE + 2
 """A window with the pixels about it, for its slopes."""

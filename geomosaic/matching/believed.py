@@ -16,12 +16,7 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-_NODES = tuned(
-    6,
-    "nodes along each side of a frame",
-    "that are laid on the ground and into the other frame, to find a plane between the two: more show "
-    "relief that a plane can't follow anyway, fewer are lost where a frame sees past the ground",
-)
+_NODES = tuned(6, "nodes", "per frame side, to fit a plane: fewer fail where a frame sees past the ground")
 
 
 @dataclass(frozen=True)

@@ -8,50 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
 Floats = NDArray[np.float64]
 Pair = tuple[int, int]
-MOST_COMPARED = tuned(
-    20_000,
-    "pairs",
-    "all of 200 frames: at some 5 ms each a fraction of what matching such a survey takes; with fewer, "
-    "frames are compared only with those next to them in order of capture, with all, 1,000 frames take "
-    "40 minutes",
-)
-_COARSEST = tuned(
-    400,
-    "keypoints of a frame",
-    "as many as an image of 300 x 200 px has, seen again in spite of scale and blur: fewer miss small "
-    "overlaps, and the time grows with their square",
-)
-_LEAST = tuned(
-    8,
-    "keypoints",
-    "that lie by one homography: four make one, and wrong matches of unlike images hardly ever give "
-    "it four more; a larger number misses small overlaps",
-)
-_TOLERANCE = tuned(
-    0.01,
-    "share of the extent of a frame's keypoints",
-    "how far coarse keypoints may lie off their homography: they are placed to a tenth of their size, "
-    "and ground isn't a plane; with more, unlike images agree",
-)
-_RATIO = sourced(
-    0.85,
-    "nearest to second nearest distance",
-    "looser than the 0.8 of matching itself, since coarse keypoints are few and the homography sorts "
-    "out what is wrong: less loses true ones, more hands it mostly wrong ones",
-    "Lowe 2004, section 7.1, for the test and its 0.8; this number is chosen",
-)
-_NEIGHBOURS = tuned(
-    12,
-    "pairs of a frame",
-    "as many of the likeliest as a frame asks for where positions are known: fewer leave lines untied "
-    "to each other, more take time to match and show the same",
-)
+MOST_COMPARED = tuned(20_000, "pairs", "all of 200 frames: fewer try neighbours in time only; more are slow")
+_COARSEST = tuned(400, "keypoints", "of a frame: fewer miss small overlaps; time grows with the square")
+_LEAST = tuned(8, "keypoints", "on one homography; four define it: fewer are chance; more miss overlaps")
+_TOLERANCE = tuned(0.01, "share", "of the extent, off the homography: less needs a plane; more admits any")
+_RATIO = tuned(0.85, "distance ratio", "looser than 0.8, as the homography filters: less loses true ones")
+_NEIGHBOURS = tuned(12, "pairs", "of a frame: fewer leave lines untied; more take time and show the same")
 
 
 @dataclass(frozen=True)

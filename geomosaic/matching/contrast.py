@@ -15,50 +15,14 @@ from geomosaic.matching.features import SIFT_CONTRAST, Bytes, away_from_invalid,
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-_LOWE_SIGMA_PX = sourced(
-    1.6,
-    "px",
-    "scale of the first layer in which keypoints are sought",
-    "Lowe 2004, section 3.3",
-)
-_REACHED = sourced(
-    0.1,
-    "share of local extremes",
-    "that reach SIFT's contrast where an image isn't faint: more than 0.2 in textured ground, less than "
-    "0.02 in faint thermal images; a larger share would change ordinary images",
-    "measured on nine real flights and four of them at 6 % contrast, quarters of 1,000 px images",
-)
-_TILES = tuned(
-    4,
-    "tiles along each side",
-    "judged one by one: fewer hide a faint part among textured ones, more hold too few extremes",
-)
-_WINDOW_SHARE = sourced(
-    0.05,
-    "of the longer side",
-    "window of local mean and deviation: half and twice of it tie no more pairs, four times fewer",
-    "measured on two flights at 6 % contrast",
-)
-_TARGET_SD = tuned(40.0, "grey levels", "local deviation to reach: more is cut off at black and white")
-_MOST_NOISE = sourced(
-    4.0,
-    "grey levels",
-    "to which noise may be raised: with 1 half of the tie points are lost, more than 4 only adds "
-    "keypoints of noise and of JPEG's blocks",
-    "measured on two flights at 6 % contrast",
-)
-_LEAST_NOISE: float = sourced(
-    12.0**-0.5,
-    "grey levels",
-    "deviation of rounding to whole levels",
-    "1 / sqrt(12)",
-)
-_NOISE_PER_MEAN: float = sourced(
-    math.sqrt(math.pi / 2.0) / 6.0,
-    "1",
-    "standard deviation of noise over the mean size of its second differences",
-    "Immerkaer 1996, equation 8",
-)
+_LOWE_SIGMA_PX = sourced(1.6, "px", "scale of the first layer with keypoints", "Lowe 2004, section 3.3")
+_REACHED = sourced(0.1, "share", "extrema with SIFT's contrast", "nine flights: > 0.2; faint thermal: < 0.02")
+_TILES = tuned(4, "tiles", "per side, judged singly: fewer hide faint parts; more lack extrema")
+_WINDOW_SHARE = tuned(0.05, "share", "of the side, local statistics: half and twice tie no more pairs")
+_TARGET_SD = tuned(40.0, "grey levels", "local deviation to reach: more is clipped at black and white")
+_MOST_NOISE = tuned(4.0, "grey levels", "amplified noise: 1 loses half of the tie points; more adds JPEG's")
+_LEAST_NOISE: float = sourced(12.0**-0.5, "grey levels", "deviation of rounding to levels", "1 / sqrt(12)")
+_NOISE_PER_MEAN = sourced(math.sqrt(math.pi / 2.0) / 6.0, "1", "noise per mean difference", "Immerkaer 1996")
 
 
 def raised(

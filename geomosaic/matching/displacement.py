@@ -16,31 +16,10 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_FINE_RADIUS_PX = tuned(
-    3,
-    "px of the level",
-    "search about what the coarser level found: its whole pixels are off by one here, the rest is for "
-    "what changes within a patch; less loses patches, more finds other peaks",
-)
-_COARSE_CORRELATION = tuned(
-    0.3,
-    "1",
-    "least coefficient at which a coarse patch shows its neighbours where to look: below, peaks are "
-    "mostly chance; above, jumps and patches that changed hand nothing on. The limit of the result is "
-    "another",
-)
-_VALID_SHARE = tuned(
-    0.9,
-    "share of a patch",
-    "that must be valid: with less, filled pixels correlate instead of ground; with all of it, edges "
-    "and masks leave nothing beside them",
-)
-_SMOOTHING_SIGMA_PX = tuned(
-    0.8,
-    "px",
-    "deviation of the Gaussian laid over both images before the match: with less, aliasing and noise "
-    "draw it to whole pixels, with more, fine texture is lost",
-)
+_FINE_RADIUS_PX = tuned(3, "px", "search on finer levels: less loses patches; more finds other peaks")
+_COARSE_CORRELATION = tuned(0.3, "1", "of a guiding coarse patch: less guides by chance; more loses jumps")
+_VALID_SHARE = tuned(0.9, "share", "of a patch: less correlates filled pixels; 1 loses patches at edges")
+_SMOOTHING_SIGMA_PX = tuned(0.8, "px", "Gaussian before matching: less locks to pixels; more loses texture")
 
 
 @dataclass(frozen=True)

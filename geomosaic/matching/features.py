@@ -8,17 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced
+from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-SIFT_CONTRAST = sourced(
-    0.01,
-    "of the range from black to white",
-    "below which SIFT drops a keypoint, over the three layers of an octave: more drops soft ground, less "
-    "takes noise",
-    "OpenCV's default is 0.04; this one is chosen",
-)
+SIFT_CONTRAST = tuned(0.01, "of full range", "least contrast: more drops soft ground; less takes noise")
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,7 @@ from geomosaic.matching.features import Features
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
 Floats = NDArray[np.float64]
-_LEAST = tuned(
-    20,
-    "tie points",
-    "of a pair that may say a height: fewer may lie by a homography by chance, which says any; more "
-    "loses pairs over water and fields",
-)
+_LEAST = tuned(20, "tie points", "of a pair: fewer fit any height by chance; more lose water and fields")
 
 
 def flying_height_m(

@@ -18,44 +18,12 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = tuned(
-    12,
-    "rounds",
-    "steps of a patch: most settle in fewer, and one that hasn't by then swings and is left out; with "
-    "fewer, patches that begin a pixel off would be left out too",
-)
-_CONVERGED_PX = tuned(
-    0.002,
-    "px",
-    "a patch is done when it steps by less: a tenth of the 0.02 px that the match is good to; a larger "
-    "one would show, a smaller one only take rounds",
-)
-_REACH_PX = tuned(
-    2.0,
-    "px",
-    "how far a patch may go from the whole pixel it began at: one that goes farther has slid to other "
-    "texture; less would lose those that began a pixel off",
-)
-_MARGIN_PX = sourced(
-    4,
-    "px",
-    "by which the image's spline goes on beyond its edge, so that a patch there can go as far as it "
-    "may; with less it is read a pixel aside, more is never read",
-    "_REACH_PX and the two nodes that a cubic B-spline has on each side",
-)
-_LEAST_GAIN = tuned(
-    0.05,
-    "1",
-    "contrast over the reference's, below which a patch is lost, and by which steps are divided at "
-    "least: there is no such texture, and steps by its noise fly off; more would lose ground in haze "
-    "or shade",
-)
-_AT_ONCE = tuned(
-    256,
-    "patches",
-    "worked on together: arrays of 64 px patches take 4 MB each; more take memory, fewer the time of "
-    "more calls",
-)
+_ROUNDS = tuned(12, "rounds", "most converge sooner: fewer drop patches that begin a pixel off")
+_CONVERGED_PX = tuned(0.002, "px", "step that ends it, a tenth of the accuracy: more shows; less is slow")
+_REACH_PX = tuned(2.0, "px", "from the starting pixel: less loses offset patches; more finds other texture")
+_MARGIN_PX = sourced(4, "px", "spline past the edge: less reads a pixel aside", "_REACH_PX + 2 spline nodes")
+_LEAST_GAIN = tuned(0.05, "1", "contrast ratio of a lost patch; bounds steps: more loses haze and shade")
+_AT_ONCE = tuned(256, "patches", "computed together, 4 MB an array: more take memory; fewer cost calls")
 
 _SLOPE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 

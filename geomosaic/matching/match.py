@@ -9,38 +9,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.planes import Guess, plane_through, through
 from geomosaic.matching.search import CHECKS, root_sift, search
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_FREE_LEAST = tuned(
-    1.5,
-    "of a guided pair's least number of tie points",
-    "what a free search must bring, since nothing but the image supports it: with less, frames of "
-    "unlike ground are tied by chance; with more, frames whose positions are wrong stay loose",
-)
-_FEW = sourced(
-    1200,
-    "keypoints of a frame",
-    "the coarsest, compared first: of an overlap of a third, some hundred are seen again; fewer say "
-    "less about small overlaps, more take the time that is saved",
-    "chosen; docs/results.md, matching: with it 74 pairs take 4.8 s instead of 19.6 and have more tie points",
-)
-_TOLERANCES = tuned(
-    12.0,
-    "tolerances of the check",
-    "least radius about a predicted place: holds enough keypoints for Lowe's ratio to mean much; a "
-    "smaller one lets wrong ones pass, a larger one takes time",
-)
-_SPREAD = tuned(
-    3.0,
-    "90 % quantiles of the coarsest keypoints' misses",
-    "radius about a predicted place where relief and lens bend the plane through them: less cuts off "
-    "hills and corners, more compares with ground that isn't there",
-)
+_FREE_LEAST = tuned(1.5, "least numbers", "of a free search: less ties by chance; more leaves frames loose")
+_FEW = tuned(1200, "keypoints", "coarsest, tried first: fewer miss small overlaps; more are slow")
+_TOLERANCES = tuned(12.0, "tolerances", "least search radius: less defeats the ratio test; more takes time")
+_SPREAD = tuned(3.0, "90 % residuals", "search radius: less cuts off hills; more compares other ground")
 
 
 @dataclass(frozen=True)

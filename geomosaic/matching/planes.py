@@ -17,19 +17,9 @@ from geomosaic.estimation.linear import inverse_each
 Floats = NDArray[np.float64]
 Size = tuple[int, int]
 Pair = tuple[int, int]
-_GRAIN_PX = tuned(
-    16.0,
-    "px",
-    "what believed places are rounded to: little beside any radius, but enough that another frame in "
-    "the survey, which shifts the work frame by a hair, changes no pair's guess",
-)
-_BY_NEIGHBOUR = tuned(
-    0.05,
-    "share of an image's longer side",
-    "how far off a place may be that is foretold through a common neighbour: two planes through relief "
-    "of a tenth of the height miss by so much; a larger radius takes the time of a search without one",
-)
-_FEWEST = tuned(6, "points", "from which a plane follows with some of its errors seen: four give any")
+_GRAIN_PX = tuned(16.0, "px", "rounding of predictions: less lets a new frame change other pairs")
+_BY_NEIGHBOUR = tuned(0.05, "share", "of the side, search by a neighbour: less misses relief; more is slow")
+_FEWEST = tuned(6, "points", "for a plane with some check: four fit any errors")
 
 
 @dataclass(frozen=True)

@@ -17,31 +17,10 @@ from geomosaic.estimation.linear import SparseFactors
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_ROUNDS = tuned(
-    12,
-    "rounds",
-    "of the vote and of the re-weighting, at most: both end by themselves when nothing changes; fewer "
-    "leave wrong pairs with a say",
-)
-_LEAST_SPREAD: float = tuned(
-    np.radians(0.5),
-    "rad, and logarithms of scales",
-    "least deviation of pairs: tilts that are off by half a degree bend a similarity by as much; a "
-    "smaller one calls such pairs wrong where most agree, a larger one keeps wrong pairs",
-)
-_WEAK = tuned(
-    1e-6,
-    "of the largest weight of a pair",
-    "how strongly a correction is held at none, so that the system has one solution although nothing "
-    "says how a part is turned as a whole: more would hold back the corrections, less is lost in "
-    "rounding",
-)
-_ALIKE = tuned(
-    0.2,
-    "rad, and logarithms of scales",
-    "by which two pairs of a frame may differ and still say the same: less splits votes that tilts and "
-    "relief spread, more counts wrong pairs with right ones",
-)
+_ROUNDS = tuned(12, "rounds", "of voting and of re-weighting: fewer leave wrong pairs a weight")
+_LEAST_SPREAD = tuned(np.radians(0.5), "rad, log scale", "of pairs: less rejects tilted ones; more keeps bad")
+_WEAK = tuned(1e-6, "largest weight", "datum of corrections: more holds them back; less is lost in rounding")
+_ALIKE = tuned(0.2, "rad, log scale", "of agreeing pairs: less splits by tilt; more counts wrong ones")
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,8 @@ from geomosaic.constants import tuned
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
-_ROWS = tuned(
-    512,
-    "descriptors",
-    "compared at once with those of the other frame, so that likenesses stay in the processor's cache: "
-    "more fall out of it, fewer cost more calls",
-)
-_IN_CELL = tuned(
-    150,
-    "keypoints",
-    "of the right frame in a cell of the guided search: fewer leave Lowe's ratio little to compare "
-    "with, and cost more in handling than they save; more are compared in vain",
-)
+_ROWS = tuned(512, "descriptors", "compared at once: more do not fit the cache; fewer cost calls")
+_IN_CELL = tuned(150, "keypoints", "in a search cell: fewer starve the ratio test; more compare in vain")
 
 
 def root_sift(descriptors: Bytes) -> NDArray[np.float32]:

@@ -28,30 +28,10 @@ from geomosaic.projection.ground import GroundSurface
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_TOGETHER = tuned(
-    0.7,
-    "length of the mean of unit vectors",
-    "how well directions must go together to say what is usual, 1 where all are alike and 0 where they "
-    "are scattered: with less, chance decides what is turned; with more, a few frames that stray "
-    "silence all",
-)
-_TOLERANCE_RAD: float = tuned(
-    np.radians(30.0),
-    "rad",
-    "about a quarter turn, less than halfway to the next: headings of small drones are good to 5 "
-    "degrees, so that less would miss turned images in wind; with 45 degrees any turn would be one",
-)
-_MISPLACED = tuned(
-    4.0,
-    "times what is usual",
-    "that a frame is apart from its neighbours for its position to tell no course: fewer would leave out "
-    "honest ones, more keep wrong ones that bend their neighbours' courses",
-)
-_SEEN = tuned(
-    100,
-    "tie points of a pair",
-    "laid on the ground to judge turns by their median, good to a tenth of their scatter; more cost time",
-)
+_TOGETHER = tuned(0.7, "mean length", "of unit vectors, for a usual course: less is chance; more fails")
+_TOLERANCE_RAD = tuned(np.radians(30.0), "rad", "off a quarter turn: less misses wind drift; 45° is any turn")
+_MISPLACED = tuned(4.0, "usual gaps", "beyond which it gives no course: less drops good ones; more keeps bad")
+_SEEN = tuned(100, "tie points", "of a pair for a median: fewer are noisy; more take time")
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 

@@ -8,7 +8,7 @@ from geomosaic.constants import tuned
 from geomosaic.matching.match import PairMatch
 
 Pair = tuple[int, int]
-MOSTLY = tuned(0.5, "share of a frame's tiles", "faint ones, from which the frame is called faint")
+MOSTLY = tuned(0.5, "share", "of faint tiles that makes a frame faint")
 
 
 def untied_reasons(

@@ -13,12 +13,7 @@ from geomosaic.doors.raster import REFERENCE, Raster, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.mapcrs import MapProjection, map_crs, utm_crs
 
-_OFF_PX = tuned(
-    0.01,
-    "px",
-    "by which a raster's rows and columns may differ from end to end, as programs round their pixels: "
-    "with less, such rasters are refused; with more, the mosaic's far end lies beside its pixels",
-)
+_OFF_PX = tuned(0.01, "px", "rows against columns, end to end: less refuses rounded pixels; more misaligns")
 
 
 @dataclass(frozen=True)

@@ -27,29 +27,10 @@ from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
 Floats32 = NDArray[np.float32]
 Labels = NDArray[np.int16]
 Bytes = NDArray[np.uint8]
-_LEVELS = sourced(
-    4,
-    "halvings",
-    "differences of colour are spread over 2^4 px and more to either side, detail over a pixel or two: "
-    "with fewer, steps of brightness are seen; with more, each seam asks for more of its neighbours and "
-    "takes more time",
-    "chosen; the method: Burt and Adelson 1983, ACM Transactions on Graphics 2",
-)
+_LEVELS = sourced(4, "halvings", "fewer show brightness steps; more are slow", "Burt and Adelson 1983")
 STEP_PX: Final = 1 << _LEVELS
-_HALO_PX: int = sourced(
-    4 * STEP_PX,
-    "px",
-    "how far a blend by bands looks about a seam: with less, pixels would depend on where windows end; "
-    "more is composed for nothing",
-    "two px to either side at each level, down and up again: 2 (1 + 2 + 4 + 8) twice, rounded up to "
-    "whole steps",
-)
-_LEAST_WEIGHT: np.float32 = tuned(
-    np.float32(1e-4),
-    "of a full weight",
-    "an owner's own pixels have in a feather, so that its very edge, where nothing else is, keeps its "
-    "colour; with more, a faint edge shows beside a neighbour, with none such pixels would be black",
-)
+_HALO_PX = sourced(4 * STEP_PX, "px", "reach of the bands: less makes windows show", "4 (1 + 2 + 4 + 8)")
+_LEAST_WEIGHT = tuned(np.float32(1e-4), "full weight", "of an owner: 0 blackens its very edge; more shows it")
 
 
 @dataclass(frozen=True)

@@ -8,47 +8,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.terrain import filled
 
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
-_UNSURE_NODES = sourced(
-    8.0,
-    "distances between nodes",
-    "of deviation from which on a height counts as unsure: neighbours that far apart fold the picture; "
-    "with less, roofs go, with more, crowns that wind moves stay torn",
-    "computed of a simulated town: with 8 the surface stays as true as it is, with 6 of the cells at "
-    "walls 23.9 % instead of 23.1 % are off by more than 1 m, with 4 34.7 %; a real wood isn't torn with "
-    "any",
-)
-_WIDE_M = tuned(
-    2.5,
-    "m",
-    "across which land must be unsure to be smoothed, at least: single crowns are wider",
-)
-_WIDE_NODES = sourced(
-    12.0,
-    "distances between nodes",
-    "across which it must be, at least: about walls deviations are large over some nodes, and roofs are "
-    "to keep their edges",
-    "computed of the same town, with 6 nodes of deviation: with 6 across 30.1 % at walls are off, with "
-    "12 23.9 %",
-)
-_CALM_M = tuned(
-    4.0,
-    "m",
-    "deviation of the Gaussian that smooths: with less, slopes between crowns still stretch what frames "
-    "show, with more, woods lean as on the terrain",
-)
-_APRON_M = tuned(
-    2.0,
-    "m",
-    "between what is sure and the smooth heights, over which one passes into the other: with less, it is "
-    "a wall, with more, small woods have no inside",
-)
-_SQUARE_M = tuned(1.0, "m", "side of the squares in which is smoothed: a quarter of the Gaussian")
+_UNSURE_NODES = tuned(8.0, "node spacings", "deviation to smooth at: 6 cuts roofs; more leaves torn crowns")
+_WIDE_M = tuned(2.5, "m", "least width of a smoothed area: less smooths single crowns")
+_WIDE_NODES = tuned(12.0, "node spacings", "least width smoothed: 6 leaves 30.1 % wrong walls, not 23.9 %")
+_CALM_M = tuned(4.0, "m", "Gaussian: less still stretches what frames show; more makes woods lean")
+_APRON_M = tuned(2.0, "m", "from sure to smoothed heights: less makes a wall; more skips small woods")
+_SQUARE_M = tuned(1.0, "m", "smoothing grid, a quarter of the Gaussian: coarser shows; finer takes time")
 
 
 def calmed(ground: GroundSurface) -> GroundSurface:

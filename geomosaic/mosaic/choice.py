@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.shadows import settled
@@ -24,43 +24,13 @@ from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_PLACE_PX = tuned(
-    192,
-    "px of a frame on the ground",
-    "side of the places looked at: wider ones hold more land on which both grounds are alike, in smaller "
-    "ones a house has no surroundings",
-)
-_BLOCK_PX = tuned(
-    32,
-    "px of a frame on the ground",
-    "side of the squares that are compared: larger ones are alike by their land's large forms, smaller "
-    "ones are alike by chance",
-)
-_MOST_PLACES = tuned(
-    60,
-    "places",
-    "each takes two frames off the disk; some 30 squares of each make the median good to a hundredth, "
-    "more take time",
-)
-_NEIGHBOURS = tuned(4, "frames", "nearest to each, between which seams may run: on all four sides")
-_APART_M = tuned(
-    1.0,
-    "m",
-    "by which grounds differ where they are compared: less moves what frames show by a pixel or two",
-)
-_LEAST_LESS = tuned(
-    0.03,
-    "of 1 - correlation",
-    "by which frames must differ less on what stands: the median of each is good to a hundredth, so less "
-    "is noise; with more, towns of a few houses lie on their terrain",
-)
-_NOTHING_ALIKE = sourced(
-    0.9,
-    "1 - correlation",
-    "from which on frames show nothing alike: woods that wind moves leave 0.98, and squares of as many "
-    "pixels are alike by a few hundredths by chance",
-    "chosen; seen of a flight over woods by the sea",
-)
+_PLACE_PX = tuned(192, "frame px", "side of a tested place: larger dilutes houses; smaller lacks context")
+_BLOCK_PX = tuned(32, "frame px", "compared square: larger is alike by land forms; smaller by chance")
+_MOST_PLACES = tuned(60, "places", "tested in two frames each: the median is good to 0.01; more take time")
+_NEIGHBOURS = tuned(4, "frames", "nearest to a frame, one a side: fewer leave seams untested")
+_APART_M = tuned(1.0, "m", "the grounds' difference where they are tested: less moves frames by 1 or 2 px")
+_LEAST_LESS = tuned(0.03, "1 - correlation", "gain on what stands: less is noise; more misses small towns")
+_NOTHING_ALIKE = tuned(0.9, "1 - correlation", "where frames say nothing: woods in wind leave 0.98")
 
 
 @dataclass(frozen=True)

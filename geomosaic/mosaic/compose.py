@@ -14,7 +14,7 @@ import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.mosaic.blended import (
@@ -47,21 +47,9 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
 
-WINDOW_PX = sourced(
-    512,
-    "px",
-    "side of the windows that are blended: smaller ones are more margin than window, with 64 px about "
-    "them already 1.56 times their area; larger ones take memory in each thread",
-    "docs/results.md, seams and blends, a real flight of 28 frames: with 1024 px 9 % less time by "
-    "bands, and 2 GB of memory",
-)
+WINDOW_PX = tuned(512, "px", "blended window: smaller is mostly margin; 1024 is 9 % faster but takes 2 GB")
 AUTO = "auto"
-AUTO_FEATHER_PX = tuned(
-    48,
-    "px of the mosaic",
-    "the feather's width where none is given: with less, steps of brightness are seen as lines; with "
-    "more, detail that doesn't fit is doubled along a wider strip",
-)
+AUTO_FEATHER_PX = tuned(48, "mosaic px", "default feather: less shows lines; more doubles detail")
 
 
 def compose(

@@ -60,76 +60,19 @@ PARTS: Final = Rate(
 MEMORY: Final = Rate(
     0.7, 1.5, "share of the sum", "of what frames give, windows at work and keypoints", _HERE
 )
-_LONGEST_MATCHED_PX = sourced(
-    3000,
-    "px",
-    "longer side of a frame beyond which it is halved before it is matched: the stage's own default; "
-    "another number states times and memory that aren't taken",
-    "matching.sift.longest_px",
-)
-_SIFT_BYTES_PER_PX = sourced(
-    130.0,
-    "bytes/px",
-    "that SIFT takes while it looks at a frame: six blurred images of four bytes at twice the size, "
-    "and their octaves; with less, the memory of matching is stated too low",
-    "Lowe 2004, section 3: s + 3 images an octave, s = 3, the first one doubled: 6 x 4 x 4 x 4/3, rounded",
-)
-_PROGRAM_BYTES = tuned(
-    250e6,
-    "bytes",
-    "libraries and buffers of a process: with less, the memory of many processes is stated too low",
-)
-_WINDOW_BYTES = tuned(
-    100e6,
-    "bytes",
-    "of the window at work in a process that composes: with less, the memory of many is stated too low",
-)
-_PLANNED_BYTES = tuned(
-    600.0,
-    "bytes",
-    "of a window of 512 x 512 px in the plan: it matters beyond some ten thousand windows only, where "
-    "with less the memory is stated too low",
-)
-_MASK_BYTES: float = sourced(
-    1.0 / 8.0,
-    "bytes/px",
-    "of the mask beside the bands on the disk: more or less misjudges the room",
-    "one bit a pixel",
-)
-_HALVES: float = sourced(
-    1.0 / 4.0,
-    "share of the pixels' bytes",
-    "beside each packed window, until the mosaic is written: with less, the room is stated too low",
-    "of 2 x 2 pixels one in the next overview",
-)
-_SOURCE_BYTES = tuned(
-    0.05,
-    "bytes/px",
-    "of the raster of frame indices, which are packed and change at seams only: with less, the room on "
-    "the disk is stated too low",
-)
+_LONGEST_MATCHED_PX = sourced(3000, "px", "side kept for matching", "default of matching.sift.longest_px")
+_SIFT_BYTES_PER_PX = sourced(130.0, "bytes/px", "six float images, doubled", "Lowe 2004, 3: 6 x 4 x 4 x 4/3")
+_PROGRAM_BYTES = tuned(250e6, "bytes", "of a process's libraries: less states the memory too low")
+_WINDOW_BYTES = tuned(100e6, "bytes", "of a composing process's window: less states the memory too low")
+_PLANNED_BYTES = tuned(600.0, "bytes", "of a planned window: less states memory too low past 10,000 windows")
+_MASK_BYTES = sourced(1.0 / 8.0, "bytes/px", "of the mask on disk; another misstates space", "a bit a pixel")
+_HALVES = sourced(1.0 / 4.0, "share", "kept halved: less states the space too low", "1 of 2 x 2 pixels")
+_SOURCE_BYTES = tuned(0.05, "bytes/px", "of the packed frame indices: less states the space too low")
 
 
-_FRAMES_BYTES = sourced(
-    0.45,
-    "bytes/px",
-    "of the frames' brightness at a reduced size, which the run keeps until its end, and of keypoints: "
-    "with less, the room is stated too low",
-    "18 frames of 9 MP: 2.7 and 1.2 MB each",
-)
-_SURFACE_BYTES = sourced(
-    8.0,
-    "bytes/px",
-    "of a surface of cells of 4 ground pixels on the disk, its steps and what the recording holds of it: "
-    "with less, the room is stated too low",
-    "18 frames of 9 MP: 360 MB for 46 MP",
-)
-_SURFACE_CELL_PX = sourced(
-    4.0,
-    "ground px",
-    "side of the cells for which that and `SURFACE` hold",
-    "as they were measured",
-)
+_FRAMES_BYTES = sourced(0.45, "bytes/px", "of reduced frames and keypoints", "18 frames of 9 MP: 3.9 MB each")
+_SURFACE_BYTES = sourced(8.0, "bytes/px", "of a surface of 4 px cells on disk", "18 frames: 360 MB for 46 MP")
+_SURFACE_CELL_PX = tuned(4.0, "ground px", "cell for which `_SURFACE_BYTES` holds: another misstates them")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.mosaic.cells import Cells
 from geomosaic.mosaic.frames import Decoded, decode
 from geomosaic.mosaic.hidden import Clear
@@ -22,20 +22,9 @@ from geomosaic.projection.lattice import Seen
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
 
 Floats32 = NDArray[np.float32]
-TILE_PX = tuned(
-    512,
-    "px of the mosaic",
-    "side of the squares that a frame is resampled in: the ground's lattice begins anew in each, so a "
-    "pixel is the same whatever is asked for with it; smaller ones take longer, larger ones more memory",
-)
+TILE_PX = tuned(512, "mosaic px", "resampled at once, each from its lattice: smaller is slower")
 
-_NODES_OFF_PX = sourced(
-    1.0,
-    "px of the frame",
-    "how far beyond its four nodes a place may lie: with less, pixels near the frame's edge might be "
-    "taken for far inside, with more, more are looked at one by one",
-    "chosen; docs/design.md, composition: 0.05 px where a shutter's table breaks",
-)
+_NODES_OFF_PX = tuned(1.0, "frame px", "tolerance past its nodes: less loses edge pixels; more takes time")
 
 
 @dataclass(frozen=True)

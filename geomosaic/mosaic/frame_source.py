@@ -16,12 +16,7 @@ from geomosaic.mosaic.views import FrameView
 from geomosaic.mosaic.window import Shown, Window
 
 Floats32 = NDArray[np.float32]
-_NEARER_PER_M: np.float32 = tuned(
-    np.float32(1e-7),
-    "shares per m",
-    "what a metre to the nadir point counts beside a pixel's share in an owner: nothing, unless no "
-    "owner sees it; a larger one moves seams, a smaller one is the same",
-)
+_NEARER_PER_M = tuned(np.float32(1e-7), "shares per m", "order of unseen cells by nadir: larger moves seams")
 
 
 @dataclass(frozen=True)

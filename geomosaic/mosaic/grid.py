@@ -9,55 +9,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.views import FrameView
 
-MAX_GIGAPIXELS = tuned(
-    100.0,
-    "gigapixels",
-    "1,000 km² at 0.1 m, some 380,000 windows to plan, as many as fit into 300 MB: larger ones are "
-    "refused unless asked for, since mostly a wrong position or height makes them; a smaller limit "
-    "refuses true surveys",
-)
-MOST_PIXELS_PER_FRAME_PIXEL = tuned(
-    200.0,
-    "px of the mosaic per px of all frames",
-    "a larger mosaic would be nearly all empty, by a frame flung far away or a ground pixel far too "
-    "fine: one line flown across a diagonal fills a hundredth of what it spans, and must pass",
-)
-_ROUNDED = sourced(
-    0.05,
-    "share of the frames' ground pixel",
-    "how far the automatic ground pixel may be from it for the sake of a round number: less than 4.8 % "
-    "finds none of two digits for some, more loses resolution, or takes room for nothing",
-    "chosen; rounding to two digits is 0.05 / 1.05 = 4.8 % off at most",
-)
-_FINER = tuned(
-    0.5,
-    "of the frames' ground pixel",
-    "a finer one is warned of, since it takes four times the room and more for nothing; with a larger "
-    "share, grids a little finer than the frames would be warned of too",
-)
-_COARSER = tuned(
-    4.0,
-    "times the frames' ground pixel",
-    "a coarser one is warned of: an overview may want four, beyond it 15 of 16 pixels are lost, mostly "
-    "by a slip",
-)
-_LEFT_OUT_SHARE = tuned(
-    0.1,
-    "share of the frames",
-    "that may be left out at most because they lie too far away: more would drop a part of the survey, "
-    "fewer let a few wrong positions stop all",
-)
-_STRETCHED = tuned(
-    4.0,
-    "times the grid without a frame",
-    "a grid that one frame makes so much larger is warned of: less names the frame at the end of every "
-    "short line, more keeps silent about positions that are wrong",
-)
+MAX_GIGAPIXELS = tuned(100.0, "gigapixels", "1000 km² at 0.1 m; more is mostly due to a wrong position")
+MOST_PIXELS_PER_FRAME_PIXEL = tuned(200.0, "1", "more is nearly empty; a diagonal line fills 1 %")
+_ROUNDED = tuned(0.05, "share", "off the frames' GSD, for two digits: below 0.048 some have none")
+_FINER = tuned(0.5, "frame GSDs", "warns below: four times the space for nothing; more warns too often")
+_COARSER = tuned(4.0, "frame GSDs", "warns above: 15 of 16 pixels are lost, mostly by a slip")
+_LEFT_OUT_SHARE = tuned(0.1, "share", "frames dropped as too far: more drops survey; less lets a few stop it")
+_STRETCHED = tuned(4.0, "grids", "growth by one frame that warns: less names line ends; more stays silent")
 
 
 def auto_gsd_m(ground_pixel_m: float) -> float:

@@ -10,31 +10,15 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.footprint import FEW, sightings
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-OFF_VERTICAL_DEG = sourced(
-    60.0,
-    "degrees",
-    "off the vertical, beyond which a frame gives no pixels: there an error of the ground's height moves "
-    "the map by 1.7 times as much, and a house covers 1.7 times its height",
-    "chosen; the tangent of the angle",
-)
-COARSER = sourced(
-    4.0,
-    "times the mosaic's pixel",
-    "beyond which a frame sees the ground too coarsely to give pixels: 15 of 16 of them would be invented",
-    "chosen; the square",
-)
-_FAR_INSIDE = sourced(
-    2.0,
-    "times the limit",
-    "beyond which it no longer matters how good a place is seen",
-    "definition",
-)
+OFF_VERTICAL_DEG = sourced(60.0, "degrees", "steepest view: beyond, heights move the map 1.7 times", "tan 60")
+COARSER = tuned(4.0, "mosaic px", "coarsest view used: beyond, 15 of 16 pixels are invented")
+_FAR_INSIDE = sourced(2.0, "limits", "cap: beyond, a place is good enough", "definition")
 
 
 @dataclass(frozen=True)

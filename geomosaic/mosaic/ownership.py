@@ -21,43 +21,12 @@ from geomosaic.projection.warp import frame_from_map
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_LEAST_CELL_PX = tuned(
-    8,
-    "px of the mosaic",
-    "finer cells would follow single leaves, and take as long as the composition",
-)
-_MOST_CELL_PX = tuned(
-    512,
-    "px of the mosaic",
-    "coarser ones could not follow a road; what has more cells than fit takes more memory",
-)
-_CELLS_ACROSS = sourced(
-    250,
-    "cells along a frame's longer side",
-    "fine enough for seams to keep to roads and around crowns; finer ones take more than a "
-    "tenth of the time of the composition",
-    "docs/results.md, seams of 28 frames of 16 MP",
-)
-_MOST_CELLS = tuned(
-    16_000_000,
-    "cells of a mosaic",
-    "128 MB of owners and distances at most: larger mosaics have larger cells",
-)
-_APART = sourced(
-    4,
-    "cells",
-    "between places that go through the equations where the ground is smooth, bilinear between them: "
-    "farther apart a shutter's turns would move what is seen by whole cells, nearer ones take longer",
-    "chosen; computed of a flight with a rolling shutter and a tie surface: a seventh of the time, off "
-    "by 0.01 px of the frame in the median and 2.5 px at most, where a cell has 8",
-)
-_AROUND_AREA_PX = sourced(
-    64,
-    "px of the mosaic",
-    "as far as bands of frequencies look about an area; by a wider feather, the nearest frame"
-    " is what lies beyond",
-    "mosaic.blends: halo of multi_band",
-)
+_LEAST_CELL_PX = tuned(8, "mosaic px", "finest cell: smaller follows leaves and takes long")
+_MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
+_CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
+_MOST_CELLS = tuned(16_000_000, "cells", "128 MB of owners: more take memory; fewer coarsen large mosaics")
+_APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
+_AROUND_AREA_PX = sourced(64, "mosaic px", "around an area: the reach of bands", "mosaic.blends")
 
 
 @dataclass(frozen=True)

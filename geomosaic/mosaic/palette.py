@@ -6,22 +6,9 @@ import colorsys
 
 from geomosaic.constants import sourced, tuned
 
-_TURN = sourced(
-    0.618_033_988_749_895,
-    "share of the circle of hues",
-    "from one number to the next: by the golden section any few numbers in a row differ well",
-    "Knuth 1998, The Art of Computer Programming 3, section 6.4, exercise 9",
-)
-_SATURATION = tuned(
-    0.75,
-    "1",
-    "of every colour: with less they look alike, with more they hide what lies below",
-)
-_SHADES: tuple[float, ...] = tuned(
-    (0.95, 0.825, 0.7),
-    "1",
-    "of numbers in turn: hues that come near again differ in shade",
-)
+_TURN = sourced(0.618_033_988_749_895, "share", "hue step: near numbers differ", "Knuth 1998, vol. 3, 6.4")
+_SATURATION = tuned(0.75, "1", "of the colours: less makes them alike; more hides what lies below")
+_SHADES = tuned((0.95, 0.825, 0.7), "1", "by turns, so that near hues differ")
 
 
 def frame_colour(number: int) -> tuple[int, int, int]:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced
+from geomosaic.constants import tuned
 from geomosaic.mosaic.cells import Cells, window_cells
 from geomosaic.mosaic.frame_source import FrameSource
 from geomosaic.mosaic.model import OutputGrid
@@ -21,13 +21,7 @@ from geomosaic.mosaic.sight import SeenCells
 from geomosaic.mosaic.window import Part, Step, Window
 
 Bools = NDArray[np.bool_]
-_SQUARE_PX = sourced(
-    2048,
-    "px of the mosaic",
-    "side of the squares whose windows are planned together: in smaller ones calls on small arrays take "
-    "longer than their work, larger ones hold frames that most of their windows have nothing of",
-    "chosen; measured with windows of 512 px",
-)
+_SQUARE_PX = tuned(2048, "mosaic px", "planned together: smaller is call overhead; larger has idle frames")
 
 
 def windows(grid: OutputGrid, side_px: int) -> list[Window]:

@@ -18,25 +18,9 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
 
-TILE_PX = sourced(
-    512,
-    "px",
-    "side of a tile of a GeoTIFF: smaller ones are many to look up, larger ones much to read for a pixel",
-    "GDAL, COG driver: BLOCKSIZE's default",
-)
-_MOST_OVERVIEWS = tuned(
-    7,
-    "halvings",
-    "a block of 512 rows is halved so often that its part of the smallest overview is four rows",
-)
-_EFFORT = sourced(
-    2,
-    "ISA-L's level",
-    "of images whose neighbours were taken off: 1 is as fast and gains 1 % less, 3 takes a quarter "
-    "longer and gains half a percent",
-    "measured: 41 tiles of a real flight, 2.0 ms each to 56.0 % of their bytes; zlib's level 1 9.7 ms, "
-    "52.1 %; libdeflate's level 1 5.1 ms, 55.1 %, its level 3, which GDAL has, 7.1 ms, 53.8 %",
-)
+TILE_PX = sourced(512, "px", "GeoTIFF tile: smaller is more to look up; larger more to read", "GDAL: COG")
+_MOST_OVERVIEWS = tuned(7, "halvings", "of a 512-row block, then four rows: more would leave it none")
+_EFFORT = tuned(2, "ISA-L level", "1 gains 1 % less; 3 takes a quarter longer for half a percent")
 Flags = NDArray[np.bool_]
 
 

@@ -26,12 +26,7 @@ from geomosaic.projection.warp import GroundWindow, ground_window
 Floats32 = NDArray[np.float32]
 CELL_PX: Final = STEP_PX
 """Of the mosaic: by cells of this side it is planned which frames can matter where."""
-_LATTICES = tuned(
-    256,
-    "windows",
-    "whose ground is kept, 40 kB each of 512 px: fewer are made anew for the next flight line, more are "
-    "memory in each worker",
-)
+_LATTICES = tuned(256, "windows", "kept, 40 kB each: fewer are made again for the next line; more take room")
 
 
 @dataclass(frozen=True)

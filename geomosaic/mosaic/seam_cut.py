@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.plugins import SEAMS_GROUP, Named
 from geomosaic.mosaic.seam_parts import Part, to_8_bits
@@ -21,26 +21,9 @@ from geomosaic.spread import AtOnce, Spread
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 _cv2: Any = cv2  # its stubs leave the stitching module out
-_ON_OBJECTS: np.float32 = tuned(
-    np.float32(40.0),
-    "grey levels of 8 bits in each band",
-    "a seam on an object counts as one along which frames differ by so much; a path through a"
-    " whole image of grass differs by 10",
-)
-_MANY_CELLS = sourced(
-    16_000,
-    "cells that two frames may both give",
-    "above them the seam is first cut in cells twice as large, then in the cells about it: two fifths of "
-    "the time for seams along which frames differ no more; with less, small parts that need no help are "
-    "made coarse",
-    "computed on a flight of 18 frames: length times difference 2 % less; 8 % more with half of it",
-)
-_ABOUT_CELLS = tuned(
-    4,
-    "cells to either side",
-    "of a seam in larger cells, within which it is cut in the small ones: two of the larger; fewer hold "
-    "it to their steps, more take time",
-)
+_ON_OBJECTS = tuned(np.float32(40.0), "grey levels", "seam cost on objects: less cuts houses; grass costs 10")
+_MANY_CELLS = tuned(16_000, "cells", "above, cut coarse to fine: less coarsens small parts; more is slow")
+_ABOUT_CELLS = tuned(4, "cells", "refined beside a coarse seam: fewer keep its steps; more take time")
 
 
 Seam = Callable[[Ownership, Sequence[Part], Spread], Ownership]

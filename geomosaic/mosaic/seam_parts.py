@@ -23,39 +23,15 @@ from geomosaic.survey.small import Spare
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_BAND = tuned(
-    0.5,
-    "share of the side of a frame's own part",
-    "how much farther from its nadir point than from the nearest a frame may give the ground:"
-    " with more, frames look aside there and houses lean; with less, no way is left around "
-    "them",
-)
-_LEAST_BAND_CELLS = tuned(6.0, "cells", "of frames that overlap much: narrower bands leave a seam no choice")
-_EDGE_PX = tuned(16.0, "px of a frame", "its outermost ones are the darkest and least sharp")
-_HIGH_M = tuned(
-    2.0,
-    "m over the ground",
-    "what stands is higher: cars and hedges lean too little to matter, a storey is 2.5",
-)
-_WIDEST_M = tuned(60.0, "m", "houses are narrower; hills are wider, so that they are no objects")
-_FINE_M = tuned(
-    2.0,
-    "m between a surface's nodes",
-    "coarser surfaces show no houses, but ridges between their nodes",
-)
-_SOME = tuned(
-    4,
-    "cells each way",
-    "of which one is asked how bright a part is: a thousand of a part say it, all would take longer than "
-    "to cut",
-)
-_LEAST_WHITE = tuned(1e-6, "the values' own", "so that black images divide nothing by zero")
-_WHITE = sourced(
-    255.0,
-    "grey levels",
-    "of 8 bits: what all values are brought to before they are compared",
-    "definition",
-)
+_BAND = tuned(0.5, "share", "of a frame's part around seams: less leaves no way; more lets houses lean")
+_LEAST_BAND_CELLS = tuned(6.0, "cells", "with high overlap: narrower leaves a seam no choice")
+_EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
+_HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a storey is 2.5")
+_WIDEST_M = tuned(60.0, "m", "widest object: less misses halls; more takes hills for objects")
+_FINE_M = tuned(2.0, "m", "coarsest node spacing that shows houses: coarser surfaces show ridges")
+_SOME = tuned(4, "cells", "between samples of brightness: all would take longer than the cut")
+_LEAST_WHITE = tuned(1e-6, "values", "divisor of black images: 0 divides by zero")
+_WHITE = sourced(255.0, "grey levels", "of 8 bits, the scale on which values are compared", "definition")
 
 
 @dataclass(frozen=True)

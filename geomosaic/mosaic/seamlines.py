@@ -13,13 +13,9 @@ from geomosaic.constants import tuned
 from geomosaic.mosaic.model import Hole, Holes, OutputGrid, Seamline
 from geomosaic.mosaic.window import Window
 
-_MOST_LABELS = tuned(
-    4_000_000,
-    "cells",
-    "of the raster that outlines are drawn from: 16 MB, some seconds of drawing",
-)
-_SIMPLIFY_LABELS = tuned(1.0, "cells", "outlines leave their corners by no more, so that stairs become lines")
-_MOST_LISTED = tuned(20, "holes", "the largest ones: what a person looks at")
+_MOST_LABELS = tuned(4_000_000, "cells", "of the outlined raster, 16 MB: fewer are coarse; more take time")
+_SIMPLIFY_LABELS = tuned(1.0, "cells", "of an outline's simplification: less leaves stairs; more moves it")
+_MOST_LISTED = tuned(20, "holes", "largest ones listed: more are not looked at")
 
 
 class SeamLabels:

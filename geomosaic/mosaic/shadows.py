@@ -21,41 +21,13 @@ from geomosaic.projection.warp import frame_from_map
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
-_SIDES_PX: tuple[int, ...] = sourced(
-    (8, 4, 2, 1),
-    "px of the mosaic",
-    "sides of the cells of what is hidden, the one next to the distance of the ground's nodes: they "
-    "share planning cells, and the cells of ownership, without a rest",
-    "powers of two up to the smallest cell of mosaic.ownership",
-)
-_STEP_M = tuned(
-    1.0,
-    "m below the line of sight",
-    "somewhere in what is hidden: lower steps are kerbs, cars and noise of a matched surface, and hide "
-    "less than a few pixels; with more, sheds and hedges are seen through",
-)
-_EDGE_M = tuned(
-    0.25,
-    "m below the line of sight",
-    "that is hidden beside what is more than a step below it: with less, noise frays the shadow's edge, "
-    "with more, the edge of what hides is shown again beyond it",
-)
-_LEAST_M2 = tuned(
-    1.0,
-    "m2",
-    "of what is hidden, or seen amid it: smaller islands are noise of the surface, and the seams about "
-    "them are seen",
-)
-_ABOUT_CELLS = sourced(
-    1,
-    "cells",
-    "about what is hidden that count as hidden too, if another frame sees them: a surface's edges are "
-    "half a cell off, and without, what hides is doubled beside them",
-    "computed of a simulated town on its true surface: within 1 m of walls and trees SSIM 0.762, without "
-    "0.759, with all frames giving what they can't see 0.732",
-)
-_PER_M = tuned(10.0, "steps per m", "in which it is told how far below a line of sight places lie")
-_BEYOND = sourced(255, "steps", "that stand for what a frame doesn't show at all", "the highest of a byte")
+_SIDES_PX = sourced((8, 4, 2, 1), "mosaic px", "cells that divide planning cells", "mosaic.ownership: 8 px")
+_STEP_M = tuned(1.0, "m", "depth in an occlusion: less is kerbs and noise; more sees through sheds")
+_EDGE_M = tuned(0.25, "m", "depth at its edge: less frays it by noise; more shows roof edges twice")
+_LEAST_M2 = tuned(1.0, "m2", "of an occlusion or an island: smaller is noise, with visible seams")
+_ABOUT_CELLS = tuned(1, "cells", "added around: 0 doubles edges; simulated SSIM 0.759, with it 0.762")
+_PER_M = tuned(10.0, "steps per m", "of depth in a byte: fewer are coarse; more saturate at once")
+_BEYOND = sourced(255, "steps", "of a place that the frame does not show", "highest byte")
 
 
 @dataclass(frozen=True)

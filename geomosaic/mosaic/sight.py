@@ -18,12 +18,7 @@ from geomosaic.survey.model import Frame
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_BLOCK = tuned(
-    4,
-    "cells",
-    "side of a block that is looked at as one where the frame's edge is farther off: in larger ones more "
-    "cells lie along an edge, smaller ones are more to look at",
-)
+_BLOCK = tuned(4, "cells", "tested as one far from an edge: larger leaves more edge; smaller is slow")
 
 
 @dataclass(frozen=True)

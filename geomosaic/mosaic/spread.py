@@ -14,12 +14,7 @@ from geomosaic.constants import tuned
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Made = TypeVar("Made", covariant=True)
-_LATEST = tuned(
-    12,
-    "results",
-    "held in this process where nothing is on the disk: fewer are made again, though windows along "
-    "Hilbert's curve come back to few; more are memory",
-)
+_LATEST = tuned(12, "results", "kept in memory: fewer are made again along Hilbert's curve; more take memory")
 
 
 class Kept(Protocol[Made]):

@@ -19,12 +19,7 @@ from geomosaic.constants import tuned
 from geomosaic.projection.resample import KERNEL_RADIUS_PX
 
 Floats32 = NDArray[np.float32]
-_STEPS = tuned(
-    256,
-    "steps of a pixel",
-    "for which weights are tabled: 0.002 px off at most; fewer are seen beside offsets good to "
-    "0.01 px, more take memory",
-)
+_STEPS = tuned(256, "steps per px", "of tabled weights, 0.002 off: fewer show; more take memory")
 
 
 def _bilinear(t: Floats) -> Floats:

@@ -14,36 +14,11 @@ from geomosaic.mosaic.strip_lines import Lines
 from geomosaic.mosaic.strip_taps import between
 
 Floats32 = NDArray[np.float32]
-_ROWS = tuned(
-    32,
-    "px",
-    "of a piece that is resampled at once: of this size it stays in the processor's cache",
-)
-_STRETCHES = tuned(
-    64,
-    "stretches of columns",
-    "of a piece: together as wide as TH-1's strips; with more, weights reach over more columns where "
-    "places slope",
-)
-_STRETCH_PX = tuned(
-    64,
-    "px",
-    "of columns that lie off their places alike, at most, and then a half, a quarter of it: more save "
-    "little time and are more than a narrow part has",
-)
-_ALIKE_PX: float = sourced(
-    1.0 / 32.0,
-    "px",
-    "by which places may slope within a stretch, so that none is off by more than half of it: with "
-    "more, seams show it, with less, narrower stretches take more time",
-    "as fine as OpenCV's steps, cv2.INTER_TAB_SIZE",
-)
-_BEYOND_PX = tuned(
-    64.0,
-    "px",
-    "beyond a strip's edges, from which on a place isn't looked at, but some other of its piece: half a "
-    "stretch at least, since its middle may lie outside; more makes weights reach far",
-)
+_ROWS = tuned(32, "px", "resampled at once: more do not fit a processor's cache")
+_STRETCHES = tuned(64, "stretches", "in a piece, as wide as a TH-1 strip: more widen its weights")
+_STRETCH_PX = tuned(64, "px", "most columns with one shift: more save little and exceed narrow parts")
+_ALIKE_PX = sourced(1.0 / 32.0, "px", "slope in one shift: more shows at seams", "OpenCV: cv2.INTER_TAB_SIZE")
+_BEYOND_PX = tuned(64.0, "px", "past a strip's edge, still computed: less loses half a stretch; more is slow")
 
 
 @dataclass(frozen=True, eq=False)

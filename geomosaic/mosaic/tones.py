@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,54 +34,16 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.intp]
 
-_ACROSS = tuned(
-    24,
-    "places along a frame's longer side",
-    "some hundred in each overlap, where a gain takes one",
-)
-_LEAST_SIDE_PX = tuned(
-    64,
-    "px",
-    "of the reduced image that is sampled: of smaller ones a place would be a mean of a "
-    "tree and the field beside it",
-)
-_TELLING: tuple[float, float] = tuned(
-    (6.0, 249.0),
-    "grey levels of 8 bits",
-    "between them a camera shows how bright the ground is: below is noise, above it may be "
-    "saturated; of other types all but nothing and the most they hold",
-)
-_WHITE = sourced(
-    256.0,
-    "grey levels of 8 bits",
-    "what pictures bend towards: at 255 white would not move at all and its odds have no end; far "
-    "beyond, bright land is cut at 255 again",
-    "the number of grey levels",
-)
-_HELD: Final = "before the images speak, weakly, so that no block grows darker from end to end: "
-_GAIN_SD = tuned(0.2, "natural logarithm of brightness", _HELD + "half a stop of exposure either way")
-_SLOPE_SD = tuned(
-    0.1,
-    "natural logarithm of brightness, from a frame's middle to its corner",
-    _HELD + "land looks a tenth brighter with the sun behind the camera",
-)
-_VIGNETTE_SD = tuned(
-    0.5,
-    "natural logarithm of brightness, from a frame's middle to its corner",
-    _HELD + "corners are at most half as bright",
-)
-_INDEPENDENT = tuned(
-    25.0,
-    "places",
-    "of a frame that say something of their own: light changes over a field, not from place "
-    "to place; with more, frames that overlap little would follow noise",
-)
-_LEAST_SD = tuned(
-    0.005,
-    "natural logarithm of brightness",
-    "a half per cent, a grey level of 8 bits: places that agree better by chance would count for too much",
-)
-_ROUNDS = tuned(8, "rounds", "of weights, which leave cars and glitter out: enough for them to settle")
+_ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
+_LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field beside it")
+_TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
+_WHITE = sourced(256.0, "grey levels", "white of the tone curve: 255 cannot move", "number of grey levels")
+_GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
+_SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the sun's side")
+_VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")
+_INDEPENDENT = tuned(25.0, "places", "independent in a frame, by fields: more follow noise at small overlaps")
+_LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights places that agree by chance")
+_ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 
 @dataclass(frozen=True)

@@ -32,29 +32,10 @@ Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-OFF_PX = tuned(
-    3.0,
-    "px",
-    "by which land must lie elsewhere to count as off: a map is called wrong beyond it; in any town rims "
-    "of roofs are unsure by one or two",
-)
-_MOST_PLACES = tuned(
-    1_000_000,
-    "places",
-    "of the mosaic at which the angles and the ground's deviations are looked up, linear between: more "
-    "only take time and memory",
-)
-_WIDE_CELLS = tuned(
-    1000,
-    "cells",
-    "along the longer side of all that frames see, by which its area is counted",
-)
-_HORIZON_DEG = tuned(
-    85.0,
-    "degrees",
-    "off the vertical, beyond which it is the horizon and no land: with it, any share that is trimmed is "
-    "100 %",
-)
+OFF_PX = tuned(3.0, "px", "shift that makes land wrong: less trims roof rims, unsure by 1 or 2")
+_MOST_PLACES = tuned(1_000_000, "places", "where angles and deviations are computed: more take time and room")
+_WIDE_CELLS = tuned(1000, "cells", "along the seen area, to measure it: fewer are coarse; more take time")
+_HORIZON_DEG = tuned(85.0, "degrees", "of the horizon, which is no land: more makes any trimmed share 100 %")
 HORIZON: Final = Limits(float(np.tan(np.radians(_HORIZON_DEG))), np.inf)
 
 

@@ -23,18 +23,8 @@ from geomosaic.projection.ground import GroundSurface
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_SAMPLES_PER_SIDE = tuned(
-    17,
-    "places",
-    "along each side of a frame, whose bounds on the map are theirs: between them a bent edge"
-    " reaches farther by less than the share to spare",
-)
-_SPARE = tuned(
-    0.02,
-    "share of a frame's bounds",
-    "bounds are those of places along a frame's edges, and a bent edge reaches a little "
-    "farther: with less, what it shows may be cut there",
-)
+_SAMPLES_PER_SIDE = tuned(17, "places", "on a frame's edge: fewer miss its bends by more than _SPARE")
+_SPARE = tuned(0.02, "share", "added to bounds: edges bend outwards; less cuts them off")
 
 
 @dataclass(frozen=True)

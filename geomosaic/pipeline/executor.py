@@ -38,12 +38,7 @@ ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _WORKERS_ENVIRONMENT = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM", "PYTHONSAFEPATH")
 """What is 1 for processes that are started: threads, and that no module is taken from the current folder."""
 
-_REST_S = tuned(
-    2.0,
-    "s",
-    "without a task, once or twice, after which a worker gives back what it keeps for the next one: it "
-    "goes on waiting while the parent does what it does alone, as in an adjustment",
-)
+_REST_S = tuned(2.0, "s", "idle time before a worker frees its caches: less drops them between tasks")
 
 DASK_TIMEOUT_S = 10.0
 DASK_PATIENCE_S = 30.0

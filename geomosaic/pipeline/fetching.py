@@ -36,23 +36,9 @@ _KINDS: Final = re.compile(
     re.IGNORECASE,
 )
 """Frames, masks, strips; positions, control, cameras; elevation models, areas and what goes with them."""
-_CONNECTIONS = tuned(
-    6,
-    "requests at once",
-    "one waits for an answer most of its time, while more than a few share the same line, and servers "
-    "refuse too many; each holds a piece of 8 MB",
-)
-_MOST_BYTES: int = tuned(
-    16 << 30,
-    "bytes a file",
-    "strips of 130,000 lines and elevation models of a county have some GB; what is larger is given by "
-    "mistake, or to fill the disk",
-)
-_SPARE_BYTES: int = tuned(
-    256 << 20,
-    "bytes",
-    "of the disk that are left free: a full one harms other programs",
-)
+_CONNECTIONS = tuned(6, "requests", "at once: fewer wait for answers; more are refused by servers")
+_MOST_BYTES = tuned(16 << 30, "bytes", "of a file: strips have some GB; more is a mistake or fills the disk")
+_SPARE_BYTES = tuned(256 << 20, "bytes", "of disk left free: a full one harms other programs")
 
 
 @dataclass(frozen=True)

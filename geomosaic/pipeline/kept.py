@@ -37,18 +37,8 @@ class _Sized(typing.Protocol):
 
 Sized = TypeVar("Sized", bound=_Sized)
 
-_MEMORY_BYTES: int = tuned(
-    128 << 20,
-    "bytes, on the disk where that is less",
-    "what a process keeps of results that it was referred to: the keypoints of 40 frames, so that pairs "
-    "of neighbours find both; less reads files again, more is memory in each worker",
-)
-_LENT_BYTES = tuned(
-    100_000,
-    "bytes of a function's arguments",
-    "what goes along with each item; arguments above are written once and read once by each worker: a "
-    "file costs a worker about 0.2 ms, as much as to unpickle 100 kB",
-)
+_MEMORY_BYTES = tuned(128 << 20, "bytes", "of cached results, 40 frames of keypoints: less reads files again")
+_LENT_BYTES = tuned(100_000, "bytes", "of arguments sent with each item: a file costs as much as 100 kB")
 _LENGTH: Final = struct.Struct("<Q")
 _ALIGNED_BYTES: Final = 64
 """From where to where arrays begin: any number's size goes into it."""

@@ -13,31 +13,10 @@ from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 Floats = NDArray[np.float64]
-_ESTIMATED_SD_SHARE = tuned(
-    0.1,
-    "share of the height above the ground",
-    "deviation of a height that is not given: a degree of tilt makes 1.7 % of it, hills more; a smaller "
-    "one holds poses to a guess, a larger one leaves the scale to whatever is given besides",
-)
-_LEAST_ABOVE_M = tuned(
-    1.0,
-    "m",
-    "nobody surveys from lower, and cameras that don't know write 0; a larger one would disregard true "
-    "heights of low flights",
-)
-_ON_THE_GROUND = tuned(
-    0.05,
-    "share of the usual height above the ground",
-    "a frame that lies lower can't be true, it would show a few metres: 0 would let it pass a little "
-    "above the ground, a larger one doubts frames over a summit",
-)
-_FAR = tuned(
-    2.5,
-    "times the usual height above the ground",
-    "once a height can't be true, those so much higher or lower are in doubt too: heights differ by "
-    "less within a survey that goes over hills at one height; a larger one leaves wrong ones in, a "
-    "smaller one drops true ones",
-)
+_ESTIMATED_SD_SHARE = tuned(0.1, "share", "of an assumed height: less binds poses; more frees the scale")
+_LEAST_ABOVE_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
+_ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
+_FAR = tuned(2.5, "usual heights", "ratio in doubt beside an impossible one: less drops good, more keeps bad")
 
 
 def or_nan(value: float | None) -> float:

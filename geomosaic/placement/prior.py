@@ -18,26 +18,9 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-UNKNOWN_YAW_SD_DEG = sourced(
-    180.0,
-    "deg",
-    "deviation of a heading of which nothing is known: it may be any, so that a smaller one would pull "
-    "to north",
-    "half a turn, the farthest that two headings can differ",
-)
-COURSE_YAW_SD_DEG = tuned(
-    20.0,
-    "deg",
-    "deviation of a heading taken from the course over ground, and the least of one that nobody "
-    "observed: a crosswind of a third of the airspeed turns a platform by as much; a smaller one pulls "
-    "frames flown in wind, a larger one forgets that most fly ahead",
-)
-YAW_LIES_DEG = tuned(
-    8.0,
-    "degrees",
-    "least that a heading is off to be called wrong: compasses are off by as much beside motors, and "
-    "nobody minds",
-)
+UNKNOWN_YAW_SD_DEG = sourced(180.0, "deg", "of an unknown heading: less pulls to north", "half a turn")
+COURSE_YAW_SD_DEG = tuned(20.0, "deg", "of a heading by course: less pulls at crosswind; more ignores it")
+YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by as much beside motors")
 
 
 def heading_limits_rad(poses: Poses) -> Floats:

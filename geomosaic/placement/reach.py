@@ -13,29 +13,13 @@ from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-_MOST_TILT_RAD = tuned(
-    0.5,
-    "rad",
-    "deviation of a tilt that is counted at most, half the height on the ground: for a tilt that nobody "
-    "knows the formula for small angles would have frames reach everywhere, while less would look for "
-    "neighbours too near",
-)
-_MOST_YAW_RAD = tuned(
-    1.0,
-    "rad",
-    "deviation of a heading that is counted at most: turned by any angle, a place stays within twice "
-    "its distance from the nadir point, which three of these reach; more pairs distant frames in vain, "
-    "less misses true neighbours",
-)
+_MOST_TILT_RAD = tuned(0.5, "rad", "cap of a tilt's deviation: more reaches everywhere; less misses pairs")
+_MOST_YAW_RAD = tuned(1.0, "rad", "cap of a heading's deviation: more pairs distant frames; less misses near")
 
-LEAST_HEIGHT_M = tuned(1.0, "m", "of a frame above the ground, where it is said to stand on it or below it")
+LEAST_HEIGHT_M = tuned(1.0, "m", "scale of a frame that is said to be on or below the ground")
 
 
-_MOST_FOCAL = tuned(
-    0.5,
-    "share of the focal length",
-    "deviation that is counted at most: an assumed lens has it, and sees half as much again or less",
-)
+_MOST_FOCAL = tuned(0.5, "share", "cap of the focal deviation: an assumed lens has it; more pairs in vain")
 
 
 def half_extent_m(camera: Camera, height_m: float) -> float:

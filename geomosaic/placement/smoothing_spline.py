@@ -12,13 +12,7 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 Floats = NDArray[np.float64]
-_STIFFNESS: Floats = tuned(
-    10.0 ** np.linspace(-4.0, 6.0, 41),
-    "cubes of a step of time",
-    "tried, from a spline through every point to a straight line through all, four in each power of "
-    "ten: the likelihood is flat about its top, so that more say the same; a shorter row cuts off calm "
-    "or shaky flights",
-)
+_STIFFNESS = tuned(10.0 ** np.linspace(-4.0, 6.0, 41), "steps^3", "from interpolation to a straight line")
 
 
 @dataclass(frozen=True)

@@ -14,37 +14,11 @@ from geomosaic.placement.smoothing_spline import slopes
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_STEPS = tuned(
-    3,
-    "steps of a side",
-    "whose median is a frame's velocity: with fewer, whole seconds of a clock and one position far off "
-    "show; with more, curves are straightened",
-)
-_PAUSE = tuned(
-    3.0,
-    "times the usual time between frames",
-    "so long a time is the way to another line: a smaller one parts lines where a frame is missing, a "
-    "larger one takes the way around for flown straight",
-)
-_CORNER = sourced(
-    1.35,
-    "times the usual speed",
-    "a change of velocity from step to step by so much is no curve: less breaks curves and jittery "
-    "lines apart, more lets a spline swing about corners",
-    "chosen: 2 sin(a / 2) of a turn by a = 85 degrees",
-)
-_FRACTION_S = tuned(
-    0.01,
-    "s",
-    "a time so near to a whole second counts as whole: of a fine clock's times 2 % are by chance, and a "
-    "smaller one would take rounding for fractions; a larger one would call fine clocks coarse",
-)
-_ALIKE = tuned(
-    0.5,
-    "share of the speed",
-    "before and behind a frame velocities that differ by less are one: a smaller one throws away half "
-    "of the steps for jitter, a larger one mixes both sides of a corner",
-)
+_STEPS = tuned(3, "steps", "each side, for a median: fewer show clock rounding; more straighten curves")
+_PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
+_CORNER = sourced(1.35, "usual speeds", "change at a corner: less breaks jittery lines", "2 sin(85 deg / 2)")
+_FRACTION_S = tuned(0.01, "s", "off a whole second: less takes rounding as fine; more, fine clocks as coarse")
+_ALIKE = tuned(0.5, "share", "of speed between sides: less drops jittery steps; more mixes corners")
 
 
 @dataclass(frozen=True)

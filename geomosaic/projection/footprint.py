@@ -13,12 +13,7 @@ from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-FEW = tuned(
-    0.1,
-    "share of the frames",
-    "that may look otherwise than the rest before the survey is of two kinds: with less, a single frame "
-    "of the take-off decides; with more, the nadir frames among many oblique ones don't count",
-)
+FEW = tuned(0.1, "share", "of frames of another kind: less lets one decide; more ignores nadir ones")
 
 
 def ground_from_image(pose: Pose, camera: Camera, ground: GroundSurface, image_px: Floats) -> Floats:

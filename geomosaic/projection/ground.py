@@ -17,41 +17,11 @@ from geomosaic.projection.walk import first_drops
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.floating[Any]]
-MOST_NODES = tuned(
-    4_000_000,
-    "nodes",
-    "of any ground: 32 MB, which every worker is given; a survey of 2 km x 2 km may have a node every "
-    "metre. Fewer lose relief, and without a limit one absurd height has the ground reach for all memory",
-)
-_MOST_FLAT_NODES = sourced(
-    250_000,
-    "nodes",
-    "of flat ground, 2 MB: enough for a node every 100 m out to 25 km, and where a survey reaches 150 "
-    "km the chord between them is 7 mm off; more add nothing that shows",
-    "chosen; the chord: spacing² / (8 Earth radii)",
-)
-_FLAT_SPACING_M = sourced(
-    100.0,
-    "m",
-    "between nodes of flat ground, where the chord is 0.2 mm below the Earth's bend: four times as much "
-    "at twice the distance, and closer ones only take memory",
-    "chosen; the chord: spacing² / (8 Earth radii)",
-)
-_RAY_SAMPLES = sourced(
-    48,
-    "samples",
-    "of a ray between the highest and the lowest ground, to find where it first meets it: between "
-    "fewer, aslant rays pass through crests; more take time and memory in proportion",
-    "chosen; computed of rays up to 60 degrees aslant over rough hills: 24 take a later crossing for 6 "
-    "%, 48 for 3 %, 96 for 1 %",
-)
-_REFINEMENTS = sourced(
-    30,
-    "rounds",
-    "of the secant method, at most: it ends by itself at 1e-6 m; with fewer, rays that graze a slope "
-    "count as missing the ground",
-    "computed on the same 20,000 rays over rough hills: ten lose 0.2 %, fifteen none",
-)
+MOST_NODES = tuned(4_000_000, "nodes", "of a ground, 32 MB a worker: fewer lose relief; more take memory")
+_MOST_FLAT_NODES = tuned(250_000, "nodes", "of flat ground, 2 MB: 7 mm off over 150 km; more gain nothing")
+_FLAT_SPACING_M = sourced(100.0, "m", "on flat ground: 0.2 mm below the Earth's curvature", "s^2 / (8 R)")
+_RAY_SAMPLES = tuned(48, "samples", "of an oblique ray: 24 miss 6 % of first crossings, 48 3 %, 96 1 %")
+_REFINEMENTS = tuned(30, "rounds", "of the secant method: ten lose 0.2 % of oblique rays, fifteen none")
 WALLED: Final = "dense"
 """The kind of ground that shows what stands on it."""
 

@@ -6,48 +6,17 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_MOST_SAMPLES = tuned(
-    8_000_000,
-    "samples",
-    "of the ground about a camera, 32 MB an array; of a frame of 12 MP on nodes of 4 px there are 2.5 "
-    "million, of views towards the horizon more, which are taken farther apart",
-)
-_LINES_AT_ONCE = tuned(
-    256,
-    "lines",
-    "that are walked together: with all at once, what is between takes five times the memory of what is "
-    "found; with fewer, calls take longer than their work",
-)
-_STEPS_PER_NODE = tuned(
-    2,
-    "steps",
-    "along a line from node to node: what lies less than one behind an edge counts as seen, with more, "
-    "narrower strips beside walls, it takes as much longer",
-)
-_SURELY = sourced(
-    1.0,
-    "deviations",
-    "by which what may hide is taken to be lower: what is not sure hides nothing; with two, roofs that "
-    "are half sure are seen through, with none, crowns that aren't there hide",
-    "computed of a simulated town on its matched surface: within 1 m of walls and trees SSIM 0.626, with "
-    "two 0.625, with none 0.628, but 0.001 less everywhere else; 0.615 where nothing hides",
-)
-_POLE_M = tuned(
-    1.0,
-    "m",
-    "what is narrower hides nothing: masts and single wrong heights, whose shadows are lines; with more, "
-    "walls and chimneys are seen through",
-)
-_BESIDE_NODES = tuned(
-    2,
-    "nodes",
-    "beside all lines of sight that are looked at as well: one line more on each side, and the next node",
-)
+_MOST_SAMPLES = tuned(8_000_000, "samples", "around a camera, 32 MB: fewer thin horizon views; more are slow")
+_LINES_AT_ONCE = tuned(256, "lines", "computed together: all take five times the memory; fewer cost calls")
+_STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips beside walls; more take time")
+_SURELY = tuned(1.0, "deviations", "by which an occluder is lowered: 2 shows hidden roofs; 0 hides by noise")
+_POLE_M = tuned(1.0, "m", "widest object that hides nothing: more sees through walls and chimneys")
+_BESIDE_NODES = tuned(2, "nodes", "around all rays: fewer miss the line and the next node at the edge")
 
 
 def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Floats32:

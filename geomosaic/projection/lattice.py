@@ -17,34 +17,16 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import Sight, bare_window
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-STEP_PX = sourced(
-    8,
-    "px",
-    "side of a cell between exact nodes: half of it would compute four times as many, twice of it sends "
-    "more cells through the equations pixel by pixel",
-    "chosen; docs/design.md, composition: with both limits it takes a fifth of the time of all pixels",
-)
-_MOST_OFF_PX = sourced(
-    0.005,
-    "px of the frame",
-    "how far a cell's middle may be off and stay bilinear: a larger one shows where the ground or a "
-    "shutter's table breaks, a smaller one sends most cells through the equations, while OpenCV's "
-    "resampling rounds to 1/32 px",
-    "chosen; docs/design.md, composition, of a flight with a rolling shutter and a tie surface: 12 % of "
-    "the cells are computed, one pixel in a thousand is more than 0.012 px off, the worst 0.05",
-)
-_CELLS_AT_ONCE = tuned(
-    256,
-    "cells",
-    "16,384 pixels, what stays in the processor's cache: more fall out of it, fewer cost more calls",
-)
+STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails _MOST_OFF_PX often")
+_MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
+_CELLS_AT_ONCE = tuned(256, "cells", "computed together: more do not fit the cache; fewer cost calls")
 
 
 @dataclass(frozen=True)

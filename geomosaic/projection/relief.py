@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -16,27 +16,9 @@ from geomosaic.survey.dem import HeightRaster
 
 Floats = NDArray[np.float64]
 Places = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
-_KNOTS = sourced(
-    17,
-    "knots a side",
-    "at which the map projection is asked, splines between: between fewer the Earth's bend shows on "
-    "wide surveys, more take time",
-    "computed at 48 degrees in UTM: over 20 km 6e-9 m off, over 300 km 8e-5 m, with nine 1e-3 m",
-)
-_LIFT_M = sourced(
-    100.0,
-    "m",
-    "between the two levels that say how map places move with height: with 1 m rounding takes a share "
-    "that heights multiply, with 10 km the move is no longer straight",
-    "computed 700 m above the origin over 20 km: 1e-4 m off with 100 m, 1.6e-3 m with 10 km; heights "
-    "2e-7 m with 100 m, 3e-6 m with 1 m or 10 km",
-)
-_BAND = tuned(
-    256,
-    "rows of nodes",
-    "worked on together, so that what places and heights take beside the ground itself stays small; "
-    "fewer cost more calls",
-)
+_KNOTS = tuned(17, "knots a side", "of the map projection's spline: 17 are 8e-5 m off over 300 km, 9 1e-3 m")
+_LIFT_M = tuned(100.0, "m", "for the slope with height: 1 m drowns in rounding; 10 km is 1.6e-3 m off")
+_BAND = tuned(256, "rows", "of nodes at once: more take memory; fewer cost calls")
 
 
 def relief(

@@ -20,19 +20,13 @@ RESAMPLING: Final = {
     "lanczos": cv2.INTER_LANCZOS4,
 }
 """OpenCV's interpolations by name; its cubic is Keys' with a = -0.75."""
-KERNEL_RADIUS_PX: dict[str, int] = sourced(
+KERNEL_RADIUS_PX = sourced(
     {"bilinear": 1, "cubic": 2, "lanczos": 4},
     "px",
-    "how far each interpolation looks: with less, masked pixels and repeated edges of a part bleed into "
-    "the image, more makes masks wider than they are",
-    "OpenCV's kernels of 2, 4 and 8 px a side (INTER_LINEAR, INTER_CUBIC, INTER_LANCZOS4)",
+    "less bleeds masked pixels in; more widens masks",
+    "OpenCV: kernels of 2, 4, 8 px",
 )
-_MOST_CHANNELS = sourced(
-    4,
-    "bands",
-    "resampled in one call: OpenCV refuses more; fewer compute the weights of places once more",
-    "found out: cv2.remap of OpenCV 5.0 raises on five with cubic",
-)
+_MOST_CHANNELS = sourced(4, "bands", "in one call; it fails beyond", "cv2.remap of OpenCV 5.0, cubic")
 
 
 def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: str) -> NDArray[Any]:

@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
-_BEYOND = tuned(
-    1e-7,
-    "cells",
-    "past the border of a square that a ray leaves, so that it is in the next one: rounding of places "
-    "among ten thousands of cells is smaller by far, and nothing is that narrow",
-)
+_BEYOND = tuned(1e-7, "cells", "past a cell's border, to be in the next: less drowns in rounding")
 
 
 def pyramid(up_m: NDArray[Any]) -> list[NDArray[Any]]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import MOST_ROUNDS, Pose, row_moved_px
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -25,33 +25,10 @@ from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_NODES = sourced(
-    5,
-    "nodes a side",
-    "25 places of a window at which pyproj is asked, for six terms of a polynomial: three a side leave "
-    "little to even out, more take time; odd, since the vertical is the one in the middle",
-    "chosen; computed on flat ground over 10 km: three a side 1.0 mm off, five 0.8 mm, nine 1.0 mm",
-)
-_HEIGHT_ROUNDS = sourced(
-    3,
-    "rounds",
-    "of the fixed point between a node's height and its place: each gains three to four digits, so that "
-    "one less shows far from the origin over hills and one more is lost in rounding",
-    "computed of hills of 800 m, 5 km from the origin: 6 cm off after one, 2e-5 m after two, 1e-8 m "
-    "after three",
-)
-_ROWS_AT_ONCE = tuned(
-    64,
-    "rows",
-    "of a window worked on together, so that they stay in the processor's cache: more fall out of it, "
-    "fewer cost more calls",
-)
-_SETTLED_PX = tuned(
-    0.004,
-    "px",
-    "the row that sees a point is found while the camera moves or turns when a round moves it no "
-    "farther: more shows where a table of turns breaks, less is lost in single precision's 0.001 px",
-)
+_NODES = tuned(5, "nodes a side", "of the projection's polynomial, odd: 3 are 1.0 mm off over 10 km, 5 0.8")
+_HEIGHT_ROUNDS = tuned(3, "rounds", "of node and height on hills: one leaves 6 cm, two 2e-5 m, three 1e-8")
+_ROWS_AT_ONCE = tuned(64, "rows", "computed together: more do not fit the cache; fewer cost calls")
+_SETTLED_PX = tuned(0.004, "px", "row step that ends it: more shows at breaks; less is lost in rounding")
 
 
 @dataclass(frozen=True)

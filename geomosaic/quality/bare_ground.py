@@ -17,25 +17,11 @@ from geomosaic.projection.footprint import footprint, ground_from_image
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-_CELLS = tuned(
-    8,
-    "cells a side of a frame",
-    "in which tie points are looked for: of fewer a pond lies in none, in more honest ground has none",
-)
-_SEEN_BY = tuned(2, "other frames", "that have to see ground of which tie points are missed")
-_BARE = sourced(
-    0.05,
-    "share of the ground that two others see too",
-    "without tie points to be worth a word: of fields, roads and villages up to 3 % are, of water 75 %",
-    "ten simulated surveys of 20 frames against their true cover",
-)
-_BARE_PART = tuned(
-    0.1,
-    "of a frame's ground",
-    "in one piece without tie points that is worth a word, however large the survey: six cells, which "
-    "chance doesn't leave side by side",
-)
-_FARTHEST_M = tuned(1e6, "m", "from a survey's centre that ground is looked at: beyond any horizon")
+_CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good ground")
+_SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
+_BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")
+_BARE_PART = tuned(0.1, "share", "of a frame in one piece, six cells: less reports chance")
+_FARTHEST_M = tuned(1e6, "m", "from a survey's centre: farther is beyond any horizon")
 
 
 @dataclass(frozen=True)

@@ -23,25 +23,9 @@ from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_t
 
 Floats = NDArray[np.float64]
 
-_BLOCK_PX = tuned(
-    1536,
-    "px",
-    "side of the blocks that rasters are compared by, so that memory doesn't grow with the mosaic: with "
-    "the usual margin of 192 px a block is 1.6 times its own pixels, smaller ones read more twice, "
-    "larger ones take memory",
-)
-_FAR_SCALE = tuned(
-    0.2,
-    "share",
-    "a similarity that changes scale by more is none of two images of the same ground: few patches, "
-    "matched by chance",
-)
-_GLANCE_PX = tuned(
-    1024,
-    "px",
-    "longer side of the reduced images whose means and contrasts say one gain and offset: a million "
-    "pixels say them closely, more take time to read",
-)
+_BLOCK_PX = tuned(1536, "px", "compared at once: smaller reads margins twice; larger takes memory")
+_FAR_SCALE = tuned(0.2, "share", "change of scale that no two images of one ground have: more admits chance")
+_GLANCE_PX = tuned(1024, "px", "reduced images for one gain and offset: larger takes time to read")
 
 
 @dataclass(frozen=True)

@@ -21,24 +21,9 @@ from geomosaic.surface.terrain import TERRAIN
 Floats = NDArray[np.float64]
 MATCHED: Final = (WALLED, TERRAIN)
 """Kinds of ground that were matched between the frames."""
-SHARE = tuned(
-    0.99,
-    "share of the mosaic's land",
-    "as people judge a map: a corner of it may be worse, a strip along a side may not; with less strips "
-    "pass, with more a corner decides",
-)
-_MOST_PLACES = tuned(
-    100_000,
-    "places",
-    "of the mosaic that are asked, evenly: a thousand of them are the share that may be worse; more "
-    "only take time and memory",
-)
-_WITHIN_PX = tuned(
-    1e6,
-    "px",
-    "where the search for the displacement ends, and what is said where even that isn't kept: far "
-    "beyond any limit, so that it never hides a figure that matters",
-)
+SHARE = tuned(0.99, "share", "of land within it: less passes a bad strip; more lets a corner decide")
+_MOST_PLACES = tuned(100_000, "places", "tested evenly, a thousand in the tail: more take time and memory")
+_WITHIN_PX = tuned(1e6, "px", "end of the search for a displacement: less hides figures that matter")
 
 
 @dataclass(frozen=True)

@@ -18,27 +18,12 @@ from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 Floats = NDArray[np.float64]
 HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
-_MOST_POINTS = tuned(200_000, "points", "that a fit goes by: more take time and change millimetres")
-_ROUNDS = tuned(20, "rounds", "at most: a fit that settles does so in three to eight; more follow chance")
-_SETTLED = tuned(0.01, "pixels", "of a step in plan that ends it: less than what is told of it")
-_FARTHEST = tuned(
-    3.0,
-    "robust deviations",
-    "off what most points say is no noise: trees that grew, walls; with less, what a shift would mend is "
-    "left out first",
-)
-_STEEPEST = tuned(
-    1.0,
-    "m per m",
-    "slope from which on a point says nothing of a shift: heights beside walls and crowns are chance",
-)
-_SHIFT_SD_M = sourced(
-    5.0,
-    "m",
-    "usual shift in plan between two georeferences: level land, which shows none, keeps it at 0; a "
-    "smaller one would hold what hills do show",
-    "usual deviation of a position by GPS alone",
-)
+_MOST_POINTS = tuned(200_000, "points", "of a fit: more take time and change millimetres")
+_ROUNDS = tuned(20, "rounds", "limit; fits converge in three to eight, and more follow chance")
+_SETTLED = tuned(0.01, "pixels", "plan step that ends it: larger shows in the report")
+_FARTHEST = tuned(3.0, "robust deviations", "residual of a change: less drops what a shift would fix")
+_STEEPEST = tuned(1.0, "m per m", "slope limit: beyond, heights beside walls and crowns are chance")
+_SHIFT_SD_M = sourced(5.0, "m", "prior of the plan shift, for level land", "usual error of a GPS position")
 
 
 @dataclass(frozen=True)

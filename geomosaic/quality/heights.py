@@ -14,22 +14,13 @@ from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-SLOPES_DEG: tuple[float, ...] = tuned(
-    (5.0, 15.0, 35.0, 60.0),
-    "degrees",
-    "between classes of slope: level, gentle, steep, walls and rims; more classes have too few points",
-)
+SLOPES_DEG = tuned((5.0, 15.0, 35.0, 60.0), "degrees", "limits of level, gentle and steep; more lack points")
 _KINDS: Final = {
     0: "never classified", 1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation",
     5: "high vegetation", 6: "building", 9: "water", 10: "rail", 11: "road", 17: "bridge",
 }  # fmt: skip
 """ASPRS, LAS specification 1.4 R15, table 17."""
-NOISE: tuple[int, ...] = sourced(
-    (7, 18),
-    "ASPRS classes",
-    "that are no surface: low and high noise; counted, they would be the surface's blunders",
-    "LAS specification 1.4 R15, table 17",
-)
+NOISE = sourced((7, 18), "ASPRS classes", "points that are no surface", "LAS 1.4 R15, table 17")
 
 
 @dataclass(frozen=True)

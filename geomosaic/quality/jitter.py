@@ -9,33 +9,13 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 from geomosaic.ccd.model import Floats, StripOffsets
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.quality.strips import BLOCK_LINES, StripQuality
 
-HIGHEST_HZ = tuned(
-    100.0,
-    "Hz",
-    "end of the spectra: what shakes a platform is slower, and offsets are smoothed over lines, so that "
-    "beyond it they only show how",
-)
-_FINER = sourced(
-    4,
-    "steps of frequency for one of the series",
-    "padding, so that a tone between two steps shows at its height: Hann's window loses 15 % of it "
-    "without, 4 % with two, 1 % with four; more take memory",
-    "sin(pi d) / (pi d (1 - d²)) of Hann's window at d of half a step",
-)
-_LEAST_SAMPLES = tuned(
-    32,
-    "samples",
-    "of a series whose spectrum means anything: fewer have a dozen frequencies, of which the trend "
-    "takes the lowest; more leave short scenes without",
-)
-_LEAST_KNOWN = tuned(
-    0.5,
-    "share of the blocks between the first and the last measured",
-    "with less, straight lines over gaps make most of the spectrum; with more, clouded scenes have none",
-)
+HIGHEST_HZ = tuned(100.0, "Hz", "end of the spectra: beyond, they show the smoothing of offsets only")
+_FINER = tuned(4, "times", "zero padding: 1 loses 15 % of a peak, 2 4 %, 4 1 %; more takes memory")
+_LEAST_SAMPLES = tuned(32, "samples", "of a spectrum: fewer are mostly trend; more exclude short scenes")
+_LEAST_KNOWN = tuned(0.5, "share", "of measured blocks: less shows bridged gaps; more excludes clouds")
 
 
 @dataclass(frozen=True)

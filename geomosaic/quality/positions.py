@@ -19,12 +19,7 @@ from geomosaic.geodesy.local import LocalFrame
 
 _NUMBERS = ("lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg")
 
-_MAX_BYTES: int = tuned(
-    64 << 20,
-    "bytes",
-    "of a positions.csv: 200,000 frames; fewer refuse large surveys, and without a limit a wrong file "
-    "fills the memory",
-)
+_MAX_BYTES = tuned(64 << 20, "bytes", "200,000 frames: less refuses surveys; more lets a file fill memory")
 
 
 def read_poses(path: Path, names: Sequence[str], work_frame: LocalFrame) -> Poses:

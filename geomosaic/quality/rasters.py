@@ -18,12 +18,7 @@ from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality.ssim import luma
 
-_RESAMPLING_TOLERANCE_PX = tuned(
-    0.005,
-    "px of the mosaic",
-    "how far GDAL may approximate the way between two grids: its own 0.125 would show beside "
-    "displacements that are good to 0.02, less takes time and says the same",
-)
+_RESAMPLING_TOLERANCE_PX = tuned(0.005, "mosaic px", "of GDAL's grids: its 0.125 would show; less is slow")
 
 
 def open_map(path: Path) -> Raster:

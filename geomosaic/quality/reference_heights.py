@@ -24,17 +24,8 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel
 
 Floats = NDArray[np.float64]
-_MOST_POINTS = tuned(
-    5_000_000,
-    "points",
-    "of a cloud that are compared, evenly chosen, 200 MB: more take memory, fewer are as good",
-)
-_BLOCK_PX = sourced(
-    512,
-    "px",
-    "side of the blocks that a raster is read by, to 2000 px a side: larger ones would lose detail",
-    "survey.dem",
-)
+_MOST_POINTS = tuned(5_000_000, "points", "of a point cloud, 200 MB: more take memory and are no better")
+_BLOCK_PX = sourced(512, "px", "read at once: larger are read coarser than the raster", "survey.dem: 2000")
 
 
 @dataclass(frozen=True)

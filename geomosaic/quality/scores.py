@@ -31,7 +31,7 @@ class Criterion:
     question: str
 
 
-CCIR_500_1: tuple[Level, ...] = sourced(
+CCIR_500_1 = sourced(
     (
         Level(5, "Excellent", "no loss of quality to be seen"),
         Level(4, "Good", "a loss can be seen but does not hinder viewing"),
@@ -40,8 +40,8 @@ CCIR_500_1: tuple[Level, ...] = sourced(
         Level(1, "Bad", "hinders viewing very seriously"),
     ),
     "scores",
-    "the five levels that people score a mosaic by, so that scores compare with the paper's",
-    "CCIR Recommendation 500-1, by table 1 of Yue et al. 2021 (IRLA20200529)",
+    "levels of people's scores, as in the paper",
+    "CCIR 500-1; Yue et al. 2021, table 1",
 )
 
 CRITERIA = (
@@ -52,8 +52,8 @@ CRITERIA = (
     Criterion("overall", "The mosaic as a whole"),
 )
 
-_MOST_BYTES = tuned(64_000, "bytes", "of a file of scores: the form saves some 500")
-_MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: fits one line")
+_MOST_BYTES = tuned(64_000, "bytes", "of a scores file: the form saves some 500")
+_MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: more do not fit a line")
 _MEND: Final = "give files that a report's score form saved"
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
 from geomosaic.mosaic.model import OutputGrid, Seamline
@@ -31,36 +31,11 @@ from geomosaic.survey.small import brightness
 
 Floats = NDArray[np.float64]
 
-WINDOW_PX = tuned(
-    256,
-    "px of the mosaic",
-    "side of a place on a seam: smaller ones hold too few patches, larger ones lie outside the overlap "
-    "and mix what the ground does elsewhere",
-)
-PATCH_PX = tuned(
-    64,
-    "px of the mosaic",
-    "side of the patches compared there: smaller ones are found by chance, larger ones average over "
-    "houses and ground",
-)
-SEARCH_PX = tuned(
-    48,
-    "px of the mosaic",
-    "how far off the ground is looked for: a jump beyond it counts as not found, though such a map is "
-    "wrong long before; more finds other ground and takes time",
-)
-LEAST_PATCHES = tuned(
-    4,
-    "patches of a place",
-    "must be found again, of 49: fewer may be chance, more leave seams over woods and water unmeasured",
-)
-MOST_PLACES = sourced(
-    60,
-    "places of a mosaic",
-    "each takes two frames off the disk, all together a second or two, and their median is good to a "
-    "sixth of their deviation: fewer say less, more take time",
-    "chosen; the median's deviation: sqrt(pi / (2 n)) deviations of n normal values",
-)
+WINDOW_PX = tuned(256, "mosaic px", "tested place: smaller lacks patches; larger leaves the overlap")
+PATCH_PX = tuned(64, "mosaic px", "smaller matches by chance; larger averages houses and ground")
+SEARCH_PX = tuned(48, "mosaic px", "farther is not found: less misses jumps; more finds other ground")
+LEAST_PATCHES = tuned(4, "patches", "of 49 found: fewer are chance; more leave woods unmeasured")
+MOST_PLACES = tuned(60, "places", "in a mosaic: the median is good to a sixth of a deviation; more are slow")
 
 
 @dataclass(frozen=True)

@@ -17,29 +17,16 @@ from geomosaic.quality.misalignment import pair_misalignments
 
 Floats = NDArray[np.float64]
 
-DOWN_WEIGHTED = tuned(
-    0.5,
-    "of the weight of a tie point without a residual",
-    "below half of it a tie point is doubted",
-)
-WORST_PAIRS = tuned(20, "pairs", "that are looked at in the pixels: as many as a person looks through")
-SAMPLED_TIES = tuned(
-    4000,
-    "tie points",
-    "that a plan shows: enough to see where the ground has none, in 100 KB",
-)
-_MIX: tuple[int, int, int] = sourced(
+DOWN_WEIGHTED = tuned(0.5, "full weight", "below, a tie point counts as down-weighted")
+WORST_PAIRS = tuned(20, "pairs", "checked in the pixels: more than a person looks through")
+SAMPLED_TIES = tuned(4000, "tie points", "shown in a plan, 100 KB: fewer hide where the ground has none")
+_MIX = sourced(
     (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9),
-    "odd numbers of 64 bits",
-    "make one number of frame, col and row that no two places of a survey share but by a chance of 1e-8",
-    "the golden ratio's, and primes 2 and 5 of xxHash",
+    "odd numbers",
+    "hash of frame, col and row, unique but by 1e-8",
+    "golden ratio; xxHash's primes 2, 5",
 )
-_SHIFT = sourced(
-    29,
-    "bits",
-    "by which high bits come down into low ones while mixing",
-    "splitmix64: 27 to 31",
-)
+_SHIFT = sourced(29, "bits", "brings high bits down while hashing", "splitmix64: 27 to 31")
 
 
 def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, ...]:

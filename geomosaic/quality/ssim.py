@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -14,32 +13,10 @@ from geomosaic.constants import sourced
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_SSIM: Final = "Wang, Bovik, Sheikh and Simoncelli 2004, section III.C"
-WINDOW_PX = sourced(
-    11,
-    "px",
-    "side of the window of local means: the index is defined by it, other windows give other figures "
-    "than those published",
-    _SSIM,
-)
-_SIGMA_PX = sourced(
-    1.5,
-    "px",
-    "deviation of the window's Gaussian weights: the index is defined by it",
-    _SSIM,
-)
-_K1 = sourced(
-    0.01,
-    "share of the range of values",
-    "keeps the means' comparison from dividing by nothing in the dark: the index is defined by it",
-    _SSIM,
-)
-_K2 = sourced(
-    0.03,
-    "share of the range of values",
-    "the same for contrast and structure where the ground is smooth: without it, noise decides there",
-    _SSIM,
-)
+WINDOW_PX = sourced(11, "px", "side of its window; another gives other figures", "Wang et al. 2004")
+_SIGMA_PX = sourced(1.5, "px", "deviation of its Gaussian weights", "Wang et al. 2004, section III")
+_K1 = sourced(0.01, "range", "keeps dark means from dividing by 0", "Wang et al. 2004, section III")
+_K2 = sourced(0.03, "range", "keeps noise from deciding smooth ground", "Wang et al. 2004, section III")
 
 
 @dataclass(frozen=True)

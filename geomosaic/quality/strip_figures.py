@@ -16,32 +16,10 @@ from geomosaic.ccd.model import LABELS, MEASURED, Flags, Floats, StripOffsets
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.strips import StripGeometry
 
-LIMIT_PX = sourced(
-    1.0,
-    "px",
-    "a scene with a larger misplacement is no good; another limit gives rates that don't compare with "
-    "the paper's",
-    "Cheng et al. 2018 (Spacecraft Recovery & Remote Sensing 39(2), 84-92), table 1",
-)
-SEGMENT_LINES = tuned(
-    512,
-    "lines",
-    "whose root mean square is held against the limit: over a whole scene a fault of some thousand "
-    "lines drowns, over a few lines chance decides",
-)
-_INTERVAL_90 = sourced(
-    1.6449,
-    "deviations",
-    "on both sides of a normal value's mean, within which 90 % lie: what share of the truth is there "
-    "says whether stated deviations are right",
-    "Phi^-1(0.95)",
-)
-_LEAST_LINES = tuned(
-    32,
-    "lines",
-    "of a segment that must be known for its figure, half a block of the check: with fewer, one bad "
-    "patch misplaces a scene; with more, clouds leave segments unjudged",
-)
+LIMIT_PX = sourced(1.0, "px", "misplacement of a bad scene", "Cheng et al. 2018, SRRS 39(2), table 1")
+SEGMENT_LINES = tuned(512, "lines", "of one RMS: longer drowns a fault; shorter lets chance decide")
+_INTERVAL_90 = sourced(1.6449, "deviations", "half of a normal's 90 % interval", "Phi^-1(0.95)")
+_LEAST_LINES = tuned(32, "lines", "known of a segment: fewer let a patch decide; more leave it unjudged")
 
 
 @dataclass(frozen=True)

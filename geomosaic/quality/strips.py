@@ -32,71 +32,17 @@ from geomosaic.quality.strip_figures import (
 )
 from geomosaic.quality.strip_resampling import laid_on
 
-BLOCK_LINES = tuned(
-    64,
-    "lines",
-    "that one residual is given for: two rows of patches, which fewer don't hold; over more, fast jitter "
-    "is lost in the mean",
-)
-_PIECE_LINES: int = tuned(
-    64 * BLOCK_LINES,
-    "lines",
-    "4,096, read and laid on one another at once: more take memory, fewer read their margins more often",
-)
-_MARGIN_LINES: int = tuned(
-    2 * BLOCK_LINES,
-    "lines",
-    "read before and after a piece, whole blocks: they hold what offsets, search and spline reach "
-    "beyond it; with less, patches at the ends of pieces are lost, more is read for nothing",
-)
-_PATCH_PX = tuned(
-    28,
-    "px",
-    "side of a patch: three fit into an overlap of 96 px and two into a block; smaller ones are found "
-    "by chance, larger ones leave nothing to agree with",
-)
-_SEARCH_PX = tuned(
-    14,
-    "px",
-    "how far off the ground is looked for: offsets that are farther off count as unmeasured; with more, "
-    "low texture finds peaks by chance",
-)
-_LEAST_CORRELATION = tuned(
-    0.5,
-    "1",
-    "least coefficient of a patch that counts: with less, ground and cloud are taken for each other; "
-    "with more, low contrast is left unmeasured",
-)
-_AGREE_PX = tuned(
-    0.5,
-    "px",
-    "by which patches of a block, or a block and its neighbour, may differ and still say the same: half "
-    "of the limit, so that ground and clouds apart are distinguished; less calls relief and noise a "
-    "disagreement",
-)
-_LEAST_AGREEING = tuned(
-    0.75,
-    "share of a block's patches",
-    "that must say the same: where fewer do, clouds and ground lie beside each other; with all of them, "
-    "one bad patch leaves a block unmeasured",
-)
-_LEAST_PATCHES = tuned(
-    2,
-    "patches of a block",
-    "that must say the same: one alone agrees with itself; more leave narrow overlaps unmeasured",
-)
-_LEAST_SD_PX = tuned(
-    0.01,
-    "px",
-    "least deviation of a patch in the mean: stated ones may be smaller than what resampling leaves, "
-    "and a few patches would decide alone; a larger one makes all alike",
-)
-_LEAST_SHARE = tuned(
-    0.9,
-    "share of a patch's pixels",
-    "in the lines that are asked for: with less, lines that don't count speak for those that do; with "
-    "all of it, patches at each change of label are lost",
-)
+BLOCK_LINES = tuned(64, "lines", "of one residual: fewer do not hold two rows of patches; more lose jitter")
+_PIECE_LINES = tuned(64 * BLOCK_LINES, "lines", "read at once: more take memory; fewer read margins twice")
+_MARGIN_LINES = tuned(2 * BLOCK_LINES, "lines", "around a piece: less loses patches at its ends")
+_PATCH_PX = tuned(28, "px", "three fit an overlap of 96 px: smaller match by chance; larger leave few")
+_SEARCH_PX = tuned(14, "px", "farther is not found: less misses offsets; more finds chance peaks")
+_LEAST_CORRELATION = tuned(0.5, "1", "of a patch: less confuses cloud and ground; more loses low contrast")
+_AGREE_PX = tuned(0.5, "px", "between patches, half of the limit: less parts by noise; more joins clouds")
+_LEAST_AGREEING = tuned(0.75, "share", "of a block's patches: less mixes clouds in; 1 fails by one patch")
+_LEAST_PATCHES = tuned(2, "patches", "that agree in a block: one always does; more lose narrow overlaps")
+_LEAST_SD_PX = tuned(0.01, "px", "of a patch: less lets a few decide; more weighs all alike")
+_LEAST_SHARE = tuned(0.9, "share", "of a patch in wanted lines: less mixes labels; 1 loses their borders")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.intp]
-_PICTURE_PX = tuned(700, "px", "longer side of the difference as a page shows it: with more, pages get heavy")
+_PICTURE_PX = tuned(700, "px", "side of the difference image on a page: more makes it heavy")
 
 
 @dataclass(frozen=True)

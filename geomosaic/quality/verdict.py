@@ -178,19 +178,9 @@ _WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
 }
 """Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""
-_DISREGARDED = sourced(
-    0.1,
-    "of the weight of a tie point without a residual",
-    "below it a tie point has next to no say: by chance three in a thousand; a larger one counts honest "
-    "ones too, a smaller one overlooks that images disagree",
-    "chosen; the chance: 10^(-5 / 2), Student's distribution of pairs with 5 degrees of freedom",
-)
+_DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 
-_WORTH_A_WORD = tuned(
-    0.01,
-    "share of the land",
-    "that may be off, from which on the verdict says so even if it is good: less is a corner",
-)
+_WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,8 @@ from geomosaic.recording.thumbnail import thumbnail
 
 Floats = NDArray[np.float64]
 
-SIDE_PX = tuned(
-    400,
-    "px",
-    "of each half of a chip, at the frames' full resolution: shows what the ground is and how far a tie "
-    "point is off; 20 of them take some 2 MB",
-)
-_WORST = tuned(0.2, "share of a pair's tie points", "that miss most: where most of these lie, a chip is cut")
+SIDE_PX = tuned(400, "px", "of a chip's half: less hides what the ground is; 20 chips take 2 MB")
+_WORST = tuned(0.2, "share", "of a pair's tie points: chips are cut where most of the worst lie")
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-_FARTHEST_M = tuned(1e8, "m", "from a survey's centre that a frame can be: beyond the Earth's other side")
-_OFF = tuned(1e-6, "1", "by which rows of a rotation may be off unit length and square")
+_FARTHEST_M = tuned(1e8, "m", "from a survey's centre: beyond lies more than the Earth's other side")
+_OFF = tuned(1e-6, "1", "off unit length and square in a rotation's rows: more is no rotation")
 POSE = (
     *("lon_deg", "lat_deg", "height_ellipsoidal_m", "easting_m", "northing_m"),
     *("yaw_deg", "pitch_deg", "roll_deg", "sd_e_m", "sd_n_m", "sd_u_m"),

@@ -25,7 +25,7 @@ from geomosaic.recording.solved import Solved
 from geomosaic.recording.tabled import warned
 from geomosaic.survey.names import some
 
-_LEAST_OTHERS = tuned(3, "frames", "of a line that say how it stands")
+_LEAST_OTHERS = tuned(3, "frames", "on a flight line, for its usual heading: fewer may be wrong themselves")
 
 
 @dataclass(frozen=True)

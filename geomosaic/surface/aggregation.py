@@ -20,22 +20,9 @@ from geomosaic.surface.costs import PER_BIT, UNSEEN_COST
 Bytes = NDArray[np.uint8]
 Costs = NDArray[np.uint16]
 Steps = NDArray[np.int16]
-_SLOPE_BITS = tuned(
-    1.5,
-    "bits",
-    "that a step up or down costs: with less, noise is taken for relief; with more, slopes become stairs",
-)
-_JUMP_BITS = tuned(
-    7.0,
-    "bits",
-    "that a jump costs, however high: with less, single cells leap off; with more, edges of houses and "
-    "crowns are cut across",
-)
-_DISTINCT_CELLS = tuned(
-    13,
-    "cells",
-    "side of the window in which heights are told from chance: single cells can't be",
-)
+_SLOPE_BITS = tuned(1.5, "bits", "cost of one step: lower, noise becomes relief; higher, slopes are stairs")
+_JUMP_BITS = tuned(7.0, "bits", "cost of any jump: lower, single cells leap; higher, house edges are cut")
+_DISTINCT_CELLS = tuned(13, "cells", "window side of the distinctness test: smaller, chance matches pass")
 _SLOPE_COST: Final = np.uint8(PER_BIT * _SLOPE_BITS)
 _JUMP_COST: Final = np.uint8(PER_BIT * _JUMP_BITS)
 _TURN: Final = np.uint8(32)

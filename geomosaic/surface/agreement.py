@@ -19,23 +19,9 @@ from geomosaic.surface.visibility import Asked
 
 Floats = NDArray[np.float64]
 Steps = NDArray[np.int16]
-_EVERY_CELLS = tuned(
-    4,
-    "cells",
-    "of a square between those in which frames are compared: every one takes sixteen times as long",
-)
-_MARGIN_BITS = tuned(
-    0.5,
-    "bits",
-    "by which the frame that agrees best may agree better than the steepest that still comes first: a "
-    "steep one sees more beside walls; frames 3 px off agree worse by 2 to 4",
-)
-_LEAST_SHARE = tuned(
-    0.5,
-    "share",
-    "of the likeness of the frame most like the first that others need, to be asked before those less "
-    "like it",
-)
+_EVERY_CELLS = tuned(4, "cells", "between cells at which frames are compared: 1 takes 16 times as long")
+_MARGIN_BITS = tuned(0.5, "bits", "by which the steepest may agree worse and be first; 3 px off cost 2 to 4")
+_LEAST_SHARE = tuned(0.5, "share", "of the best likeness, to be asked early: less lets unlike frames in")
 
 
 def agreeing(

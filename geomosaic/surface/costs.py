@@ -17,32 +17,11 @@ from geomosaic.surface.visibility import Asked
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
-_MOST_BITS = tuned(
-    14,
-    "bits",
-    "that differ, at most: of 24 by chance 12 do, so that more say no more; with less, what is seen "
-    "badly is taken for what isn't there",
-)
-AGREEING = sourced(
-    2,
-    "frames",
-    "that count besides the first, the ones that agree best with it: of four that see a place from all "
-    "sides two may be behind a wall; with one, chance agrees",
-    "computed of two simulated towns: roofs off by more than 1 m 2 to 7 % with three, 1 to 3 % with two; "
-    "with one, errors on the ground are a third larger",
-)
-CHANCE_BITS = sourced(12, "bits", "that differ by chance", "half of the census's")
-_UNSEEN_BITS = tuned(
-    8,
-    "bits",
-    "that a height costs which no two frames see: less than chance, or heights that are seen at all are "
-    "preferred, whatever they show; more than what is right, or nothing is seen",
-)
-_CHANCE_FRAMES = tuned(
-    0.3,
-    "frames",
-    "that agree by chance count beside those that see a point, so that one that agrees is less than two",
-)
+_MOST_BITS = tuned(14, "bits", "cap a frame: 12 differ by chance; lower, bad views count as mismatches")
+AGREEING = sourced(2, "frames", "best beside the first", "simulated towns: 1 to 3 % wrong roofs, 3: 2 to 7 %")
+CHANCE_BITS = sourced(12, "bits", "bits that differ by chance", "half of the census's")
+_UNSEEN_BITS = tuned(8, "bits", "cost of a height that < 2 frames see: more favours seen ones; less unseen")
+_CHANCE_FRAMES = tuned(0.3, "frames", "weight of chance: with 0 one agreeing frame counts as two")
 PER_BIT: Final = 4
 """Costs count in quarters of a bit."""
 UNSEEN_COST: Final = PER_BIT * _UNSEEN_BITS
@@ -61,11 +40,7 @@ _COSTS: Final = np.array([_cost_of(*divmod(i, _PER_FRAME)) for i in range(256)],
 _COUNTED: Final = np.array([_PER_FRAME + min(bits, _MOST_BITS) for bits in range(256)], dtype=np.uint8)
 """One frame and its bits, by bits; nothing for none."""
 _COUNTED[_NONE] = 0
-_AT_ONCE: int = tuned(
-    1 << 15,
-    "points",
-    "whose costs are found at once: as many as stay in a processor's cache",
-)
+_AT_ONCE = tuned(1 << 15, "points", "costs computed in one go: more do not fit a processor's cache")
 
 
 def census_costs(

@@ -8,12 +8,8 @@ from geomosaic.constants import tuned
 from geomosaic.surface.fused import Counted
 from geomosaic.surface.levels import Level
 
-_LEAST_MATCHED = tuned(
-    0.3,
-    "share",
-    "of the cells that frames look at, below which the surface is hardly one",
-)
-_MOST_AT_END = tuned(0.1, "share", "of the cells that were matched at an end of what is searched, or past it")
+_LEAST_MATCHED = tuned(0.3, "share", "of the cells that frames see: below, the surface is mostly filled")
+_MOST_AT_END = tuned(0.1, "share", "of matched cells at a limit of the search: above, relief was cut off")
 
 
 def doubts(counted: Counted, level: Level, known: str) -> Iterator[tuple[str, str]]:

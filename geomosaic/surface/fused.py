@@ -18,105 +18,24 @@ from geomosaic.surface.tile import Heights
 Floats32 = NDArray[np.float32]
 _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Correlations for which the two tables below hold; straight between."""
-_SD_CELLS: tuple[float, ...] = sourced(
-    (1.0, 0.3, 0.15, 0.1, 0.05),
-    "cells",
-    "deviation of heights on open ground and on roofs, by correlation: 68 % and more are within",
-    "computed of three simulated towns, 60 m to 120 m wide, cells of 0.4 m",
-)
-_WRONG: tuple[float, ...] = sourced(
-    (0.5, 0.35, 0.22, 0.12, 0.02),
-    "share",
-    "of cells beside a step that have the other side's height, by correlation",
-    "computed of the same towns: off by more than 1 m",
-)
-_ASIDE_CELLS = sourced(
-    0.3,
-    "cells",
-    "by which crowns and walls may lie aside: what leans is as unsure as it is steep",
-    "computed of the same towns: crowns that lean by 3 are 0.6 to 1.3 cells of height off",
-)
-_AROUND_CELLS = sourced(
-    13,
-    "cells",
-    "side of the window in which steps are looked for, and cells about those that two frames see",
-    "as far as `sharpening` looks",
-)
-_DISTINCT_BITS = sourced(
-    4.5,
-    "bits",
-    "by which heights in and around a cell cost less than others, from which on they are kept even if no "
-    "two frames look alike in small: crowns that wind moves",
-    "computed: of the waves of six simulated lakes 95 in 100 cells stay below 4.25, all below 4.6; a "
-    "real forest has 5.2 to 5.7, of which no frames correlate by more than 0.3",
-)
-_WITNESSES = sourced(
-    3,
-    "frames",
-    "that see a cell, from which on it may be kept by its costs alone: between two some height costs "
-    "little by chance, so that they have to look alike there, and around",
-    "computed of a simulated town (seed 11): meadows at its rim, seen by two, rose by 14 to 24 m, by 5.6 "
-    "bits less than other heights",
-)
-_LEAST_VIEWS = sourced(2, "frames", "that a match takes", "a pair")
-_SUPPORT = sourced(
-    0.12,
-    "share",
-    "of the cells around that were matched surely, below which a cell is held: water and blank roofs, "
-    "where some match by chance; with more, crowns are given up, whose heights are better than what lies "
-    "around",
-    "computed: two simulated lakes reach 0.05; groves at a town's rim (seed 11), seen aslant by three "
-    "and four, are off by more than 1 m 45 % with 0.25, 39 % with 0.12; 82 % within a deviation, not 70",
-)
-_LIKE_AROUND_CELLS = tuned(
-    7,
-    "cells",
-    "side of the window in which sure cells of the same height are counted: a corner of a roof has a "
-    "third of it; with 13 a crown's heights differ too much in it",
-)
-_LIKE_CELLS = sourced(
-    5.0,
-    "cells",
-    "of height between cells that count as of the same: crowns rise by two to three from cell to cell",
-    "computed of three simulated towns (seeds 5, 7, 11): with 2.5, and a share of 0.25, crowns off by "
-    "more than 1 m are 0.5 to 1.9 % more",
-)
-_SUPPORT_OF_TWO = sourced(
-    0.35,
-    "share",
-    "of the cells around that are sure and of the same height, where two frames alone see a cell: with "
-    "less, cells that match by chance stand as masts along the border of what was matched; with more, "
-    "crowns there are given up",
-    "computed of the same towns: with 0.3 edges off by more than 1 m are 0.5 to 0.7 % more, with 0.4 "
-    "trees are 0.2 to 0.7 % more",
-)
-_SURE_ABOUT_TWO = tuned(
-    0.25,
-    "share",
-    "of the cells of the wider window that are sure, of whatever height, below which what two frames see "
-    "is held: islands in woods that wind moves and on water; a corner of a roof has a quarter",
-)
-_LEAST_ALIKE = sourced(
-    0.2,
-    "correlation",
-    "that such a cell itself has to have: below, nothing speaks for its height; edges of roofs have less "
-    "than their middles",
-    "computed of the same towns: with 0.4 roofs off by more than 1 m are 0.1 to 0.2 % more",
-)
-_EVENED_CELLS = tuned(
-    9,
-    "cells",
-    "side of the window in which noise is evened out: a larger one takes longer and rounds off ridges",
-)
-_NOISE_CELLS = sourced(
-    0.4,
-    "cells",
-    "of height that may be noise, two to three deviations; with more, kerbs and low walls go",
-    "_SD_CELLS, see there",
-)
+_SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of simulated ones are within")
+_WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "that have a step's other height, by correlation")
+_ASIDE_CELLS = tuned(0.3, "cells", "horizontal error: simulated crowns of slope 3 are off by 0.6 to 1.3")
+_AROUND_CELLS = tuned(13, "cells", "window of steps and support: `sharpening`'s reach both ways, and itself")
+_DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes stay below 4.6, woods do not")
+_WITNESSES = tuned(3, "frames", "for a cell kept by cost alone: two lift meadows at the rim by 14 to 24 m")
+_LEAST_VIEWS = sourced(2, "frames", "views that a match takes", "a pair")
+_SUPPORT = tuned(0.12, "share", "sure cells around: lakes reach 0.05, so less keeps waves; 0.25 loses groves")
+_LIKE_AROUND_CELLS = tuned(7, "cells", "window for equal sure cells: crowns vary too much over 13")
+_LIKE_CELLS = tuned(5.0, "cells", "range of equal heights: crowns rise by 2 to 3 a cell; 2.5 loses some")
+_SUPPORT_OF_TWO = tuned(0.35, "share", "sure, equal cells around: less leaves spikes; more gives up crowns")
+_SURE_ABOUT_TWO = tuned(0.25, "share", "of sure cells around: less keeps islands on water; more loses roofs")
+_LEAST_ALIKE = tuned(0.2, "correlation", "of a cell seen by two: lower is chance; 0.4 loses edges of roofs")
+_EVENED_CELLS = tuned(9, "cells", "window of the bilateral filter: larger takes longer and rounds off ridges")
+_NOISE_CELLS = tuned(0.4, "cells", "height noise, 2 to 3 deviations: larger removes kerbs and low walls")
 RIM_CELLS: Final = 12
 """About a tile, that `fused` looks at: what is kept asks six around, and evening four around that."""
-_END_CELLS = tuned(4.0, "cells", "of height from an end of what is searched that count as its end")
+_END_CELLS = tuned(4.0, "cells", "height margin that counts as a limit: smaller misses cut-off relief")
 
 
 @dataclass(frozen=True)

@@ -16,25 +16,10 @@ from geomosaic.constants import tuned
 
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
-_REACH_CELLS = tuned(
-    32,
-    "cells",
-    "along each of eight directions in which a known cell is looked for: houses 10 m high hide 12 m of "
-    "ground from frames that look at it by 50 degrees",
-)
-_ENCLOSED = tuned(6, "directions", "that have a known cell, from which on what they have is taken over")
-_SHARE_AROUND = tuned(
-    0.25,
-    "share",
-    "of the cells around that are known, from which on they have a lower side: fewer, as on water and in "
-    "woods, are partly chance, of which the lowest are wrong",
-)
-_EVENED_CELLS = tuned(
-    5,
-    "cells",
-    "side of the window whose median evens held heights out, which leap from line to line; a mean would "
-    "be a ramp again",
-)
+_REACH_CELLS = tuned(32, "cells", "search each way: a house of 10 m hides 12 m of ground at 50 degrees")
+_ENCLOSED = tuned(6, "directions", "with a known cell that enclose a void: fewer extend houses past the rim")
+_SHARE_AROUND = tuned(0.25, "share", "known cells around: fewer, as on water, are partly chance and too low")
+_EVENED_CELLS = tuned(5, "cells", "median of filled heights: smaller leaves streaks; a mean makes ramps")
 AROUND_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
 """About some cells, from where their heights come."""
 

@@ -20,12 +20,7 @@ from geomosaic.surface.tile import Heights, unseen
 Floats32 = NDArray[np.float32]
 _BAND_ROWS: Final = 256
 """Of cells that are worked on at once; an even number."""
-_KEPT = tuned(
-    0.6,
-    "share",
-    "of the height over the base that is kept with every doubling of the distance to a sure cell: with 1 "
-    "a roof's height would run out to sea, with less holes in a roof become pits",
-)
+_KEPT = tuned(0.6, "share", "of the height, a doubled distance: 1 runs roofs out to sea; less makes pits")
 
 
 def rimmed(tile: Tile, cells: Cells, base: GroundSurface, near: Iterable[tuple[Tile, Heights]]) -> Heights:

@@ -19,33 +19,14 @@ from geomosaic.surface.verticals import Sighted
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-TILE_CELLS = tuned(
-    304,
-    "cells",
-    "side of a tile, which with the 8 about it that are refined is so many squares of 32: a smaller one "
-    "is more margin than tile, a larger one takes more memory, a worker's 100 MB",
-)
-_BELOW = tuned(
-    0.1,
-    "flying heights",
-    "how far below the base heights are looked for: ditches, and land beside woods whose crowns the base "
-    "follows",
-)
-_ABOVE = tuned(
-    0.3,
-    "flying heights",
-    "how far above it, at least: what stands higher is in the way of the flight",
-)
-_TALL_M = tuned(15.0, "m", "houses and trees, whatever the flying height: a lower ceiling cuts their tops")
-_HIGHEST = tuned(0.6, "flying heights", "nearer to the camera than that nothing is matched")
+TILE_CELLS = tuned(304, "cells", "320 with the refined margin: smaller is mostly margin; larger takes memory")
+_BELOW = tuned(0.1, "flying heights", "search below the base: less misses ditches and land beside woods")
+_ABOVE = tuned(0.3, "flying heights", "search above the base: less cuts off what stands high")
+_TALL_M = tuned(15.0, "m", "least search height, whatever the flying height: lower cuts off houses and trees")
+_HIGHEST = tuned(0.6, "flying heights", "upper limit of the search: nearer to the camera nothing matches")
 
 
-MOST_CELLS = tuned(
-    16_000_000,
-    "cells",
-    "of the rectangle about a surface: 8 bytes each go to every worker that lays frames on it, 9 are "
-    "held while it is made; 160 frames of 10 MP have as many at 4 ground pixels",
-)
+MOST_CELLS = tuned(16_000_000, "cells", "17 bytes each in memory; 160 frames of 10 MP have as many at 4 GSD")
 
 
 @dataclass(frozen=True)
@@ -102,7 +83,7 @@ class Task:
     frames: tuple[int, ...]
 
 
-_PLACES = tuned(9, "places", "of a tile along each side at which frames are asked whether they see it")
+_PLACES = tuned(9, "places", "visibility tests along a tile's side: fewer miss frames that see a corner")
 _BY: Final = 2
 """Fine cells along a coarse one's side."""
 

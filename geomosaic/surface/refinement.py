@@ -13,43 +13,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.surface.squares import Squares, by_first
 from geomosaic.surface.verticals import Verticals
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
-_ROUNDS = tuned(
-    2,
-    "rounds",
-    "each at half the distance of the one before: with one, heights stay off by a tenth of a step; a "
-    "third would move them by a hundredth",
-)
-_SIDE_CELLS = tuned(
-    3,
-    "cells",
-    "side of the window in which frames are compared: smaller ones follow noise, larger ones round off edges",
-)
+_ROUNDS = tuned(2, "rounds", "each halves the step: one leaves a tenth of a step; a third gains a hundredth")
+_SIDE_CELLS = tuned(3, "cells", "window of comparison: smaller follows noise; larger rounds off edges")
 _RIM_CELLS: Final = _SIDE_CELLS // 2
-_AGREEING = tuned(
-    3,
-    "frames",
-    "that count besides the first one, the ones most like it: one of four may be behind a wall",
-)
-_NOISE_GREY = tuned(
-    2.0,
-    "grey levels",
-    "of a picture's noise: what varies by less is blank, and is alike by chance",
-)
-SURE = sourced(
-    0.6,
-    "correlation",
-    "of what frames show, from which on a height is taken over: of those above nine in ten are right to "
-    "1 m, of those below six in ten or fewer",
-    "computed of a simulated town, 120 m x 120 m, cells of 0.4 m: 10 % off above 0.6, 31 % from 0.5 to "
-    "0.6, 58 % below 0.3",
-)
+_AGREEING = tuned(3, "frames", "best ones beside the first: more, and one behind a wall spoils the match")
+_NOISE_GREY = tuned(2.0, "grey levels", "image noise: blank areas vary by less and correlate by chance")
+SURE = tuned(0.6, "correlation", "to trust a height: 10 % off by > 1 m above it, 31 % below (simulated)")
 
 UNSEEN: Final = -1.0
 """How alike frames are where no two see a cell."""

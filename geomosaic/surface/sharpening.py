@@ -21,47 +21,16 @@ from geomosaic.surface.visibility import Asked, hidden_from
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
-_SIDES = sourced(
-    0.7,
-    "correlation",
-    "of cells whose heights are offered to those around: of those above one in twenty is off by 1 m",
-    "computed of two simulated towns: edges of walls off by more than 1 m 18 % with 0.7, 20 to 22 % with 0.5",
-)
-_AROUND_CELLS = sourced(
-    6,
-    "cells",
-    "to every side from where heights are offered: what a wall hides is as wide",
-    "computed of the same towns: edges off by more than 1 m 26 % with 2, 22 % with 4, 18 % with 6 to 10",
-)
-_STEP_CELLS = sourced(
-    2.5,
-    "cells",
-    "between the lowest and the highest around, from which on heights leap: less is slopes and noise",
-    "computed of four simulated towns: with 4, crowns off by more than 1 m are 1.5 % more in one of "
-    "them, and beside trees 90 to 97 % lie within a deviation, not 97 to 99",
-)
-_MOVES_CELLS: tuple[tuple[float, ...], ...] = sourced(
-    ((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0)),
-    "cells",
-    "of height that are offered in each round of moving up or down, its own first: with more, time grows",
-    "computed of four more: crowns off by more than 1 m are 0.6 to 1.8 % more with one round by two "
-    "cells, and as many with a round by three instead",
-)
-_WINDOW = sourced(
-    3,
-    "half cells",
-    "side of the windows: with more, corners are cut",
-    "computed of the same towns: crowns off by more than 1 m 17 % with 3, 19 % with 5",
-)
-_MOST_GREY = tuned(
-    30,
-    "grey levels",
-    "by which frames differ, at most: more says no more; and what isn't seen",
-)
-_KEPT_GREY = tuned(0.5, "grey levels", "that another height must be better by, against noise")
+_SIDES = tuned(0.7, "correlation", "to be offered to neighbours: 0.5 leaves 20 % wrong wall edges, not 18 %")
+_AROUND_CELLS = sourced(6, "cells", "reach of offers", "wrong wall edges: 2: 26 %, 4: 22 %, 6 to 10: 18 %")
+_STEP_CELLS = tuned(2.5, "cells", "range that makes a step: less is slope and noise; 4 loses 1.5 % of crowns")
+_MOVES_CELLS = tuned(((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0)), "cells", "moves tried by round")
+_WINDOW = tuned(3, "half cells", "comparison window: larger cuts corners; 5 has 19 % wrong crowns, not 17")
+_MOST_GREY = tuned(30, "grey levels", "cap, and value where unseen: higher lets single pixels decide")
+_KEPT_GREY = tuned(0.5, "grey levels", "gain that another height needs: 0 lets noise move cells")
 _DENSER: Final = 2
 """Windows' pixels along a cell's side."""
-_RIM_CELLS = sourced(2, "cells", "that windows reach past a square", "_WINDOW twice")
+_RIM_CELLS = sourced(2, "cells", "reach of windows past a square", "_WINDOW twice")
 _FAR_M: Final = np.float32(1e6)
 
 

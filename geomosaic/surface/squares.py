@@ -18,11 +18,7 @@ Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Shown = tuple[Bytes, Mask | None]
-_AT_ONCE: int = tuned(
-    1 << 16,
-    "points",
-    "that are looked at in one go: fewer cost calls, more don't stay in a core's cache",
-)
+_AT_ONCE = tuned(1 << 16, "points", "computed in one go: fewer cost calls; more do not fit a core's cache")
 _NOBODY: Final = -1
 
 

@@ -27,96 +27,19 @@ Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
 TERRAIN: Final = "terrain"
 """The kind of ground that such a model is."""
-WIDEST_M = sourced(
-    50.0,
-    "m",
-    "width of what may stand on the ground: wider halls and woods without a gap stay, with more, tops of "
-    "hills go where land is rough",
-    "Pingel et al. 2013, section 3.1: windows of 18 m radius for towns; some more here for halls",
-)
-_SQUARE_M = sourced(
-    1.0,
-    "m",
-    "side of the squares whose low cells are opened: with larger ones lanes and gaps between crowns are "
-    "lost, smaller ones take time and show noise",
-    "Pingel et al. 2013, section 3.1: cells of 1 m",
-)
-_LOW = tuned(
-    0.25,
-    "share",
-    "of a square's cells that lie lower than what stands for it: with less, blunders count as "
-    "ground, with half, shrubs and rims of crowns",
-)
-_PIT_M = tuned(
-    1.0,
-    "m",
-    "by which single squares lie below all around and count as blunders: with more, pits pull the ground "
-    "down; less is a ditch",
-)
-_SLOPES: tuple[float, float] = sourced(
-    (0.5, 0.2),
-    "m per m",
-    "by which land may rise beyond what was taken off: 0.5 is steep for land, 0.2 is rough for what is "
-    "left of it without its hills. With 0.2 at once steep hills lose their sides, with 0.5 alone woods "
-    "keep the leaves in their gaps",
-    "computed of six simulated towns, hills of 10 and 25 m: of the cells under trees 98.4 % are within "
-    "0.3 m, with 0.2 at once 96.0 %, with 0.5 alone 93.5 %, with 0.5 and 0.1 97.4 %",
-)
-_STEP_M = sourced(
-    0.2,
-    "m",
-    "that rise besides the slope, at least: kerbs, furrows and noise; with less, rough land goes, with "
-    "more, hedges stay",
-    "Zhang et al. 2003, table 2: 0.2 to 0.5 m; computed of the same towns: 0.15, 0.2 and 0.3 m are alike",
-)
-_HILLS_M = sourced(
-    10.0,
-    "m",
-    "deviation of the Gaussian that makes hills of the first time's ground: narrower, what stayed by "
-    "mistake is taken off with them; wider, sides of hills are left",
-    "computed of the same towns: 5 and 10 m are alike",
-)
-_OFF_M = sourced(
-    0.3,
-    "m",
-    "by which a cell may miss the ground between squares and still be ground, at least: with 0.5 rims of "
-    "crowns and walls count and lift what lies between, with less, rough land goes",
-    "computed of the same towns: before rims were left out, under houses 43 to 84 % were within 0.3 m, "
-    "with 0.5 m 29 to 69 %; with them left out both are alike",
-)
-_OFF_PER_SLOPE = sourced(
-    0.5,
-    "m",
-    "more for a slope of 1, where half a square lies as much higher than its middle",
-    "half of _SQUARE_M; Pingel et al. 2013, section 3.3, scale so too",
-)
-_NOISES = tuned(
-    3.0,
-    "deviations",
-    "of heights that are noise and no step: of all cells 3 in a thousand exceed it",
-)
-_RIM_M = sourced(
-    1.0,
-    "m",
-    "about what stands that is no ground: matching smears edges over two or three cells; without, houses "
-    "and crowns lift the ground around and beneath them",
-    "computed of the same towns: under trees 96 to 100 % are within 0.3 m, with 0 m 63 to 97 %, with 2 m "
-    "55 to 97 %, since gaps of woods are gone",
-)
-_EVENED = tuned(
-    30,
-    "rounds",
-    "of means of four neighbours at each size of a gap's filling: with fewer, coarser squares are seen "
-    "in it, more change nothing",
-)
-_BEND = sourced(
-    0.008,
-    "1 / m",
-    "curvature of land that nothing shows: what was laid over a gap is off by half of it times the "
-    "squared distance from ground that was seen",
-    "computed of the same towns: 68 % are within 0.06 m at 3 to 5 m, 0.08 at 5 to 8, 0.16 at 8 to 12, "
-    "0.28 at 12 to 20, nine in ten within what this says",
-)
+WIDEST_M = sourced(50.0, "m", "widest object; more cuts hilltops", "Pingel et al. 2013, 3.1: 36; halls: more")
+_SQUARE_M = sourced(1.0, "m", "larger loses lanes; smaller shows noise", "Pingel et al. 2013, section 3.1")
+_LOW = tuned(0.25, "share", "quantile that stands for a square: lower takes blunders for ground; 0.5 shrubs")
+_PIT_M = tuned(1.0, "m", "depth below neighbours of a blunder: larger keeps pits; smaller loses ditches")
+_SLOPES = tuned((0.5, 0.2), "m per m", "by pass: 0.2 alone cuts steep hills, 0.5 alone keeps leaves in woods")
+_STEP_M = sourced(0.2, "m", "rise besides slope: less loses rough land", "Zhang et al. 2003, table 2")
+_HILLS_M = tuned(10.0, "m", "Gaussian that makes hills: narrower keeps objects; wider leaves hillsides")
+_OFF_M = tuned(0.3, "m", "least tolerance: 0.5 lets crown rims lift the ground; less loses rough land")
+_OFF_PER_SLOPE = sourced(0.5, "m", "more at slope 1: half of _SQUARE_M", "Pingel et al. 2013, section 3.3")
+_NOISES = tuned(3.0, "deviations", "height noise that is no step: 3 in a thousand cells exceed it")
+_RIM_M = tuned(1.0, "m", "left out around objects: 0 lets smeared edges lift the ground; 2 loses gaps")
+_EVENED = tuned(30, "rounds", "smoothing passes a level: fewer show coarse squares; more change nothing")
+_BEND = tuned(0.008, "1 / m", "curvature of unseen land: 68 % within 0.08 m at 5 to 8 m, 0.28 at 12 to 20")
 _CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE: Final = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
 _NEIGHBOURS: Final = _CROSS.astype(np.float32) / _CROSS.sum()

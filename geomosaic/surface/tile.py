@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.aggregation import aggregated, cheapest, distinctness, ring
 from geomosaic.surface.agreement import agreeing
@@ -25,61 +25,17 @@ from geomosaic.survey.small import means, padded
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
-MARGIN_CELLS = tuned(
-    16,
-    "cells",
-    "about a tile, so that paths have gone some way where its own cells begin: with less, tiles are seen "
-    "in the surface",
-)
-_LOOKED_AT_CELLS = tuned(
-    8,
-    "cells",
-    "about a tile that are refined as well: as far as `sharpening` looks, and windows",
-)
-_NEAR_HEIGHTS = tuned(
-    24,
-    "heights",
-    "about those of the level above, at least: with less, what is narrower than its cells is lost, as "
-    "masts and the rims of crowns",
-)
-_PAST_HEIGHTS = tuned(
-    8,
-    "heights",
-    "past the lowest and the highest that the level above has about a cell, half of them to either side",
-)
-_MOST_HEIGHTS = sourced(
-    40,
-    "heights",
-    "of a tile with high walls: more take time in proportion",
-    "computed of seven simulated towns, cells of 0.2 and 0.4 m: with 64 no class is better by more than "
-    "0.2 %",
-)
-_ABOUT_CELLS = tuned(5, "cells", "side of the window in which the level above is asked for its heights")
-_WALLS_SHARE = tuned(0.995, "share", "of cells that the heights of a tile suffice for: outliers don't count")
-_BLOCK_CELLS = tuned(
-    32,
-    "cells",
-    "side of the squares of a tile that ask the same frames: over larger ones other frames see better, "
-    "smaller ones take longer",
-)
-_FRAMES = sourced(
-    5,
-    "frames",
-    "that a cell's height comes from: with three, errors are a third larger; with seven, edges of houses "
-    "are worse and time grows",
-    "computed of a simulated town: edges of walls off by more than 1 m 26 % with five, 28 % with seven",
-)
-_CANDIDATES = tuned(
-    6,
-    "frames",
-    "of which those are asked that agree: with fewer, those of one group may not be among them",
-)
-_AGREED_HEIGHTS = tuned(
-    5,
-    "heights",
-    "about the level above's at which frames are asked whether they agree: it is good to half of its "
-    "cells, which are two",
-)
+MARGIN_CELLS = tuned(16, "cells", "run-in of the paths: smaller makes tile borders visible")
+_LOOKED_AT_CELLS = tuned(8, "cells", "refined margin: the reach of `sharpening` and its windows")
+_NEAR_HEIGHTS = tuned(24, "heights", "least search around the coarse height: fewer lose masts and crown rims")
+_PAST_HEIGHTS = tuned(8, "heights", "search past the coarse range: fewer cut off what that level missed")
+_MOST_HEIGHTS = tuned(40, "heights", "cap at high walls: time is proportional; 64 gains less than 0.2 %")
+_ABOUT_CELLS = tuned(5, "cells", "window for the coarse range: smaller misses a wall's other side")
+_WALLS_SHARE = tuned(0.995, "share", "of a tile's cells that its search range covers: 1 lets outliers set it")
+_BLOCK_CELLS = tuned(32, "cells", "square with one choice of frames: larger fits worse; smaller is slow")
+_FRAMES = tuned(5, "frames", "for a cell's height: three give a third larger errors; seven worse edges")
+_CANDIDATES = tuned(6, "frames", "asked for agreement: with fewer, a group that agrees may be missed")
+_AGREED_HEIGHTS = tuned(5, "heights", "tested about the coarse height, good to two: more takes longer")
 
 
 @dataclass(frozen=True)

@@ -27,20 +27,10 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Block = tuple[slice, slice]
 WHOLE: Final = (slice(None), slice(None))
-NODE_CELLS = tuned(
-    8,
-    "cells",
-    "between nodes that go through the collinearity equations, bilinear between: a lens bends by less "
-    "than 0.03 px over as much, and nodes cost nothing beside the cells",
-)
+NODE_CELLS = tuned(8, "cells", "between exact nodes: a lens bends by < 0.03 px over them; fewer take longer")
 
 
-_REACH_SHARES: tuple[float, ...] = tuned(
-    (1.0, 0.25, 0.05),
-    "share",
-    "of the heights that are looked at by which a vertical is fitted: where the highest are out of a "
-    "lens's sight, those nearer to the base; without, frames see nothing near their rims",
-)
+_REACH_SHARES = tuned((1.0, 0.25, 0.05), "share", "of the search, for fits: without low ones rims are lost")
 
 
 @dataclass(frozen=True)

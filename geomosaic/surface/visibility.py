@@ -14,21 +14,11 @@ from geomosaic.surface.verticals import WHOLE, Block, Verticals
 
 Floats32 = NDArray[np.float32]
 Asked = Sequence[tuple[Block, Sequence[int]]]
-_REACH_CELLS = tuned(
-    16,
-    "cells",
-    "along a line of sight in which something may stand before a place: with less, high houses far off "
-    "are seen through, more takes time in proportion",
-)
-_NEAREST_CELLS = tuned(1.5, "cells", "away from a place: what is nearer leans, and hides itself")
-_TOLERANCE_CELLS = tuned(1.0, "cells", "of height by which a place may be too low and still count as seen")
+_REACH_CELLS = tuned(16, "cells", "along a ray: shorter sees through high houses; longer takes time")
+_NEAREST_CELLS = tuned(1.5, "cells", "start of the occlusion search: nearer, a leaning surface hides itself")
+_TOLERANCE_CELLS = tuned(1.0, "cells", "height error that still counts as visible: 0 hides cells by noise")
 
-_MOST_HIDDEN = tuned(
-    0.3,
-    "share",
-    "of a block's cells that less than two frames see: yards between houses have less, crowns whose "
-    "heights are not known well yet more",
-)
+_MOST_HIDDEN = tuned(0.3, "share", "of a block seen by < 2 frames: yards have less, uncertain crowns more")
 
 
 def asked_frames(

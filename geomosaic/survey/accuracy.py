@@ -84,11 +84,6 @@ MAKERS_DISTORTION: Final = DistortionAccuracy(
     0.002, "calibrated in the works: focus, warmth and landings since then move a corner by some pixels"
 )
 
-RTK_SD_FLOOR_M: tuple[float, float] = tuned(
-    (0.02, 0.03),
-    "m, horizontal and vertical",
-    "RTK's own deviations leave out the antenna's lever arm and the shutter's delay: taken as they "
-    "are, positions would outweigh the images; a higher floor throws away what RTK knows",
-)
+RTK_SD_FLOOR_M = tuned((0.02, 0.03), "m, plan and height", "lever arm and delay: less outweighs the images")
 
 CONTROL: Final = PositionAccuracy(0.03, 0.05, "an RTK rover on the ground")

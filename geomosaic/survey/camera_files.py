@@ -18,11 +18,10 @@ from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
 from geomosaic.survey.shutters import UNREPORTED_SD_S
 
-_MAX_BYTES: dict[str, int] = tuned(
+_MAX_BYTES = tuned(
     {".json": 128 << 20, ".yaml": 256 << 10},
     "bytes by suffix",
-    "of a camera file: JSON may be a whole reconstruction, YAML holds some cameras and takes half a "
-    "minute a megabyte; without a limit another file would take the memory or the time",
+    "JSON may be a whole reconstruction; YAML takes half a minute a megabyte",
 )
 _OPENSFM_MODELS: Final = {
     "perspective": "brown",

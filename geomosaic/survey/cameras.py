@@ -38,18 +38,8 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
-_MAX_ASPECT_DIFFERENCE = tuned(
-    0.003,
-    "share of the ratio of the sides",
-    "between a camera and a frame of another size: resizing rounds sides to whole pixels; with more a "
-    "cropped image would get the lens of the whole one",
-)
-_UNLIKE_TAGS = tuned(
-    1.5,
-    "ratio",
-    "between the focal lengths of a camera file and the tags beyond which one is wrong: tags are good "
-    "to a twentieth, another unit is off by far more",
-)
+_MAX_ASPECT_DIFFERENCE = tuned(0.003, "share", "of resized sides: more gives crops the whole lens")
+_UNLIKE_TAGS = tuned(1.5, "ratio", "camera file to tags: less rejects tags 5 % off; more accepts other units")
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",

@@ -24,23 +24,9 @@ from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import Table
 
 Floats = NDArray[np.float64]
-_MOST_POINTS = tuned(
-    20_000,
-    "points",
-    "one every two minutes for four months of working days; each adds to the solve",
-)
-_ROUNDED_M = tuned(
-    1e-6,
-    "m",
-    "two lines that are as far apart as is refused may come out nearer by so much: places are read "
-    "from decimal degrees; a metre to the digit is refused",
-)
-LEAST_POINTS = sourced(
-    2,
-    "points",
-    "that lay a block without positions onto the map; one leaves turn and scale open",
-    "a similarity of the plane has four unknowns",
-)
+_MOST_POINTS = tuned(20_000, "points", "each adds to the solve: more is another kind of file")
+_ROUNDED_M = tuned(1e-6, "m", "rounding of decimal degrees at a limit: 0 accepts some a metre apart")
+LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 
 

@@ -26,52 +26,20 @@ from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import JpegStructure, parse_structure
 
 Pixels = NDArray[np.uint8]
-_COARSE = tuned(
-    4,
-    "px of the half-size image",
-    "side of the coarse pixels that fine detail is held against: blur of some pixels doesn't show in "
-    "them; smaller ones are blurred too, larger ones show the land",
-)
-_LEAST_LOOKED_AT_PX = tuned(
-    32,
-    "px of the half-size image",
-    "shortest side of an image that is looked at: smaller ones have too few coarse pixels to show detail",
-)
+_COARSE = tuned(4, "half-size px", "that detail is compared with: smaller are blurred too; larger show land")
+_LEAST_LOOKED_AT_PX = tuned(32, "half-size px", "of a checked image: smaller ones show no detail")
 _EOI: Final = b"\xff\xd9"
 _JFIF: Final = b"JFIF\0"
-_JFIF_WITHIN: int = sourced(
-    1 << 18,
-    "bytes",
-    "of a file in which its JFIF segment begins: it is the first one, or EXIF and XMP come before it; a "
-    "search of all coded data takes 2 ms a frame",
-    "JFIF 1.02, page 5, and ITU-T T.81, B.1.1.4: a segment has 65,535 bytes at most",
-)
-_MOST_SCANS = tuned(
-    200,
-    "scans",
-    "a progressive JPEG has about 10, and each takes as long as the whole image: a small file with "
-    "thousands would take hours",
-)
-_RUN_BYTES = tuned(
-    64,
-    "bytes",
-    "of one value in a row that are lost blocks of a disk or a card, since coded images hardly "
-    "repeat a byte: fewer may be met by chance, many more miss what is left of a block",
-)
+_JFIF_WITHIN = sourced(1 << 18, "bytes", "before its JFIF segment", "ITU-T T.81, B.1.1.4: 65,535 a segment")
+_MOST_SCANS = tuned(200, "scans", "of a JPEG, usually 10: thousands in a small file would take hours")
+_RUN_BYTES = tuned(64, "bytes", "equal in a row, for lost disk blocks: fewer occur by chance; more miss some")
 _RUN: Final = re.compile(rb"(.)\1{%d,}" % (_RUN_BYTES - 1), re.DOTALL)
 _RESTART: Final = re.compile(rb"\xff[\xd0-\xd7]")
-_CONTEXT_ROWS = sourced(
-    16,
-    "rows",
-    "left off above the damage: colour at half the size is interpolated over the border of its blocks, "
-    "which have 16 rows; fewer rows off leave its colour in, more throw whole ones away",
-    "ITU-T T.81, A.1.1 and A.2.3: sampling by 2 makes blocks of 16 rows",
-)
-_TAIL: bytes = tuned(
+_CONTEXT_ROWS = sourced(16, "rows", "left off above damage: less leaves its colour in", "ITU-T T.81, A.2.3")
+_TAIL = tuned(
     np.random.default_rng(1).integers(0, 254, 4096, dtype=np.uint8).tobytes(),
     "bytes",
-    "put where data are lost, other than none: rows that come out differently lie below the damage; no "
-    "0xFF, so that none reads as a marker",
+    "put where data are lost: rows that change lie below the damage; no 0xFF, so none is a marker",
 )
 
 

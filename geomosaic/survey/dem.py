@@ -19,23 +19,12 @@ from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_MOST_PIXELS = tuned(
-    2000,
-    "px a side",
-    "of a DEM that are read: as many as the ground gets nodes (projection.ground.MOST_NODES); more "
-    "would not be used, fewer lose relief",
-)
-_AROUND = tuned(
-    32,
-    "px",
-    "beside the window, by which those in it are judged: with fewer a fill or a spike at its edge has "
-    "nothing around it to judge it by",
-)
-_METRES: dict[str, float] = tuned(
+_MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
+_AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
+_METRES = tuned(
     {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0},
-    "m by the unit's name",
-    "what heights are multiplied by: names of the metre, and none, which is taken for it; other units "
-    "are refused",
+    "m by unit",
+    "names of the metre, and none; a DEM in other units is refused",
 )
 
 

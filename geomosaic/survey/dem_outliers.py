@@ -11,43 +11,15 @@ from geomosaic.constants import sourced, tuned
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-_LAND_M: tuple[float, float] = sourced(
-    (-600.0, 9100.0),
-    "m",
-    "heights beyond which there is no land: from the Dead Sea's shore, with room for mines, to "
-    "Everest; a wider range lets fills such as -999 and 9999 through",
-    "Dead Sea's shore -430 m, Everest 8,849 m; the room beyond is chosen",
-)
-_FILL_BELOW_M = tuned(
-    20.0,
-    "m",
-    "step that ends a fill below the land (0, -99): banks and quays have less; with less the sea "
-    "beside a cliff would be unknown",
-)
-_FILL_MOST_M = tuned(
-    100.0,
-    "m",
-    "the same where the value fills the larger part: such is a level plain too, with nothing on it but "
-    "towers",
-)
-_FILL_ABOVE_M = tuned(300.0, "m", "step that ends a fill above the land: towers with flat roofs have less")
-_FILL_STEPS = tuned(
-    4.0,
-    "99th percentiles of the steps from pixel to pixel elsewhere",
-    "that the step around a fill is larger than: in mountains steps like that are the land's",
-)
-_SPIKE_M = tuned(50.0, "m", "a lone pixel that differs by less does a mosaic no harm")
-_SPIKE_SPREADS = tuned(
-    10.0,
-    "95th percentiles of the differences to the third nearest of 8 neighbours",
-    "that a lone pixel is farther off by: with fewer sharp summits would go",
-)
-_LEAST_STEPS = tuned(100, "steps", "from pixel to pixel that show what is usual; of fewer one cliff decides")
-_MOST_FILLS = tuned(
-    4,
-    "values",
-    "on either side that are looked for, since files mix fills; each takes a pass over the raster",
-)
+_LAND_M = sourced((-600.0, 9100.0), "m", "land, so no -999 or 9999", "Dead Sea shore -430 m, Everest 8849 m")
+_FILL_BELOW_M = tuned(20.0, "m", "step around a low fill: less loses the sea beside cliffs; more keeps fills")
+_FILL_MOST_M = tuned(100.0, "m", "the same for a value of most cells: less loses plains with towers")
+_FILL_ABOVE_M = tuned(300.0, "m", "step around a high fill: less loses towers with flat roofs")
+_FILL_STEPS = tuned(4.0, "99 % steps", "a fill's step over the usual: less loses cliffs in mountains")
+_SPIKE_M = tuned(50.0, "m", "height of a lone wrong pixel: less does a mosaic no harm")
+_SPIKE_SPREADS = tuned(10.0, "95 % differences", "of a lone wrong pixel: less loses sharp summits")
+_LEAST_STEPS = tuned(100, "steps", "that show the usual step: of fewer one cliff decides")
+_MOST_FILLS = tuned(4, "values", "of either sign, as files mix them: each takes a pass over the raster")
 
 
 def outliers(height_m: Floats, mixed: bool = False) -> Flags:

@@ -14,21 +14,13 @@ from geomosaic.doors.files import printable
 from geomosaic.survey.exif_tags import Tags, tags_from_block
 
 _FLOAT: Final = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_LONGEST_ITEM = tuned(
-    1000,
-    "characters",
-    "of a metadata item that is read: those wanted have under a hundred, and patterns take time by length",
-)
-_FIRST_YEAR = tuned(
-    1900,
-    "year",
-    "an earlier one is of a clock that was never set: its times would order the frames wrongly",
-)
-_MM_PER_UNIT: dict[float, float] = sourced(
+_LONGEST_ITEM = tuned(1000, "characters", "wanted ones have under 100; patterns take time by length")
+_FIRST_YEAR = tuned(1900, "year", "an earlier one is of an unset clock and would order frames wrongly")
+_MM_PER_UNIT = sourced(
     {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001},
-    "mm by FocalPlaneResolutionUnit",
-    "of the unit in which a focal plane's pixels are counted",
-    "CIPA DC-008 (EXIF) for inch and cm; ExifTool's list of tags for 4 and 5, which are not in it",
+    "mm by unit",
+    "of the unit in which a focal plane's resolution is counted",
+    "CIPA DC-008 (EXIF) for 2 and 3; ExifTool for 4 and 5",
 )
 
 

@@ -14,14 +14,13 @@ Tags = dict[str, str | tuple[float, ...]]
 """EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
 
 _TAGS: Final = "CIPA DC-008 (EXIF), section 4.6"
-_FIELDS: Final = "TIFF 6.0 (Adobe 1992), section 2"
-_MAIN: dict[int, str] = sourced(
+_MAIN = sourced(
     {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS"},
     "tag",
-    "names of the main directory's that report camera and time, or where the other two directories are",
-    _TAGS,
+    "names of wanted tags, main directory",
+    "CIPA DC-008 (EXIF), section 4.6",
 )
-_EXIF: dict[int, str] = sourced(
+_EXIF = sourced(
     {
         0x9003: "DateTimeOriginal",
         0x9004: "DateTimeDigitized",
@@ -39,10 +38,10 @@ _EXIF: dict[int, str] = sourced(
         0xA405: "FocalLengthIn35mmFilm",
     },
     "tag",
-    "names of the EXIF directory's that report time, lens and size",
-    _TAGS,
+    "names of wanted tags, EXIF directory",
+    "CIPA DC-008 (EXIF), section 4.6",
 )
-_GPS: dict[int, str] = sourced(
+_GPS = sourced(
     {
         1: "GPSLatitudeRef",
         2: "GPSLatitude",
@@ -52,10 +51,10 @@ _GPS: dict[int, str] = sourced(
         6: "GPSAltitude",
     },
     "tag",
-    "names of the GPS directory's that hold the place",
-    _TAGS,
+    "names of wanted tags, GPS directory",
+    "CIPA DC-008 (EXIF), section 4.6",
 )
-_KINDS: dict[int, str] = sourced(
+_KINDS = sourced(
     {
         1: "u1",
         2: "text",
@@ -70,25 +69,12 @@ _KINDS: dict[int, str] = sourced(
         12: "f8",
     },
     "field type",
-    "numpy's type of each; others are passed over",
-    _FIELDS,
+    "numpy's types; others are skipped",
+    "TIFF 6.0 (Adobe 1992), section 2",
 )
-_RATIONALS: tuple[int, int] = sourced(
-    (5, 10),
-    "field type",
-    "two numbers each, one divided by the other",
-    _FIELDS,
-)
-_MOST_ENTRIES = tuned(
-    1000,
-    "entries",
-    "of a directory that are looked at: cameras write some 60, a damaged count says up to 65,535",
-)
-_LONGEST_BYTES = tuned(
-    1000,
-    "bytes",
-    "of a value that is read: the longest wanted is a camera's name, a damaged length says up to 4 GB",
-)
+_RATIONALS = sourced((5, 10), "field type", "numerator and denominator", "TIFF 6.0 (Adobe 1992), section 2")
+_MOST_ENTRIES = tuned(1000, "entries", "of a directory: cameras write 60; a damaged count says up to 65,535")
+_LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 
 def tags_from_block(block: bytes) -> Tags:

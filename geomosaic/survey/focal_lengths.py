@@ -8,13 +8,8 @@ from dataclasses import dataclass
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.header import FrameHeader
 
-FILM_DIAGONAL_MM: float = sourced(
-    math.hypot(36.0, 24.0),
-    "mm",
-    "of an image of 36 x 24 mm: 35 mm equivalents of focal lengths compare diagonals",
-    "CIPA DCG-001",
-)
-SENSOR_WIDTHS_MM: dict[str, float] = sourced(
+FILM_DIAGONAL_MM = sourced(math.hypot(36.0, 24.0), "mm", "diagonal of 35 mm equivalents", "CIPA DCG-001")
+SENSOR_WIDTHS_MM = sourced(
     {
         "fc300c": 6.17,
         "fc300s": 6.17,
@@ -42,11 +37,8 @@ SENSOR_WIDTHS_MM: dict[str, float] = sourced(
         "e-pl1": 17.3,
     },
     "mm",
-    "width of the whole sensor by EXIF's model, which a frame of any shape fills from side to side: a "
-    "wrong one makes the focal length wrong by as much",
-    "nominal sizes of the formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, four thirds 17.3, 35 mm "
-    "35.9; M3E: Theta-Limited/DroneModels; L2D-20c: OpenSfM, opensfm/data/sensor_data.json; S.O.D.A.: "
-    "its EXIF, 5472 px at 416.7 px/mm",
+    "width of the whole sensor by EXIF's model: a wrong one scales the focal length",
+    "formats: 1/2.3 inch 6.17, 1 inch 13.2, APS-C 23.5, 4/3 17.3, 35 mm 35.9; DroneModels; OpenSfM",
 )
 
 
@@ -61,13 +53,8 @@ class Sensor:
     shapes: tuple[float, ...] = ()
 
 
-_UNCOOLED: tuple[float, float] = sourced(
-    (640 / 512, 336 / 256),
-    "ratio of sides",
-    "of thermal sensors, by which their frames differ from those of the visual camera of the same name",
-    "data sheets: 640 x 512 and 336 x 256",
-)
-SENSORS: dict[str, Sensor] = sourced(
+_UNCOOLED = sourced((640 / 512, 336 / 256), "ratio", "of thermal frames", "data sheets: 640 x 512, 336 x 256")
+SENSORS = sourced(
     {
         "zh30t": Sensor((1280,), 12.0, 24.0, _UNCOOLED),
         "h20t": Sensor((640,), 12.0, 13.5, _UNCOOLED),
@@ -86,62 +73,27 @@ SENSORS: dict[str, Sensor] = sourced(
         "imx477": Sensor((4056,), 1.55),
     },
     "px, um, mm",
-    "pixel pitch of sensors by a part of EXIF's make and model, the first that fits: thermal cameras "
-    "report no focal plane or that of their visual camera, boards report no lens; a wrong pitch makes "
-    "the focal length wrong by as much",
-    "Theta-Limited/DroneModels: H20T, M2EA, Boson 12 um; XT, XT2 (Tau 2) 17 um. QGroundControl, "
-    "CameraMetaData.json: Duo Pro R 17 um. DJI, quoted by others: diagonal field H20T 40.6, H30T 45.2 "
-    "degrees, M3T 40 mm equivalent. Assumed: M30T as M3T, Vue TZ20 as Boson, other FLIR of these shapes "
-    "as Tau 2. Raspberry Pi, camera_hardware.adoc: modules 1 to 3, 3 wide, HQ",
+    "pixel pitch by part of make and model, the first that fits; a wrong one scales the focal length",
+    "Theta-Limited/DroneModels; QGroundControl; Raspberry Pi; M30T as M3T, Vue TZ20 as Boson, others Tau 2",
 )
-_SHAPE = tuned(0.01, "share of the ratio of sides", "336 x 256 and 4:3 differ by 1.6 %")
-_ONE_LENGTH: set[str] = sourced(
+_SHAPE = tuned(0.01, "share", "of a ratio of sides: 336 x 256 and 4:3 differ by 0.016")
+_ONE_LENGTH = sourced(
     {"zr10"},
     "model",
-    "of zoom cameras whose tag is the long end of the lens at any zoom: taken as true, it makes the "
-    "focal length up to nine times too long",
-    "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm; tag of 47 mm: frames of one flight",
+    "zooms that tag the long end at any zoom: trusted, the focal length is up to 9 times too long",
+    "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm",
 )
-_ACTION_MAKES: set[str] = sourced(
+_ACTION_MAKES = sourced(
     {"gopro", "xiaoyi", "sjcam", "drift"},
     "make",
-    "of action cameras, which have several fields of view and no tag of the mode",
-    "OpenSfM, opensfm/data/camera_calibration.yaml: gopro, xiaoyi, drift; sjcam: chosen",
+    "of action cameras, which have several fields of view and do not tag the mode",
+    "OpenSfM, opensfm/data/camera_calibration.yaml: all but sjcam",
 )
-_WIDE_MODE_MM = sourced(
-    16.0,
-    "mm, 35 mm equivalent",
-    "to which an action camera's frame is of its wide mode, whose lens is a fisheye; longer ones are of "
-    "modes that the camera crops or straightens",
-    "OpenSfM, opensfm/data/camera_calibration.yaml, GoPro: wide 15 (Hero 3) and 16 mm (Hero 2), medium "
-    "20 and 23 mm; Hero 8 without distortion, 0.477 of 36 mm: 17 mm",
-)
-_ACTION = sourced(
-    0.47,
-    "focal length over longer side",
-    "of their wide modes, where no tag gives it",
-    "OpenSfM, opensfm/data/camera_calibration.yaml: GoPro Hero 3 wide 0.466, Drift 0.47; gyroflow's "
-    "lens_profiles: Hero 11 wide 0.444; GoPro, HERO5 Black Field of View: 122.6 degrees, which is 0.467 "
-    "of an equidistant lens",
-)
-ALIKE = tuned(
-    0.15,
-    "share",
-    "by which two sources of one focal length may differ: whole millimetres of 35 mm equivalents leave "
-    "some per cent, an image that was cut or taken by another lens differs by more",
-)
-_USUAL = sourced(
-    0.85,
-    "focal length over longer side",
-    "where nothing reports one; the reach of the prior is wide on both sides",
-    "OpenSfM, default_focal_prior in opensfm/config.py: 0.85",
-)
-_WIDEST_FLAT = sourced(
-    0.25,
-    "focal length over longer side",
-    "shorter ones are fisheyes, or the tag of another camera: no wider lens maps a plane to a plane",
-    "Voigtlaender Heliar-Hyper Wide 10 mm and Laowa 9 mm on 36 mm: 0.28 and 0.25",
-)
+_WIDE_MODE_MM = sourced(16.0, "equivalent mm", "longest fisheye mode", "OpenSfM: GoPro wide 15 and 16")
+_ACTION = sourced(0.47, "focal / side", "of wide modes", "OpenSfM: 0.466 and 0.47; gyroflow: 0.444")
+ALIKE = tuned(0.15, "share", "of two sources: rounded equivalents differ by some %, a cropped image by more")
+_USUAL = sourced(0.85, "focal / side", "where nothing reports one", "OpenSfM: default_focal_prior")
+_WIDEST_FLAT = sourced(0.25, "focal / side", "shorter is a fisheye", "Laowa 9 mm on 36 mm: 0.25")
 
 
 @dataclass(frozen=True)

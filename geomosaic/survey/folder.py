@@ -17,27 +17,12 @@ from geomosaic.survey.names import frame_name, natural_key
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
 _MASK_ENDINGS: Final = ("_mask", ".mask")
-_MOST_MASK_BYTES: int = tuned(
-    256 << 20,
-    "bytes",
-    "of a PNG mask: of two values, packed, one of 200 megapixels takes less than 1 MB, unpacked 200; a "
-    "larger file would take the memory",
-)
+_MOST_MASK_BYTES = tuned(256 << 20, "bytes", "of a mask: 200 megapixels unpacked; more would fill the memory")
 _HOMES: Final = ("images", "dcim")
 """Where OpenDroneMap's projects and cameras' cards hold frames; what else they hold is made of them."""
 _PROJECT_FILES: Final = {"pos": "geo.txt", "gcp": "gcp_list.txt"}
-_DEEPEST = tuned(
-    4,
-    "folders",
-    "deep that frames are sought: CARD/DCIM/100MEDIA has two, MicaSense's 0000SET/000 in a flight's "
-    "folder three; deeper ones are another survey's",
-)
-_MOST_FOLDERS = tuned(
-    2000,
-    "folders",
-    "looked at: 1,000 flights of two; a whole disk would be searched for minutes and its pictures be "
-    "taken for frames",
-)
+_DEEPEST = tuned(4, "folders", "DCIM has two, MicaSense three: deeper ones are another survey's")
+_MOST_FOLDERS = tuned(2000, "folders", "1000 flights of two: more is a whole disk, searched for minutes")
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 

@@ -20,48 +20,18 @@ from geomosaic.survey.xmp import Xmp, parse_xmp
 JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
 DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
-_BYTES: dict[str, int] = sourced(
+_BYTES = sourced(
     {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4},
     "bytes by type",
-    "of a pixel of one band",
-    "the types' bits, by 8",
+    "of a pixel in one band; other types count as 8",
+    "definition of the types",
 )
-_MOST_SIDE_PX = sourced(
-    32_766,
-    "px",
-    "of a frame: OpenCV's remap counts pixels in 16 bits with a sign and fails beyond",
-    "OpenCV's documentation of remap: less than 32,767 px a side",
-)
-_MOST_BYTES: int = tuned(
-    4 << 30,
-    "bytes",
-    "of a frame's decoded pixels: the largest cameras have 3.6e9 (26,460 x 17,004 px in 4 bands of 16 "
-    "bits); more would take the memory",
-)
-_MOST_RATIO = sourced(
-    4000,
-    "ratio",
-    "of pixels to the bytes of their file that compression can reach: a header that states more is "
-    "damaged, and memory would be taken for it",
-    "DEFLATE: at most 1,032 (zlib, technical details); LZW: 4,096 codes (TIFF 6.0, section 13)",
-)
-_SMALL_BYTES: int = tuned(
-    64 << 20,
-    "bytes",
-    "of pixels that a file of any size may state: they do no harm, and images of one colour pack well",
-)
-_MOST_LOOKED_AT = tuned(
-    4096,
-    "blocks",
-    "of a TIFF whose places in the file are asked of GDAL, one by one; of more an even share, so that "
-    "damage in a few is missed",
-)
-_EXIF_BYTES: int = tuned(
-    8 << 20,
-    "bytes",
-    "of a TIFF's beginning that are searched for EXIF: its directories mostly stand there, and where "
-    "they don't GDAL's items serve; more is read from every frame",
-)
+_MOST_SIDE_PX = sourced(32_766, "px", "of a frame: cv2.remap fails beyond", "OpenCV, remap: less than 32,767")
+_MOST_BYTES = tuned(4 << 30, "bytes", "of a decoded frame: the largest have 3.6e9; more fills the memory")
+_MOST_RATIO = sourced(4000, "ratio", "pixels to file: more is a damaged header", "LZW: 4096; DEFLATE: 1032")
+_SMALL_BYTES = tuned(64 << 20, "bytes", "of pixels that any file may state: images of one colour pack well")
+_MOST_LOOKED_AT = tuned(4096, "blocks", "of a TIFF that GDAL locates: fewer miss damage; more are slow")
+_EXIF_BYTES = tuned(8 << 20, "bytes", "of a TIFF searched for EXIF: less misses it; more reads much a frame")
 
 
 @dataclass(frozen=True)

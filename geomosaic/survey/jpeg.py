@@ -13,24 +13,23 @@ from geomosaic.errors import FileError
 _EXIF: Final = b"Exif\x00\x00"
 _XMP: Final = b"http://ns.adobe.com/xap/1.0/\x00"
 _EOI: Final = b"\xff\xd9"
-_MARKERS: Final = "ITU-T T.81, table B.1"
-_FRAME_HEADERS: frozenset[int] = sourced(
+_FRAME_HEADERS = sourced(
     frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}),
     "marker",
-    "segments that state the image's size; of the three between them two are tables and one is reserved",
-    _MARKERS,
+    "segments with the image's size; the three between are not",
+    "ITU-T T.81, table B.1",
 )
-_PROGRESSIVE: frozenset[int] = sourced(
+_PROGRESSIVE = sourced(
     frozenset({0xC2, 0xC6, 0xCA, 0xCE}),
     "marker",
-    "frame headers of images that come in scans, each over the whole: no row of them is known to be whole",
-    _MARKERS,
+    "frame headers of images in scans, of which no row is known to be whole",
+    "ITU-T T.81, table B.1",
 )
-_WITHOUT_LENGTH: frozenset[int] = sourced(
+_WITHOUT_LENGTH = sourced(
     frozenset({0x01, *range(0xD0, 0xD8)}),
     "marker",
-    "they stand alone: taken for a segment, what follows would be skipped as its content",
-    _MARKERS,
+    "they stand alone: read as segments, they would hide what follows",
+    "ITU-T T.81, table B.1",
 )
 _TRUNCATED: Final = "copy it again from the camera, or take it out of the folder"
 

@@ -13,12 +13,7 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import OFF_CENTRE, focal_length_can_be
 from geomosaic.survey.xmp import number, numbers
 
-_SQUARE = tuned(
-    0.01,
-    "share of a fisheye's affine matrix",
-    "by which it may be none of square pixels: its two sizes are then taken in their mean, and more "
-    "would leave a stretch that no lens here has",
-)
+_SQUARE = tuned(0.01, "share", "of a fisheye's matrix: more leaves a stretch that no lens has")
 
 
 def dji_dewarp(header: FrameHeader, blank: Camera) -> Camera | None:

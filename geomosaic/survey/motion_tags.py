@@ -19,49 +19,19 @@ Floats = NDArray[np.float64]
 CAMERA_FROM_UNIT: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The unit's axes are the body's, forward, right and down, and forward is the image's top: of all 24
 right-handed assignments the one that the images confirm, see docs/design.md."""
-UNIT_DELAY_S = sourced(
-    0.0425,
-    "s",
-    "by which the rates that a Sequoia writes lag: the middle row was read when the middle sample was "
-    "taken, and its true rates are those written so much later",
-    "docs/design.md, Gyroscope tags: 28 frames of a Sequoia, tie points' deviation 1.95 px with 40 ms, "
-    "1.59 with 42.5, 1.82 with 45",
-)
-_SAMPLE: np.dtype[np.void] = sourced(
+UNIT_DELAY_S = tuned(0.0425, "s", "lag of a Sequoia's rates: ties 1.59 px, 1.95 with 0.04, 1.82 with 0.045")
+_SAMPLE = sourced(
     np.dtype([("time_us", "<u8"), ("rad_per_s", "<f4", 3), ("flags", "<u4")]),
     "bytes",
     "a record of the tag: 24 bytes, little endian",
-    "a Parrot Sequoia's files; docs/inputs.md, Rolling shutter",
+    "a Parrot Sequoia's files; docs/inputs.md",
 )
-_MOST_SAMPLES = tuned(
-    4096,
-    "samples",
-    "of a frame: at 1 kHz one read within 0.18 s has 185; a tag with more is damaged or made to take memory",
-)
-_LONGEST: int = sourced(
-    4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4,
-    "characters",
-    "of the tag that holds the most samples: four for three bytes, and padding",
-    "RFC 4648, section 4 (base64)",
-)
-_LEAST_SAMPLES = tuned(8, "samples", "of a frame: fewer show no turn within it")
-_SAMPLES_A_TURN = tuned(
-    4,
-    "samples",
-    "from one tabled turn to the next: at 1 kHz the turn is smooth over 4 ms, since vibration has some "
-    "tens of Hz; more would cut it off, fewer only make longer tables",
-)
-_FARTHEST_RAD = tuned(
-    0.25,
-    "rad",
-    "a frame that turns farther while it is read shows nothing: the samples are wrong",
-)
-_EDGE = tuned(
-    5,
-    "samples",
-    "whose mean goes on beyond the first and the last: of fewer the noise goes on, of more the rate of "
-    "a while ago",
-)
+_MOST_SAMPLES = tuned(4096, "samples", "at 1 kHz in 0.18 s there are 185: more is damaged")
+_LONGEST = sourced(4 * _MOST_SAMPLES * _SAMPLE.itemsize // 3 + 4, "characters", "tag in base64", "RFC 4648")
+_LEAST_SAMPLES = tuned(8, "samples", "of a frame: fewer show no rotation within it")
+_SAMPLES_A_TURN = tuned(4, "samples", "between tabled rotations: more cut vibration off; fewer take room")
+_FARTHEST_RAD = tuned(0.25, "rad", "rotation within a frame: more is wrong samples, or nothing is sharp")
+_EDGE = tuned(5, "samples", "averaged past each end: fewer extend noise; more an outdated rate")
 
 
 def turns_of(header: FrameHeader) -> Turns | None:

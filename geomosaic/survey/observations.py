@@ -25,24 +25,9 @@ from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos import PosFile, PosRow
 
 Floats = NDArray[np.float64]
-_FAR_M = tuned(
-    1000.0,
-    "m",
-    "between a POS file and the frames' own GPS that warns, and within which exchanged columns fit: "
-    "GPS is off by tens of metres, other data by hundreds, a wrong CRS or line by more",
-)
-_SWAPPED_M = tuned(
-    50_000.0,
-    "m",
-    "median distance from the frames' own GPS from which columns may be swapped: with less, where "
-    "longitude and latitude are alike, a wrong CRS would be called that",
-)
-TOO_FAR_M = tuned(
-    300_000.0,
-    "m",
-    "from the middle of the survey: no survey reaches so far, so the position is wrong or another "
-    "survey's; with less a long corridor would be refused",
-)
+_FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
+_SWAPPED_M = tuned(50_000.0, "m", "median from GPS that suggests swapped columns: less blames a wrong CRS")
+TOO_FAR_M = tuned(300_000.0, "m", "from the survey's centre: less refuses long corridors; more keeps others'")
 
 
 @dataclass(frozen=True)

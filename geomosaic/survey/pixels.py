@@ -21,12 +21,7 @@ from geomosaic.survey.small import HALF, Spare, brightness, means, padded
 
 Mask = NDArray[np.uint8]
 
-REDUCTIONS: tuple[int, ...] = sourced(
-    (1, 2, 4, 8),
-    "px by px that become one",
-    "by which a JPEG is reduced while it is decoded; others would be resampled, and blur",
-    "libjpeg: a block of 8 x 8 becomes one of 4, 2 or 1 px a side",
-)
+REDUCTIONS = sourced((1, 2, 4, 8), "px a side", "of smaller decodes; others blur", "libjpeg: 8 x 8 blocks")
 _MEND: Final = "copy it again from the camera, or take it out of the folder"
 
 

@@ -23,28 +23,10 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, Table
 
 Floats = NDArray[np.float64]
-_PRJ_BYTES: int = tuned(
-    64 << 10,
-    "bytes",
-    "of a .prj file: a CRS in words has some thousand, a larger file is something else",
-)
-_FAR_OUTSIDE_M = tuned(
-    500_000.0,
-    "m",
-    "outside a CRS's area of use from which it is another place's: areas are rounded boxes, and a "
-    "neighbouring zone may be wanted (UTM's are up to 668 km wide); with more a wrong zone passes",
-)
-_FAR_M = tuned(
-    5000.0,
-    "m",
-    "from the farthest frame's reach, or from a CRS's area of use: beyond, the CRS is another or columns "
-    "are swapped; with less, points beside frames with bad positions would be refused",
-)
-_ENOUGH = tuned(
-    100,
-    "points",
-    "of a table that are tried in each system a name may mean; all of a long one would take minutes",
-)
+_PRJ_BYTES = tuned(64 << 10, "bytes", "of a .prj file: a CRS takes some thousand")
+_FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
+_FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
+_ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
 NOWHERE: Floats = np.column_stack([[], []])
 """Longitudes and latitudes of no frames: none has a position, or they aren't known yet."""
 

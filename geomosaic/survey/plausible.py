@@ -38,58 +38,22 @@ class Limit:
     source: str
 
 
-LOWEST: Final = Limit(
-    -1000.0,
-    "m",
-    "the lowest land lies at -430 m, the geoid down to -106 m; the rest is for barometers",
-    "Dead Sea shore; EGM2008",
-)
-HIGHEST: Final = Limit(
-    60_000.0, "m", "aircraft reach 26 km, balloons 54 km", "SR-71, 1976; JAXA BS13-08, 2013"
-)
-APART: Final = Limit(
-    1500.0,
-    "m",
-    "above the middle of the neighbours, in plan as in time: more than the highest sheer faces",
-    "Mount Thor 1250 m, Great Trango Tower 1340 m",
-)
+LOWEST: Final = Limit(-1000.0, "m", "land at -430 m, geoid -106 m; room for barometers", "Dead Sea; EGM2008")
+HIGHEST: Final = Limit(60_000.0, "m", "aircraft reach 26 km, balloons 54", "SR-71, 1976; JAXA BS13-08, 2013")
+APART: Final = Limit(1500.0, "m", "above its neighbours: more than sheer faces", "Great Trango Tower: 1340 m")
 SPREADS: Final = Limit(10.0, "robust deviations", "of those neighbours' own heights, on top", CHOSEN)
-NARROWEST: Final = Limit(
-    100.0,
-    "focal length over longer side",
-    "3600 mm on 36 mm: what is longer is a telescope",
-    "Nikon P1000: 83",
-)
-WIDEST: Final = Limit(
-    0.1, "focal length over longer side", "a flat image 157 degrees wide", "fisheye of 8 mm on 36 mm: 0.22"
-)
+NARROWEST: Final = Limit(100.0, "focal / side", "3600 mm on 36 mm: more is a telescope", "Nikon P1000: 83")
+WIDEST: Final = Limit(0.1, "focal / side", "a flat image of 157 degrees", "fisheye of 8 mm on 36 mm: 0.22")
 ZOOM: Final = Limit(20.0, "ratio", "between frames of one make, model and size", "DJI H20's zoom: 4.7")
-BENT: Final = Limit(
-    0.5, "share of the radius", "moved by distortion halfway to the corner: fisheyes reach 0.3", "Brown 1971"
-)
-OFF_CENTRE: Final = Limit(
-    0.05,
-    "share of the longer side",
-    "principal point off where it should be: mounts leave 0.01, shifting stabilisers 0.03",
-    "makers' tags: Sequoia 0.007, FC6310R 0.006",
-)
-RESURVEYED: Final = Limit(
-    1.0,
-    "m",
-    "and more apart two lines are no longer one control point, rounded or surveyed twice",
-    "RTK: 0.05 m",
-)
+BENT: Final = Limit(0.5, "share", "of the radius, halfway to the corner: fisheyes reach 0.3", "Brown 1971")
+OFF_CENTRE: Final = Limit(0.05, "share", "principal point off: stabilisers reach 0.03", "tags: Sequoia 0.007")
+RESURVEYED: Final = Limit(1.0, "m", "between two lines of one control point, surveyed twice", "RTK: 0.05 m")
 SLOWEST: Final = Limit(5.0, "s", "to read a frame's rows: rolling shutters take under 0.3 s", "makers' tags")
 FASTEST: Final = Limit(1000.0, "m/s", "three times the speed of sound", "SR-71: 980")
 FASTEST_TURN: Final = Limit(
-    35.0, "rad/s", "2000 degrees a second, where small gyroscopes end", "InvenSense MPU-6000, full scale"
+    35.0, "rad/s", "2000 degrees a second: gyroscopes end there", "InvenSense MPU-6000"
 )
-_NEIGHBOURS = tuned(
-    8,
-    "frames",
-    "that a frame's height is held against, in plan as in time: of fewer two wrong ones decide, more "
-    "reach over to another slope",
-)
+_NEIGHBOURS = tuned(8, "frames", "that judge a height: of fewer two wrong ones decide; more reach slopes")
 
 
 def plausible_positions(

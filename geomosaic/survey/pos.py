@@ -72,12 +72,7 @@ ALIASES: Final[Aliases] = {
 """Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
 
 Floats = NDArray[np.float64]
-_MOST_LINES = tuned(
-    200_000,
-    "lines",
-    "of a POS file: a frame each second for two days and nights, where the largest blocks that are "
-    "flown have some 50,000; without a limit a log would take memory and time",
-)
+_MOST_LINES = tuned(200_000, "lines", "of a POS file: the largest blocks have 50,000; more is a log")
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _GIVE_CRS: Final = "give it as an EPSG code (--pos-crs EPSG:32632), or put a .prj file beside the POS file"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")

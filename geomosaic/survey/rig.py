@@ -19,12 +19,7 @@ _OWN: Final = ("green", "red", "rededge", "red edge")
 """Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
 _SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
 """`IMG_0001_GRE`, `IMG_0001_4`: the capture's name and the band's."""
-LEAST_BANDS = sourced(
-    2,
-    "bands",
-    "of a capture: files of one band alone are frames of a camera, not of a rig",
-    "what a rig is",
-)
+LEAST_BANDS = sourced(2, "bands", "of a rig's capture: one band is a camera", "definition of a rig")
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import SLOWEST
 from geomosaic.survey.xmp import number
 
-_LIST: Final = "OpenDroneMap's list (opendm/rollingshutter.py): its users, with a blinking light"
-READOUTS_S: dict[str, float] = sourced(
+READOUTS_S = sourced(
     {
         "phantom vision fc200": 0.074,
         "fc300c": 0.033,
@@ -29,21 +28,16 @@ READOUTS_S: dict[str, float] = sourced(
         "hero8 black": 0.017,
     },
     "s",
-    "from the first row to the last by EXIF's model: without it lines flown to and fro shrink and stretch",
-    _LIST,
+    "first row to last by EXIF's model: without it, lines flown to and fro shrink and stretch",
+    "OpenDroneMap, opendm/rollingshutter.py, by users with a blinking light",
 )
-_READOUTS_BY_SIZE: dict[str, tuple[float, float, float]] = sourced(
+_READOUTS_BY_SIZE = sourced(
     {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)},
     "megapixels from and to, s",
-    "images of other sizes than most by the model, of which other rows are read, or each",
-    _LIST,
+    "images of other sizes than most by the model, which read other rows",
+    "OpenDroneMap, opendm/rollingshutter.py",
 )
-READOUT_SD_SHARE = tuned(
-    0.1,
-    "share of a readout by model",
-    "its deviation: whole milliseconds of 17 to 74, and a frame cut to another shape has fewer rows, "
-    "by a sixth from 3:2 to 16:9; a smaller one holds what may be wrong",
-)
+READOUT_SD_SHARE = tuned(0.1, "share", "of a model's: crops have a sixth fewer rows; less binds wrong ones")
 GLOBAL_SHUTTERS: Final = {
     "fc6310", "fc6310r", "fc6310s", "fc6360", "fc6510", "m3e", "zenmusep1", "s.o.d.a.",
     "rededge", "rededge-m", "rededge-mx", "altum",
@@ -55,18 +49,12 @@ STILL_CAMERAS: Final = {
     "phase one", "samsung",
 }  # fmt: skip
 """Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are set not to."""
-UNREPORTED_SD_S = tuned(
-    0.04,
-    "s",
-    "deviation of the readout of a camera of which nothing reports the shutter: none, or 0.02 to 0.1 s "
-    "as small cameras have; a smaller one hides what that leaves open",
-)
-_BANDS_AT_ONCE: set[tuple[str, int]] = sourced(
+UNREPORTED_SD_S = tuned(0.04, "s", "without a report, 0 or 0.02 to 0.1: less hides what is open")
+_BANDS_AT_ONCE = sourced(
     {("sequoia", 1)},
-    "model and bands",
-    "of cameras that tag the time a line takes but expose all lines at once: followed, the tag would "
-    "bend each frame",
-    "docs/inputs.md, Rolling shutter: the one-band cameras of Parrot's Sequoia",
+    "model, bands",
+    "cameras that tag a line time but expose all lines at once: used, it would bend frames",
+    "Parrot Sequoia's one-band cameras; docs/inputs.md",
 )
 
 

@@ -9,31 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 from geomosaic.survey.model import Frame
 
 Pixels = NDArray[np.uint8]
-HALF = sourced(
-    2,
-    "px by px that become one",
-    "of the decode that all smaller images are means of: an eighth by libjpeg itself takes four fifths "
-    "of the time, since the file's codes are read all the same",
-    "measured: a JPEG of 9 MP, 36 ms at half its size, 28 ms at an eighth",
-)
-EIGHTH = sourced(
-    8,
-    "px by px that become one",
-    "at which tones and seams look at frames of 9 MP and more, and the report: 0.4 MB a frame there",
-    "docs/design.md, decoded once",
-)
+HALF = sourced(2, "px a side", "of the shared decode", "9 MP: 36 ms, 28 ms at an eighth")
+EIGHTH = tuned(8, "px a side", "of tones, seams and report: 0.4 MB a frame of 9 MP; less takes memory")
 
-LEAST_PX = sourced(
-    512,
-    "px",
-    "shortest side of a JPEG that is worth it: a smaller one is decoded in 2 ms, and its eighth is too "
-    "small for anyone",
-    "measured: 9 MP take 36 ms; mosaic.tones wants 64 px",
-)
+LEAST_PX = tuned(512, "px", "shortest side worth a shared decode: smaller takes 2 ms at full size")
 
 
 @dataclass(frozen=True)

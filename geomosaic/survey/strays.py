@@ -30,60 +30,18 @@ from geomosaic.survey.plausible import Limit
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 LEAVE_OUT: Final = ("auto", "none")
-COPY: Final = Limit(
-    0.995,
-    "correlation",
-    "of small versions: a copy saved anew or in another size; neighbours have less",
-    CHOSEN,
-)
-_COPY_GREYS = tuned(
-    4.0,
-    "grey levels of 255",
-    "by which mean and contrast of copies differ at most: they are as bright, bands of one capture aren't",
-)
-LOW: Final = Limit(
-    0.3,
-    "of the usual height above the ground",
-    "a frame sees less than a tenth of what others see: taken while climbing or landing",
-    CHOSEN,
-)
-_FEW_LOW = tuned(
-    0.1,
-    "share of all frames",
-    "at each end of the flight that climbing or landing may take (of few frames three, or a quarter): "
-    "more of them are a low part of the survey",
-)
-APART: Final = Limit(
-    2.0,
-    "extents of both flights together",
-    "between two flights: the mosaic of both would be nearly all empty",
-    CHOSEN,
-)
-_NEAR_M = tuned(
-    500.0,
-    "m",
-    "nearer to each other, flights are never two: fields of one flight lie so far apart; with less, "
-    "small surveys would be torn",
-)
-_LEAST_FLIGHT = tuned(
-    3,
-    "frames",
-    "of a flight: fewer at a place of their own may have wrong positions; where there aren't twice as "
-    "many, nothing shows what is usual",
-)
+COPY: Final = Limit(0.995, "correlation", "of small versions of copies; neighbours have less", CHOSEN)
+_COPY_GREYS = tuned(4.0, "grey levels", "of mean and contrast: more takes bands for copies")
+LOW: Final = Limit(0.3, "usual heights", "above ground: sees a tenth of what others see, in a climb", CHOSEN)
+_FEW_LOW = tuned(0.1, "share", "of frames in climb or landing: more would be a part of the survey")
+APART: Final = Limit(2.0, "extents", "of both flights, between them: their mosaic is mostly empty", CHOSEN)
+_NEAR_M = tuned(500.0, "m", "between flights: less splits small surveys; fields of a flight are as far")
+_LEAST_FLIGHT = tuned(3, "frames", "of a flight: fewer at one place may be wrong positions")
 BLURRED: Final = Limit(
-    2.3,
-    "natural logarithm",
-    "a tenth of its neighbours' share of fine detail: blurred over some 4 pixels",
-    "Gaussian blur of 2 px: 2.4 to 3",
+    2.3, "log detail", "a tenth of its neighbours', blurred over 4 px", "2 px blur: 2.4 to 3"
 )
 SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", CHOSEN)
-_BESIDE = tuned(
-    5,
-    "frames before and after",
-    "whose fine detail a frame's is held against: of fewer one blurred one decides, more reach over to "
-    "other land",
-)
+_BESIDE = tuned(5, "frames", "each side, to compare sharpness: fewer let one decide; more reach other land")
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-copy": "copies of other frames",

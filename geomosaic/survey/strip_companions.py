@@ -18,12 +18,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_model import read_model
 
-_MAX_BYTES: int = tuned(
-    1 << 20,
-    "bytes",
-    "up to which a file may be an RPC's text, which has some thousands: a larger one is opened as a "
-    "raster that holds one",
-)
+_MAX_BYTES = tuned(1 << 20, "bytes", "of an RPC as text: larger is opened as a raster that holds one")
 _MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
 _RPC: Final = Purpose(("GTiff",), "is no RPC and no raster that holds one", _MEND)
 _DEM_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"

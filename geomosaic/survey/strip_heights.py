@@ -21,16 +21,8 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel, Warn
 
 Floats = NDArray[np.float64]
-_TILE_PX = tuned(
-    256,
-    "px a side",
-    "of a DEM that are read at once: smaller tiles are many reads, larger ones hold land that no strip sees",
-)
-_MOST_TILES = tuned(
-    384,
-    "tiles",
-    "that are kept: some 200 MB; with fewer those of a wide scene are read again and again",
-)
+_TILE_PX = tuned(256, "px a side", "read at once: smaller are many reads; larger hold unused land")
+_MOST_TILES = tuned(384, "tiles", "kept, 200 MB: fewer are read again in a wide scene; more take memory")
 _MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
 
 

@@ -21,11 +21,10 @@ ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
 ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
 _LOOK_KEYS: Final = ("forward_tan", "right_tan")
-_MOST_BYTES: dict[str, int] = tuned(
+_MOST_BYTES = tuned(
     {"model": 64 << 10, "table": 64 << 20},
-    "bytes by kind of file",
-    "a table of 200 s at 3 kHz has 60 MB, and a list of 1 MB takes YAML half a minute; without a limit "
-    "another file would take the memory or the time",
+    "bytes by kind",
+    "a table of 200 s at 3 kHz has 60 MB; YAML is slow",
 )
 _MEND: Final = "see docs/simulation.md for the model's form"
 

@@ -18,46 +18,18 @@ from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
 
-_MAX_BYTES: int = tuned(
-    64 << 10,
-    "bytes",
-    "of a geometry file: a list of 1 MB takes YAML half a minute, 64 CCDs have some thousand bytes",
-)
-_MOST_CCDS = tuned(
-    64,
-    "CCDs",
-    "of a focal plane: TH-1 has 8; each opens a file and adds a strip to the memory",
-)
-_MOST = tuned(
-    1e9,
-    "as its key says",
-    "what any number of a geometry file is at most: larger ones are slips, whose products leave 64 bits",
-)
-EARTH_RADIUS_M = sourced(
-    6371000.0,
-    "m",
-    "by which the vertical turns between the two rows' places: it varies by 0.3 %, which does nothing "
-    "to a height per line",
-    "GRS 80: mean radius 6,371,008.8 m, rounded",
-)
-_ALTITUDE_M = tuned(
-    500e3,
-    "m",
-    "of flight where no model says it: imaging satellites fly at 400 to 800 km; how far relief and "
-    "clouds move between the rows goes by it",
-)
-_LEAST_OVERLAP_PX = tuned(8, "px", "of neighbouring strips: narrower overlaps can't be matched")
-_BITS: dict[str, int] = sourced(
-    {"uint8": 8, "uint16": 16, "int16": 15},
-    "bits by type",
-    "that pixels can use, without the sign",
-    "the types' own",
-)
-_RANGES: dict[str, tuple[int, int]] = sourced(
+_MAX_BYTES = tuned(64 << 10, "bytes", "of a geometry file: 64 CCDs take some thousand; YAML is slow")
+_MOST_CCDS = tuned(64, "CCDs", "of a focal plane: TH-1 has 8; each opens a file and takes memory")
+_MOST = tuned(1e9, "any unit", "largest number in a geometry file: products stay in 64 bits")
+EARTH_RADIUS_M = sourced(6371000.0, "m", "by which the vertical turns between rows", "GRS 80, mean radius")
+_ALTITUDE_M = tuned(500e3, "m", "where no model says it: imaging satellites fly at 400 to 800 km")
+_LEAST_OVERLAP_PX = tuned(8, "px", "of neighbouring strips: narrower ones cannot be matched")
+_BITS = sourced({"uint8": 8, "uint16": 16, "int16": 15}, "bits by type", "without the sign", "definition")
+_RANGES = sourced(
     {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)},
     "grey levels by type",
-    "least and largest: a nodata outside them would meet no pixel",
-    "the types' own",
+    "a nodata value lies within",
+    "definition",
 )
 _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",

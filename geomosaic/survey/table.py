@@ -22,18 +22,10 @@ Floats = NDArray[np.float64]
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
 
-_MAX_BYTES: int = tuned(
-    64 << 20,
-    "bytes",
-    "of a table: 200,000 lines of 300 characters; a larger file is something else and would take the memory",
-)
-_LONGEST_LINE = tuned(20_000, "characters", "of a line: 500 columns of 40; a longer one is no table's")
-_MOST_COLUMNS = tuned(
-    500,
-    "columns",
-    "of a header: far more than programs write; each is looked up under every name",
-)
-_UNITS: dict[str, float] = sourced(
+_MAX_BYTES = tuned(64 << 20, "bytes", "200,000 lines of 300 characters: a larger file is something else")
+_LONGEST_LINE = tuned(20_000, "characters", "500 columns of 40: a longer line is no table's")
+_MOST_COLUMNS = tuned(500, "columns", "of a header; each is looked up under every name")
+_UNITS = sourced(
     {
         **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
         **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
@@ -42,10 +34,9 @@ _UNITS: dict[str, float] = sourced(
         **dict.fromkeys(("ft", "feet"), 0.3048),
         **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
     },
-    "degrees or metres by the unit's name",
-    "what a column is multiplied by; a unit that isn't here is refused, since its numbers would be "
-    "taken for others",
-    "definitions: 180 / pi degrees a radian, 0.9 a gon; international foot of 1959",
+    "degrees or metres by unit",
+    "other units are refused",
+    "definitions; international foot of 1959",
 )
 _WANTED: Final = "give a table as text (CSV) with a line per frame or point, as docs/inputs.md has it"
 _OTHER_KINDS: Final = (

@@ -17,11 +17,7 @@ from geomosaic.survey.model import LeftOut, Warn
 
 Inspect = Callable[[list[str]], list[Wholeness]]
 DAMAGED: Final = ("leave_out", "mask")
-_LEAST_WHOLE = tuned(
-    0.25,
-    "share of a damaged frame's rows",
-    "that are whole at least: with less it hardly ties to its neighbours",
-)
+_LEAST_WHOLE = tuned(0.25, "share", "of a damaged frame's rows: less hardly ties to its neighbours")
 
 
 @dataclass(frozen=True)

@@ -18,30 +18,13 @@ Xmp = dict[str, str]
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
-_MAX_BYTES: int = tuned(
-    1 << 20,
-    "bytes",
-    "of an image's XMP that are searched: cameras write some thousands; more only takes time",
-)
-_MOST_MARKS = tuned(
-    20_000,
-    "`<` in a packet",
-    "the longest that cameras write has 400, an image edited for long some 5,000; a packet of more "
-    "takes the XML reader's memory",
-)
-_MOST_PREFIXES = tuned(
-    100,
-    "prefixes",
-    "that a packet uses: far more than programs write; each is looked for in the whole packet",
-)
+_MAX_BYTES = tuned(1 << 20, "bytes", "of an image's XMP: cameras write some thousand; more takes time")
+_MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills the XML reader's memory")
+_MOST_PREFIXES = tuned(100, "prefixes", "of a packet: far more than programs write; each is searched for")
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
-_LONGEST_NUMBER = tuned(
-    80,
-    "characters",
-    "of a number or fraction: doubles have 25; thousands of digits take long to read",
-)
+_LONGEST_NUMBER = tuned(80, "characters", "doubles have 25; thousands of digits take long to read")
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
 
