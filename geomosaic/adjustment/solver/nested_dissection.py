@@ -171,7 +171,7 @@ class Dissected:
         return out.ravel()
 
     def _lower(self, places: Ints) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-        """Rows and columns of the lower triangle of frames in order, piece by piece, and where each piece lies
+        """Rows and columns of the lower triangle of frames in order, piece by piece, and where each lies
         in a matrix of frames that has them at these rising places."""
         breaks = np.flatnonzero(np.diff(places) != 1) + 1
         bounds = [0, *breaks.tolist(), len(places)] if len(places) else [0]
