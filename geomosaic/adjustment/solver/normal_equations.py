@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.sparse import bsr_matrix
+from scipy.sparse import bsr_matrix, csc_matrix
 
 from geomosaic.adjustment.solver.nested_dissection import Dissected
 from geomosaic.adjustment.solver.observation_groups import Group, Sightings
@@ -121,14 +121,15 @@ def build_normals(
         for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
             across, down = rows[:, :-3, here:end]
             in_frame[i] += across @ across.T + down @ down.T
-        by_rows = np.einsum("aim,ajm->ijm", rows[:, -3:], rows[:, d:])
-        point_point[:, group.span] = by_rows[:, -3:][_LOWER]
+        for i, j, row in zip(*_LOWER, point_point[:, group.span], strict=True):
+            np.multiply(rows[0, i - 3], rows[0, j - 3], out=row)
+            row += rows[1, i - 3] * rows[1, j - 3]
         which = sightings.point[group.span] - group.points.start
-        summed = _summed(by_rows[:, k:].reshape(12, -1), which, group.size).reshape(-1, 3, 4)
-        points[group.points], point_side[group.points] = summed[..., 1:], summed[..., 0]
         which = which + group.size * camera_of[sightings.frame[group.span]]
-        summed = _summed(by_rows[:, :k].reshape(3 * k, -1), which, c * group.size)
-        interior_point[:, group.points] = np.swapaxes(summed.reshape(c, group.size, 3, k), 2, 3)
+        summed = _by_points(rows[:, d:], which, c * group.size).reshape(c, group.size, 3, k + 4)
+        interior_point[:, group.points] = np.swapaxes(summed[..., :k], 2, 3)
+        point_side[group.points] = summed[..., k].sum(axis=0)
+        points[group.points] = summed[..., k + 1 :].sum(axis=0)
     of_camera = np.eye(c)[camera_of].T
     return Normals(
         sightings=sightings,
@@ -326,11 +327,13 @@ def _less_of_frames(
         (f, d, r).
     """
     blocks, own, others = sums
-    point, d = n.sightings.point[group.span] - group.points.start, scaled.shape[-1]
-    for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
-        mine = scaled[here:end].reshape(-1, d)
-        blocks[own[i]] -= mine.T @ mine
-        others[i] += mine.T @ beside[point[here:end]].reshape(len(mine), -1)
+    rows = scaled.reshape(-1, scaled.shape[-1])
+    seen = beside.take(n.sightings.point[group.span] - group.points.start, axis=0).reshape(len(rows), -1)
+    runs = pairwise((3 * group.runs).tolist())
+    for i, at, (here, end) in zip(group.frames.tolist(), own[group.frames].tolist(), runs, strict=True):
+        mine = rows[here:end]
+        blocks[at] -= mine.T @ mine
+        others[i] += mine.T @ seen[here:end]
 
 
 def _less_of_pairs(group: Group, scaled: Floats, blocks: Floats, across: Ints) -> None:
@@ -346,6 +349,16 @@ def _less_of_pairs(group: Group, scaled: Floats, blocks: Floats, across: Ints) -
             for which, buffer in zip((group.one, group.other), buffers, strict=True)
         )
         blocks[across[group.pairs[here:end]]] -= np.swapaxes(left, 1, 2) @ right
+
+
+def _by_points(rows: Floats, which: Ints, count: int) -> Floats:
+    """Rows' numbers multiplied with their last three, those by the point, and added up by which (m,) they
+    belong to: (3 count, n) for rows (2, n, m)."""
+    each = np.ascontiguousarray(np.swapaxes(rows, 1, 2)).reshape(2 * len(which), -1)
+    place = np.tile((3 * which[:, None] + np.arange(3)).astype(np.int32).ravel(), 2)
+    starts = np.arange(0, len(place) + 1, 3, dtype=np.int32)
+    by_point = csc_matrix((each[:, -3:].ravel(), place, starts), shape=(3 * count, len(each)))
+    return np.asarray(by_point @ each)
 
 
 def _summed(values: Floats, which: Ints, count: int) -> Floats:
