@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dpotrf
+from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlauum, dpotrf, dtrtri
 from scipy.sparse import spmatrix
 from scipy.sparse.linalg import splu
 
@@ -132,13 +132,27 @@ def is_parallel(normal: Floats, most: float) -> bool:
     return not np.isfinite(normal).all() or float(np.linalg.cond(normal)) > most
 
 
-def cholesky(matrix: Floats) -> tuple[Floats, int]:
+def cholesky(matrix: Floats, *, overwrite: bool = False) -> tuple[Floats, int]:
     """Lower Cholesky factor of one symmetric matrix (n, n), and the number of the unknown at which it shows
-    that the matrix is not finite or not positive definite to double precision: -1 where it is."""
-    factor, broken = dpotrf(matrix, lower=1, clean=1)
+    that the matrix is not finite or not positive definite to double precision: -1 where it is.
+
+    Args: overwrite: a matrix in the order of columns becomes the factor. Its upper triangle is not read.
+    """
+    diagonal = np.diag(matrix).copy()
+    factor, broken = dpotrf(matrix, lower=1, clean=1, overwrite_a=overwrite)
     pivots = np.diag(factor)
-    good = np.isfinite(pivots) & (pivots**2 > _PRECISION * np.diag(matrix))
+    good = np.isfinite(pivots) & (pivots**2 > _PRECISION * diagonal)
     return np.asarray(factor), broken - 1 if broken else -1 if good.all() else int(good.argmin())
+
+
+def inverse_of_factor(factor: Floats) -> Floats:
+    """Inverse (n, n), in the order of columns, of a factor of `cholesky`."""
+    return np.asarray(dtrtri(factor, lower=1)[0])
+
+
+def square_of_factor(factor: Floats) -> Floats:
+    """L' L (n, n) of a lower triangular matrix, in the order of columns: its lower triangle alone."""
+    return np.asarray(dlauum(factor, lower=1)[0])
 
 
 def inverse_roots(blocks: Floats) -> Floats:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dsymm, dsyrk, dtrsm
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
 
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.estimation.linear import cholesky
+from geomosaic.estimation.linear import cholesky, inverse_of_factor, square_of_factor
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -22,6 +25,9 @@ _MIDDLE: tuple[float, float] = tuned(
     "share of the frames",
     "between which those from one rim on are cut off: where least frames part them, but not so far out "
     "that the cuts hardly make parts smaller",
+)
+_MOST_WORK = tuned(
+    0.5, "share of a dense matrix's", "operations of a dissection; with more its copies take longer"
 )
 _UNDETERMINED = "the block does not determine the poses of its frames"
 
@@ -38,6 +44,12 @@ class _Front:
     beyond: Ints
     blocks: tuple[Ints, Ints, Ints]
     parts: tuple[tuple[int, Ints], ...]
+
+    @property
+    def work(self) -> float:
+        """Multiplications of its elimination, in cubes of a frame's unknowns."""
+        own, beyond = len(self.own), len(self.beyond)
+        return own * (own * own / 3.0 + own * beyond + beyond * beyond)
 
 
 @dataclass(frozen=True)
@@ -72,6 +84,9 @@ class Dissection:
             place[own], place[beyond] = np.arange(len(own)), len(own) + np.arange(len(beyond))
             blocks = mine, place[row[mine]], place[columns[mine]]
             fronts.append(_Front(own, beyond, blocks, tuple((p, place[fronts[p].beyond]) for p in parts[k])))
+        if len(fronts) > 1 and sum(front.work for front in fronts) > _MOST_WORK * f**3 / 3.0:
+            below = np.flatnonzero(row >= columns)
+            return cls((_Front(np.arange(f), np.arange(0), (below, row[below], columns[below]), ()),))
         return cls(tuple(fronts))
 
 
@@ -113,6 +128,8 @@ class Dissected:
     """Cholesky factors of a sparse matrix of f x f blocks (b, b), both triangles given, front by front
     (multifrontal; Duff and Reid 1983): inside a front all is dense, and a block whose frames all meet is one.
 
+    Only lower triangles are computed, in LAPACK's order of columns.
+
     Raises: NotSolvableError, which names the frame where it shows, if the matrix is not positive definite.
     """
 
@@ -124,21 +141,27 @@ class Dissected:
         left: dict[int, Floats] = {}
         for k, front in enumerate(self._fronts):
             size, frames = b * len(front.own), len(front.own) + len(front.beyond)
-            dense = np.zeros((b * frames, b * frames))
+            dense = np.zeros((b * frames, b * frames), order="F")
             which, row, column = front.blocks
-            dense.reshape(frames, b, frames, b)[row, :, column, :] = matrix.data[which]
+            by_column = dense.T.reshape(frames, b, frames, b)
+            by_column[column, :, row, :] = np.swapaxes(matrix.data, 1, 2)[which]
             for part, place in front.parts:
-                at = self._unknowns(place)
-                dense[at[:, None], at] += left.pop(part)
-            own = self._cholesky(dense[:size, :size], front)
-            below = solve_triangular(own, dense[size:, :size].T, lower=True, check_finite=False).T
-            if len(front.beyond):
-                left[k] = dense[size:, size:] - below @ below.T
+                update = left.pop(part)
+                for here, there in self._lower(place):
+                    dense[there] += update[here]
+            below = np.asfortranarray(dense[size:, :size])
+            beyond = np.asfortranarray(dense[size:, size:])
+            own = self._cholesky(
+                dense if size == len(dense) else np.asfortranarray(dense[:size, :size]), front
+            )
+            if len(below):
+                below = dtrsm(1.0, own, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+                left[k] = dsyrk(-1.0, below, beta=1.0, c=beyond, lower=1, overwrite_c=1)
             self._own.append(own)
             self._below.append(below)
 
     def _cholesky(self, matrix: Floats, front: _Front) -> Floats:
-        factor, broken_at = cholesky(matrix)
+        factor, broken_at = cholesky(matrix, overwrite=True)
         if broken_at >= 0:
             raise NotSolvableError(_UNDETERMINED, frames=(int(front.own[broken_at // self._block]),))
         return factor
@@ -146,6 +169,18 @@ class Dissected:
     def _unknowns(self, frames: Ints) -> Ints:
         out: Ints = self._block * frames[:, None] + np.arange(self._block)
         return out.ravel()
+
+    def _lower(self, places: Ints) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+        """Rows and columns of the lower triangle of frames in order, piece by piece, and where each lies
+        in a matrix of frames that has them at these rising places."""
+        breaks = np.flatnonzero(np.diff(places) != 1) + 1
+        bounds = [0, *breaks.tolist(), len(places)] if len(places) else [0]
+        here = [slice(self._block * a, self._block * z) for a, z in pairwise(bounds)]
+        starts = (self._block * places[bounds[:-1]]).tolist()
+        there = [slice(at, at + s.stop - s.start) for at, s in zip(starts, here, strict=True)]
+        for i in range(len(here)):
+            for j in range(i + 1):
+                yield (here[i], here[j]), (there[i], there[j])
 
     def solve(self, side: Floats) -> Floats:
         """Solutions (f b, r) for right sides (f b, r)."""
@@ -168,21 +203,27 @@ class Dissected:
         out = np.empty((sum(len(front.own) for front in self._fronts), b, b))
         beyond: dict[int, Floats] = {}
         for k in reversed(range(len(self._fronts))):
-            front, factor, size = self._fronts[k], self._own[k], len(self._own[k])
-            turned = solve_triangular(factor, np.eye(size), lower=True, check_finite=False)
-            inverse = np.empty((size + len(self._below[k]),) * 2)
-            inverse[:size, :size] = turned.T @ turned
-            if len(front.beyond):
-                carried, outer = self._below[k] @ turned, beyond.pop(k)
-                inverse[size:, size:] = outer
-                inverse[size:, :size] = -outer @ carried
-                inverse[:size, size:] = inverse[size:, :size].T
-                inverse[:size, :size] -= carried.T @ inverse[size:, :size]
-            for part, place in front.parts:
-                at = self._unknowns(place)
-                if len(at):
-                    beyond[part] = inverse[at[:, None], at]
-            frames = np.arange(len(front.own))
-            blocks = inverse[:size, :size].reshape(len(frames), b, len(frames), b)
-            out[front.own] = blocks[frames, :, frames, :]
+            front, factor, below = self._fronts[k], self._own[k], self._below[k]
+            size, turned = len(factor), inverse_of_factor(factor)
+            columns = [turned[i:, i : i + b] for i in range(0, size, b)]
+            blocks = np.stack([column.T @ column for column in columns])
+            carried = meets = below
+            if len(below):
+                carried = dtrsm(1.0, factor, below, side=1, lower=1)
+                meets = dsymm(-1.0, beyond[k], carried, lower=1)
+                by_frame = (len(front.own), b, -1)
+                blocks -= carried.T.reshape(by_frame) @ np.swapaxes(meets.T.reshape(by_frame), 1, 2)
+            out[front.own] = blocks
+            parts = [(part, place) for part, place in front.parts if len(place)]
+            if parts:
+                inverse = np.empty((size + len(below),) * 2, order="F")
+                inverse[:size, :size] = square_of_factor(turned)
+                if len(below):
+                    inverse[:size, :size] -= carried.T @ meets
+                    inverse[size:, :size], inverse[size:, size:] = meets, beyond[k]
+            for part, place in parts:
+                beyond[part] = np.empty((b * len(place),) * 2, order="F")
+                for here, there in self._lower(place):
+                    beyond[part][here] = inverse[there]
+            beyond.pop(k, None)
         return out

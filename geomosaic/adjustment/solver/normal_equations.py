@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.sparse import bsr_matrix
+from scipy.sparse import bsr_matrix, csc_matrix
 
 from geomosaic.adjustment.solver.nested_dissection import Dissected
 from geomosaic.adjustment.solver.observation_groups import Group, Sightings
@@ -121,14 +121,15 @@ def build_normals(
         for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
             across, down = rows[:, :-3, here:end]
             in_frame[i] += across @ across.T + down @ down.T
-        by_rows = np.einsum("aim,ajm->ijm", rows[:, -3:], rows[:, d:])
-        point_point[:, group.span] = by_rows[:, -3:][_LOWER]
+        for i, j, row in zip(*_LOWER, point_point[:, group.span], strict=True):
+            np.multiply(rows[0, i - 3], rows[0, j - 3], out=row)
+            row += rows[1, i - 3] * rows[1, j - 3]
         which = sightings.point[group.span] - group.points.start
-        summed = _summed(by_rows[:, k:].reshape(12, -1), which, group.size).reshape(-1, 3, 4)
-        points[group.points], point_side[group.points] = summed[..., 1:], summed[..., 0]
         which = which + group.size * camera_of[sightings.frame[group.span]]
-        summed = _summed(by_rows[:, :k].reshape(3 * k, -1), which, c * group.size)
-        interior_point[:, group.points] = np.swapaxes(summed.reshape(c, group.size, 3, k), 2, 3)
+        summed = _by_points(rows[:, d:], which, c * group.size).reshape(c, group.size, 3, k + 4)
+        interior_point[:, group.points] = np.swapaxes(summed[..., :k], 2, 3)
+        point_side[group.points] = summed[..., k].sum(axis=0)
+        points[group.points] = summed[..., k + 1 :].sum(axis=0)
     of_camera = np.eye(c)[camera_of].T
     return Normals(
         sightings=sightings,
@@ -262,18 +263,22 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     what it takes away leaves no direction of the poses negative.
     """
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
-    s, (pose, interior) = n.sightings, (_damped(a, damping) for a in (n.pose, n.interior))
-    across, less_beside = np.zeros((len(s.left), d, d)), np.zeros((f, d, c * k + 2))
+    s, interior, less_beside = n.sightings, _damped(n.interior, damping), np.zeros((f, d, c * k + 2))
     less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
+    columns, starts, order = s.matrix
+    blocks, place = np.zeros((len(order), d, d)), np.argsort(order)
+    own, across, turned_over = np.split(place, [f, f + len(s.left)])
+    blocks[own] = _damped(n.pose, damping)
     for group in s.groups:
         root = inverse_roots(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
         points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
         beside = root @ _beside_points(n, group.points)
         flat = beside.reshape(3 * len(beside), -1)
         less_shared += flat.T @ flat
-        _less_through_points(n, group, root, beside, (pose, across, less_beside))
-    columns, starts, order = s.matrix
-    blocks = np.concatenate([pose, -across, -np.swapaxes(across, 1, 2)])[order]
+        scaled = _scaled(n, group, root)
+        _less_of_frames(n, group, scaled, beside, (blocks, own, less_beside))
+        _less_of_pairs(group, scaled, blocks, across)
+    blocks[turned_over] = np.swapaxes(blocks[across], 1, 2)
     less_beside = less_beside.reshape(d * f, -1)
     border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
     for i in range(c):
@@ -303,28 +308,57 @@ def _beside_points(n: Normals, points: slice) -> Floats:
     return np.concatenate([of_cameras, n.level_point[points, :, None], n.point_side[points, :, None]], axis=2)
 
 
-def _less_through_points(
-    n: Normals, group: Group, root: Floats, beside: Floats, sums: tuple[Floats, Floats, Floats]
-) -> None:
-    """W V^-1 W' and W V^-1 times what lies beside, with W the poses' rows in the columns of some points and V
-    the points' own blocks: taken off each frame's (f, d, d), added to each pair's that shares points
-    (k, d, d), and to (f, d, r).
-
-    Args: root (p, 3, 3): of the inverse; beside (p, 3, r), multiplied with it.
-    """
-    own, across, others = sums
+def _scaled(n: Normals, group: Group, root: Floats) -> Floats:
+    """Rows of the points of a group in the columns of the poses, one sighting after the other (m, 3, d),
+    multiplied with root (p, 3, 3), that of the points' inverse."""
     point = n.sightings.point[group.span] - group.points.start
     roots = np.ascontiguousarray(np.moveaxis(root, 0, -1)).take(point, axis=-1)
     by_point = np.einsum("ikm,kjm->ijm", roots, n.point_point[_SQUARE, group.span])
-    scaled = n.levers.of(group.span).by_pose(by_point).transpose(2, 0, 1)
-    scaled, d = np.ascontiguousarray(scaled).reshape(len(point), -1), own.shape[1]
-    for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
-        mine = scaled[here:end].reshape(-1, d)
-        own[i] -= mine.T @ mine
-        others[i] += mine.T @ beside[point[here:end]].reshape(len(mine), -1)
-    one, other = (scaled.take(a, axis=0).reshape(-1, d) for a in (group.one, group.other))
-    for i, (here, end) in zip(group.pairs, pairwise(3 * group.shared), strict=True):
-        across[i] += one[here:end].T @ other[here:end]
+    return np.ascontiguousarray(n.levers.of(group.span).by_pose(by_point).transpose(2, 0, 1))
+
+
+def _less_of_frames(
+    n: Normals, group: Group, scaled: Floats, beside: Floats, sums: tuple[Floats, Ints, Floats]
+) -> None:
+    """Takes off each frame's block what its sightings of some points say of these, and adds what lies
+    beside, multiplied with them.
+
+    Args: scaled: of `_scaled`; beside (p, 3, r); sums: blocks (n, d, d), the frames' places in them (f,), and
+        (f, d, r).
+    """
+    blocks, own, others = sums
+    rows = scaled.reshape(-1, scaled.shape[-1])
+    seen = beside.take(n.sightings.point[group.span] - group.points.start, axis=0).reshape(len(rows), -1)
+    runs = pairwise((3 * group.runs).tolist())
+    for i, at, (here, end) in zip(group.frames.tolist(), own[group.frames].tolist(), runs, strict=True):
+        mine = rows[here:end]
+        blocks[at] -= mine.T @ mine
+        others[i] += mine.T @ seen[here:end]
+
+
+def _less_of_pairs(group: Group, scaled: Floats, blocks: Floats, across: Ints) -> None:
+    """The same between frames that share points; across (k,): the pairs' places among blocks."""
+    m, _, d = scaled.shape
+    rows, starts = scaled.reshape(m, -1), group.shared[group.batches].tolist()
+    buffers = np.empty((2, max(np.diff(starts), default=0), 3 * d))
+    for (here, end), (begin, stop) in zip(pairwise(group.batches.tolist()), pairwise(starts), strict=True):
+        left, right = (
+            rows.take(which[begin:stop], axis=0, out=buffer[: stop - begin], mode="clip").reshape(
+                end - here, -1, d
+            )
+            for which, buffer in zip((group.one, group.other), buffers, strict=True)
+        )
+        blocks[across[group.pairs[here:end]]] -= np.swapaxes(left, 1, 2) @ right
+
+
+def _by_points(rows: Floats, which: Ints, count: int) -> Floats:
+    """Rows' numbers multiplied with their last three, those by the point, and added up by which (m,) they
+    belong to: (3 count, n) for rows (2, n, m)."""
+    each = np.ascontiguousarray(np.swapaxes(rows, 1, 2)).reshape(2 * len(which), -1)
+    place = np.tile((3 * which[:, None] + np.arange(3)).astype(np.int32).ravel(), 2)
+    starts = np.arange(0, len(place) + 1, 3, dtype=np.int32)
+    by_point = csc_matrix((each[:, -3:].ravel(), place, starts), shape=(3 * count, len(each)))
+    return np.asarray(by_point @ each)
 
 
 def _summed(values: Floats, which: Ints, count: int) -> Floats:

@@ -21,6 +21,9 @@ AT_ONCE = tuned(
     "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
     "processor's cache; fewer mean more calls, more go through the memory",
 )
+_PAIRS_AT_ONCE = tuned(
+    1024, "pairs of observations", "multiplied at once: fewer, more calls; more leave the cache"
+)
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,9 @@ class Group:
     """Consecutive points and all n sightings of them, in order of frames: spans of all.
 
     frames (r,), runs (r + 1,): those that see any, and where each one's begin in the span. pairs (q,): the
-    pairs of frames that share any of the points, by number; shared (q + 1,): where each one's begin among
-    one and other, places in the span of sightings of the same point from the left frame and the right one.
+    pairs of frames that share any of the points, by number, rising by how many they share; shared (q + 1,):
+    where each one's begin among one and other, places in the span of sightings of a point from the left frame
+    and the right one. batches (n + 1,): where pairs begin that share equally many, a batch at a time.
     """
 
     points: slice
@@ -38,6 +42,7 @@ class Group:
     runs: Ints
     pairs: Ints
     shared: Ints
+    batches: Ints
     one: Numbers
     other: Numbers
 
@@ -125,14 +130,26 @@ def _group(points: slice, span: slice, frame: Numbers, point: Numbers, frames: i
     first, second = np.concatenate(one), np.concatenate(other)
     pair = frame[first].astype(np.intp) * frames + frame[second]
     order = np.argsort(pair, kind="stable")
-    pairs, shared = np.unique(pair[order], return_index=True)
+    pairs, begin, counts = np.unique(pair[order], return_index=True, return_counts=True)
+    by_count = np.argsort(counts, kind="stable")
+    counts = counts[by_count]
+    shared = np.append(0, np.cumsum(counts))
+    order = order[np.arange(len(pair)) + np.repeat(begin[by_count] - shared[:-1], counts)]
     return Group(
         points,
         span,
         seen.astype(np.intp),
         np.append(runs, len(frame)),
-        pairs,
-        np.append(shared, len(pair)),
+        pairs[by_count],
+        shared,
+        _batches(counts),
         first[order].astype(np.int32),
         second[order].astype(np.int32),
     )
+
+
+def _batches(counts: Ints) -> Ints:
+    """Where batches of equal ones of rising counts begin, and the end."""
+    first = np.searchsorted(counts, counts)
+    within = (np.arange(len(counts)) - first) % np.maximum(_PAIRS_AT_ONCE // counts, 1)
+    return np.append(np.flatnonzero(within == 0), len(counts))
