@@ -19,9 +19,7 @@ from geomosaic.matching.tracks import join
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_OVER = tuned(
-    1.25, "times the observations asked for", "of the median frame; more: each asks for fewer"
-)
+_OVER = tuned(1.25, "times the observations asked for", "of the median frame; more: each asks for fewer")
 _PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: near_m wins")
 
 
