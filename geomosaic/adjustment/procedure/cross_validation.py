@@ -32,6 +32,7 @@ from geomosaic.adjustment.procedure.score_test import few_steps
 from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.adjustment.solver.prior_reweighting import median_px
 from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
+from geomosaic.adjustment.terms.mounting import MOUNTING
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
@@ -60,6 +61,7 @@ _MOST_FRAMES = tuned(
     100, "frames", "that are compared: the median is no surer with more, the solves take longer"
 )
 _ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
+_AT_ONCE_S = tuned(1e-5, "s", "a readout that begins from none: more is no longer the solution without it")
 _EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
 
@@ -220,22 +222,29 @@ def _judged_by(test: _Test, block: Block, solved: Begun) -> Judged:
 
 
 def _begun(model: Model) -> Begun:
-    """What the model's solve begins from, its lenses of the model's kind."""
-    before = model.before
-    lenses = tuple(_begun_lens(*both) for both in zip(model.block.lenses, before.cameras, strict=True))
-    return before.of_points(before.points_m, lenses)
+    """What the model's solve begins from: lenses of its kind, whose terms are determined anew, and a readout
+    next to none where it is to be solved for and was none."""
+    before, given = model.before, model.block.lenses
+    lenses = tuple(_begun_lens(*both) for both in zip(given, before.cameras, strict=True))
+    if model.settings.rolling_shutter:
+        at_once = [not c.readout_s for c in before.cameras]
+        lenses = tuple(
+            replace(c, readout_s=_AT_ONCE_S) if new else c for c, new in zip(lenses, at_once, strict=True)
+        )
+    held, same = before.held.copy(), [a.kind == b.kind for a, b in zip(given, before.cameras, strict=True)]
+    of_lenses = held[: held.size - len(MOUNTING)].reshape(len(lenses), -1)
+    of_lenses[~np.array(same), _OF_ALL_LENSES:READOUT] = False
+    return replace(before.of_points(before.points_m, lenses), held=held)
 
 
 def _begun_lens(given: Camera, found: Camera) -> Camera:
     """A lens as found with another model; one of another kind gets terms that bend rays alike."""
     numbers, before = interior_of(given), interior_of(found)
-    readout_s = before[READOUT] or numbers[READOUT]
-    if given.kind == found.kind:
-        numbers = before.copy()
-    else:
-        numbers[:_OF_ALL_LENSES] = before[:_OF_ALL_LENSES]
+    same = READOUT if given.kind == found.kind else _OF_ALL_LENSES
+    numbers[:same] = before[:same]
+    if given.kind != found.kind:
         numbers[_OF_ALL_LENSES : _OF_ALL_LENSES + 3] = _odd_terms(found)
-    numbers[READOUT] = readout_s
+    numbers[READOUT] = before[READOUT] or numbers[READOUT]
     return with_interior(given, numbers)
 
 

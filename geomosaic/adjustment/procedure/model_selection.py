@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,9 @@ _NO_GUSTS = tuned(
     2.0, "times GUST_M_PER_S", "of rates of frames that turn: steady ones came to 1.3, turning to 2.1"
 )
 _MAY_WIN = tuned(0.98, "share of left-out residuals", "after some steps: less loses models that gain slowly")
-_SOLVED = tuned(2, "models", "that are solved of those that may win: tests rank them well; more take longer")
+_ALIKE = tuned(
+    0.9, "share of left-out residuals", "of the best: a simpler model is solved too; less misses none"
+)
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",
@@ -63,10 +65,10 @@ def chosen_model(
     """Block and settings of the model to solve with, how it was chosen, None where the given one is good
     from the start, and what its solve begins from.
 
-    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; what
-    makes it worse by as much, or asks for what the block does not determine, is not tried again. Every model
-    is judged on the same tracks, which took no part in its solve, track by track (`Judged.beside`). Some
-    steps from the solution so far tell which models may win; the two best of these are solved.
+    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; a
+    readout that the block does not determine is not tried again. Every model is judged on the same tracks,
+    which took no part in its solve, track by track (`Judged.beside`). Some steps from the solution so far
+    show which models may win; only the best of these is solved, and a simpler one that does about as well.
 
     Args: first: the solution as given, by these tracks.
     """
@@ -81,28 +83,23 @@ def chosen_model(
     now, now_px = replace(now, before=its.solved or now.before), its.median_px
     left_px, contradicted = {_GIVEN: now_px}, []
     taken: tuple[str, ...] = ()
-    worse: set[str] = set()
+    in_vain: set[str] = set()
     vibrating = left_by_vibration(_image_residuals(tracks, first), block.cameras) < BETTER
     while now_px > _LEAST_PX:
-        candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in worse}
-        tested, more = _compared(left_out, f"models-{len(taken) + 1}", candidates, its)
-        every = tested | more
-        share = {name: model.beside(its)[0] for name, model in every.items()}
-        in_vain = {name for name, model in more.items() if name == "readout" and _in_vain(now.block, model)}
-        worse |= {name for name in more if BETTER * share[name] > 1.0} | in_vain
+        candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in in_vain}
+        found = _compared(left_out, f"models-{len(taken)}", now.block, candidates, its)
+        in_vain |= found.in_vain
         left = {
-            n: m.median_px if its.solved is None else share[n] * now_px for n, m in (tested | more).items()
+            name: model.median_px if its.solved is None else model.beside(its)[0] * now_px
+            for name, model in found.judged.items()
         }
         left_px |= {"+".join((*taken, name)): px for name, px in left.items()}
-        for name in [name for name, model in more.items() if contradicts(model.solved, its.solved)]:
-            if more.pop(name).beats(its):
-                contradicted.append("+".join((*taken, name)))
-        better = [name for name, model in more.items() if name not in in_vain and model.beats(its)]
-        if not better:
+        contradicted += ["+".join((*taken, name)) for name in found.contradicted]
+        if not found.better:
             break
-        least = more[min(better, key=lambda name: share[name])]
-        best = next(name for name in better if not least.beats(more[name]))
-        taken, its, now_px = (*taken, best), more[best], left[best]
+        least = found.judged[min(found.better, key=lambda name: found.judged[name].beside(its)[0])]
+        best = next(name for name in found.better if not least.beats(found.judged[name]))
+        taken, its, now_px = (*taken, best), found.judged[best], left[best]
         now = replace(candidates[best], before=its.solved or now.before)
         vibrating = vibrating or its.vibration < BETTER
     whole = left_out.of_whole(now.before)
@@ -112,15 +109,42 @@ def chosen_model(
     return now.block, now.settings, choice, whole
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """What each candidate leaves; those that are better, that would be but that positions contradict, and
+    that ask for what the block does not determine."""
+
+    judged: dict[str, Judged]
+    better: list[str]
+    contradicted: list[str]
+    in_vain: set[str]
+
+
 def _compared(
-    left_out: LeftOut, name: str, candidates: dict[str, Model], its: Judged
-) -> tuple[dict[str, Judged], dict[str, Judged]]:
-    """What candidates leave some steps from the solution so far; and solved, of the best that may win."""
-    tested = left_out.expected(f"{name}-tested", candidates)
-    share = {n: test.beside(its)[0] for n, test in tested.items()}
-    best = sorted((n for n in share if share[n] < _MAY_WIN), key=lambda n: share[n])[:_SOLVED]
-    begun = {n: replace(m, before=tested[n].solved or m.before) for n, m in candidates.items() if n in best}
-    return tested, left_out.judged(name, begun) if begun else {}
+    left_out: LeftOut, name: str, now: Block, candidates: dict[str, Model], its: Judged
+) -> _Compared:
+    """Candidates some steps from the solution so far; solved are the best that may win and a simpler one that
+    does about as well, and others as long as these are rejected."""
+    judged = left_out.expected(f"{name}-tested", candidates)
+    share = {n: test.beside(its)[0] for n, test in judged.items()}
+    may_win = [n for n in candidates if share[n] < _MAY_WIN]
+    out = _Compared(judged, [], [], set())
+    while may_win and not out.better:
+        best = min(may_win, key=lambda n: share[n])
+        simpler = [n for n in may_win[: may_win.index(best)] if _ALIKE * share[n] < share[best]]
+        solved = [*sorted(simpler, key=lambda n: share[n])[:1], best]
+        begun = {n: replace(candidates[n], before=judged[n].solved or candidates[n].before) for n in solved}
+        more = left_out.judged(f"{name}-{len(may_win)}", begun)
+        judged.update(more)
+        in_vain = {n for n in more if n == "readout" and _in_vain(now, more[n])}
+        against = {n for n in more if contradicts(more[n].solved, its.solved)}
+        out.in_vain.update(in_vain)
+        out.contradicted.extend(n for n in solved if n in against and more[n].beats(its))
+        out.better.extend(n for n in solved if n not in in_vain | against and more[n].beats(its))
+        if best not in in_vain | against:
+            break
+        may_win = [n for n in may_win if n not in solved]
+    return out
 
 
 def contradicts(its: Begun | None, now: Begun | None) -> bool:

@@ -17,7 +17,7 @@ from geomosaic.adjustment.problem.bundle_model import (
     with_interior,
 )
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.solver.bundle_equations import cost_of, normals_of
+from geomosaic.adjustment.solver.bundle_equations import cost_of, known, normals_of
 from geomosaic.adjustment.solver.clearance import clearances_m
 from geomosaic.adjustment.solver.normal_equations import reduce_normals
 from geomosaic.adjustment.solver.prior_reweighting import trust_in_tags
@@ -48,10 +48,13 @@ def few_steps(tracks: Tracks, camera_of: Ints, priors: Priors, begun: Begun) -> 
     clearance_m = clearances_m(tracks, state.positions, state.points)
     priors = replace(priors, held=begun.held, clearance_m=clearance_m)
     priors = replace(priors, trust=trust_in_tags(priors, state, factors))
+    of_cameras, of_platform = np.split(~known(priors), [state.interior.size])
+    of_cameras = of_cameras.reshape(state.interior.shape)
     cost = cost_of(tracks, camera_of, priors, state, factors)
     for k in range(_STEPS):
         reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, factors))
-        step = reduced.solve()
+        pose, interior, points, level, mounting = reduced.solve()
+        step = pose, interior * of_cameras, points, level, mounting * of_platform[: mounting.size]
         trials = (stepped(state, share, *step) for share in _SHARES)
         costs = ((cost_of(tracks, camera_of, priors, trial, factors), trial) for trial in trials)
         found = next((pair for pair in costs if pair[0] < cost), None)
