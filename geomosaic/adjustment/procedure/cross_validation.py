@@ -61,7 +61,6 @@ _MOST_FRAMES = tuned(
     100, "frames", "that are compared: the median is no surer with more, the solves take longer"
 )
 _ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
-_AT_ONCE_S = tuned(1e-5, "s", "a readout that begins from none: more is no longer the solution without it")
 _EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
 
@@ -222,15 +221,9 @@ def _judged_by(test: _Test, block: Block, solved: Begun) -> Judged:
 
 
 def _begun(model: Model) -> Begun:
-    """What the model's solve begins from: lenses of its kind, whose terms are determined anew, and a readout
-    next to none where it is to be solved for and was none."""
+    """What the model's solve begins from: lenses of its kind, whose terms are determined anew."""
     before, given = model.before, model.block.lenses
     lenses = tuple(_begun_lens(*both) for both in zip(given, before.cameras, strict=True))
-    if model.settings.rolling_shutter:
-        at_once = [not c.readout_s for c in before.cameras]
-        lenses = tuple(
-            replace(c, readout_s=_AT_ONCE_S) if new else c for c, new in zip(lenses, at_once, strict=True)
-        )
     held, same = before.held.copy(), [a.kind == b.kind for a, b in zip(given, before.cameras, strict=True)]
     of_lenses = held[: held.size - len(MOUNTING)].reshape(len(lenses), -1)
     of_lenses[~np.array(same), _OF_ALL_LENSES:READOUT] = False
