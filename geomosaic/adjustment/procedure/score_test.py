@@ -34,7 +34,7 @@ _STEPS = tuned(
 
 
 def few_steps(tracks: Tracks, camera_of: Ints, priors: Priors, begun: Begun) -> Begun:
-    """The solution some Gauss-Newton steps from another model's; the first is that of a score test (Rao 1948).
+    """The solution some steps from another model's, the first of them that of a score test (Rao 1948).
 
     Residuals weigh by their present median, priors as stated; then variance components are estimated once.
     Raises: NotSolvableError where the equations have no solution.
