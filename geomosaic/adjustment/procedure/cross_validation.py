@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
-from geomosaic.adjustment.model import Block, ImageResiduals, Settings
-from geomosaic.adjustment.problem.bundle_model import READOUT, Begun, with_interior
-from geomosaic.adjustment.problem.priors import priors_of
+from geomosaic.adjustment.model import Block, ImageResiduals
+from geomosaic.adjustment.problem.bundle_model import Begun
 from geomosaic.adjustment.problem.tracks import (
     Tracks,
     asked_tracks,
@@ -27,29 +26,18 @@ from geomosaic.adjustment.procedure.block_part import (
     part_of_tracks,
     solution_of_whole,
 )
+from geomosaic.adjustment.procedure.candidate_solves import Model, few_steps, solved
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
-from geomosaic.adjustment.procedure.score_test import few_steps
-from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.adjustment.solver.prior_reweighting import median_px
-from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
-from geomosaic.adjustment.terms.mounting import MOUNTING
-from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_OF_ALL_LENSES = INTERIOR.index("k1")
-BETTER = sourced(
-    0.95,
-    "share of left-out residuals",
-    "that a richer model stays below: true models left 0.45 to 0.93, others 0.98 to 1.04",
-    "docs/results.md, surveys as people deliver them",
-)
+BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
 _SURELY = tuned(3.0, "deviations", "of the median share: with two, chance chooses; with more, none is chosen")
 LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")
 _LEAST_TRACKS = tuned(300, "tracks", "that thinning leaves: with fewer all are taken")
@@ -57,21 +45,9 @@ _PER_FRAME = tuned(64, "tracks", "that each frame asks for: fewer do not disting
 _CELLS = tuned(8, "cells a side", "of an image over which they are spread: corners distinguish lenses")
 _SURE = tuned(0.25, "share of the median", "a track's least residual by both models: less, exact fits decide")
 _ALIKE = tuned(0.25, "flying heights", "side of a place where tracks err alike: a third of a frame's width")
-_MOST_FRAMES = tuned(
-    100, "frames", "that are compared: the median is no surer with more, the solves take longer"
-)
-_ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
+_MOST_FRAMES = tuned(100, "frames", "that are compared: more take longer, fewer show models less surely")
 _EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
-
-
-@dataclass(frozen=True)
-class Model:
-    """A model of lens and shutter, and the solution that its own begins from."""
-
-    block: Block
-    settings: Settings
-    before: Begun
 
 
 @dataclass(frozen=True)
@@ -150,11 +126,11 @@ class LeftOut:
 
     def judged(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
         """What each model leaves. The last has most unknowns and takes longest: it is begun first."""
-        return self._of_each(name, partial(_judged, self._test), models)
+        return self._of_each(name, partial(_judged, self._test, solved), models)
 
     def expected(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
         """What each model leaves after some steps from where it begins, see `few_steps`."""
-        return self._of_each(name, partial(_expected, self._test), models)
+        return self._of_each(name, partial(_judged, self._test, few_steps), models)
 
     def of_whole(self, found: Begun) -> Begun:
         """What the whole block's solve begins from."""
@@ -190,63 +166,15 @@ def places(points_m: Floats, height_m: float) -> Ints:
     return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
 
 
-def _expected(test: _Test, model: Model) -> Judged:
-    """What the model leaves some steps from where it begins, and the solution there."""
-    block, begun = model.block, _begun(model)
+def _judged(test: _Test, solve: Callable[[Tracks, Model], Begun], model: Model) -> Judged:
+    """A solution by points of its own and no control, and what it leaves."""
     try:
-        priors = priors_of(block, model.settings, block.lenses, begun.points_m)
-        return _judged_by(test, block, few_steps(test.solving, block.lens_of, priors, begun))
+        solved = solve(test.solving, model)
     except NotSolvableError:
         return Judged(None, np.full(test.judges.points, np.inf), test.place)
-
-
-def _judged(test: _Test, model: Model) -> Judged:
-    """The solution with points of its own and no control, and what it leaves."""
-    block, begun = model.block, _begun(model)
-    try:
-        priors = priors_of(block, model.settings, block.lenses, begun.points_m)
-        solved = solve_bundle(
-            *(test.solving, block.lens_of, priors, begun.poses),
-            again=begun, rough=True, lens_held=not model.settings.self_calibration,
-        )  # fmt: skip
-    except NotSolvableError:
-        return Judged(None, np.full(test.judges.points, np.inf), test.place)
-    return _judged_by(test, block, solved.of_points(solved.points_m))
-
-
-def _judged_by(test: _Test, block: Block, solved: Begun) -> Judged:
-    image = left_out_residuals(test.judges, block, solved)
-    vibration = left_by_vibration(image, block.cameras)
+    image = left_out_residuals(test.judges, model.block, solved)
+    vibration = left_by_vibration(image, model.block.cameras)
     return Judged(solved, left_out_px(test.judges, image), test.place, vibration)
-
-
-def _begun(model: Model) -> Begun:
-    """What the model's solve begins from: lenses of its kind, whose terms are determined anew."""
-    before, given = model.before, model.block.lenses
-    lenses = tuple(_begun_lens(*both) for both in zip(given, before.cameras, strict=True))
-    held, same = before.held.copy(), [a.kind == b.kind for a, b in zip(given, before.cameras, strict=True)]
-    of_lenses = held[: held.size - len(MOUNTING)].reshape(len(lenses), -1)
-    of_lenses[~np.array(same), _OF_ALL_LENSES:READOUT] = False
-    return replace(before.of_points(before.points_m, lenses), held=held)
-
-
-def _begun_lens(given: Camera, found: Camera) -> Camera:
-    """A lens as found with another model; one of another kind gets terms that bend rays alike."""
-    numbers, before = interior_of(given), interior_of(found)
-    same = READOUT if given.kind == found.kind else _OF_ALL_LENSES
-    numbers[:same] = before[:same]
-    if given.kind != found.kind:
-        numbers[_OF_ALL_LENSES : _OF_ALL_LENSES + 3] = _odd_terms(found)
-    numbers[READOUT] = before[READOUT] or numbers[READOUT]
-    return with_interior(given, numbers)
-
-
-def _odd_terms(lens: Camera) -> Floats:
-    """k1 to k3 of the fisheye of the same focal length that bends rays as a lens does."""
-    widest = np.linalg.norm(lens.ray_from_image(lens.corners_px)[:, :2], axis=1).max()
-    angle = np.linspace(0.0, float(np.arctan(widest)), _ANGLES)
-    design = angle[:, None] ** [3, 5, 7]
-    return least_squares(design, lens.lens.radial(lens.terms, np.tan(angle)) - angle)
 
 
 def left_out_px(tracks: Tracks, image: ImageResiduals) -> Floats:

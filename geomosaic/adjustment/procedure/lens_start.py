@@ -36,20 +36,14 @@ from geomosaic.survey.model import Warn
 
 Ints = NDArray[np.intp]
 
-_FRAMES = tuned(
-    10, "frames", "of one camera that starts are compared on: fewer leave the focal length to chance"
-)
+_FRAMES = tuned(10, "frames", "of one camera to compare starts on: with fewer focal lengths are chance")
 _PER_FRAME = tuned(192, "image observations a frame", "that each frame asks for: fewer leave lenses alike")
 _CELLS = tuned(8, "cells a side", "of a frame over which they are spread: corners distinguish lenses")
 _LEAST = tuned(50, "tracks", "with fewer nothing is compared: ten would judge")
-_BROWN = tuned(
-    (0.5, 0.67, 0.9, 1.2, 1.6), "focal lengths over longer side", "farther apart, solves end elsewhere"
-)
+_BROWN = tuned((0.5, 0.67, 0.9, 1.2, 1.6), "focal lengths by longer side", "fewer: solves end elsewhere")
 _FISHEYE = tuned((0.35, 0.5, 0.75, 1.1, 1.6), "the same of fisheyes", "8 mm on APS-C is 0.34: fewer miss one")
 STARTS = tuple((kind, f) for kind, shares in (("brown", _BROWN), ("fisheye", _FISHEYE)) for f in shares)
-_CONTRADICTED = tuned(
-    5.0, "deviations", "of a reported focal length: less, other errors would count as the lens's"
-)
+_CONTRADICTED = tuned(5.0, "deviations", "of a focal length: less, other errors count as the lens's")
 _FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
 
 

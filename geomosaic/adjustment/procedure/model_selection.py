@@ -12,7 +12,8 @@ from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Setti
 from geomosaic.adjustment.problem.bundle_model import READOUT, Begun, Bundle
 from geomosaic.adjustment.problem.priors import NOMINAL_READOUT_S
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model
+from geomosaic.adjustment.procedure.candidate_solves import Model
+from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.prior_reweighting import median_px
 from geomosaic.adjustment.terms.collinearity import INTERIOR
@@ -28,20 +29,14 @@ GOOD_PX = tuned(1.0, "px", "image deviation of a block with all given correctly:
 _PATTERN_PX = tuned(0.25, "px", "RMS of residuals common to a place in the image: half of a keypoint's")
 _EXPLAINED = tuned(0.5**0.5, "share of left-out residuals", "more: moving land chooses a model")
 _TOO_FEW = tuned(100, "tracks", "with fewer nothing is chosen: twenty would judge")
-_LEAST_PX = tuned(
-    0.03, "px", "left-out residuals with nothing to gain: a shutter may leave 0.1 and bend by 1"
-)
+_LEAST_PX = tuned(0.03, "px", "residuals with nothing to gain: a shutter that bends by 1 px may leave 0.1")
 _CONTRADICTS = tuned(1.2, "times", "that positions may fit worse by: with more, bent blocks are taken")
 _LEAST_SCATTER = tuned(0.2, "share of the stated", "deviation of positions: less is the luck of a few dozen")
 _SLOWEST_READOUT_S = sourced(0.2, "s", "beyond the slowest sensors of small cameras", "Sequoia: 0.164 s")
 _SHOWN = tuned(5.0, "deviations", "of a readout that the images show: global shutters came to 3")
-_NO_GUSTS = tuned(
-    2.0, "times GUST_M_PER_S", "of rates of frames that turn: steady ones came to 1.3, turning to 2.1"
-)
+_NO_GUSTS = tuned(2.0, "times GUST_M_PER_S", "rates of frames that turn: steady ones came to 1.3 at most")
 _MAY_WIN = tuned(0.98, "share of left-out residuals", "after some steps: less loses models that gain slowly")
-_ALIKE = tuned(
-    0.7, "of a simpler model's", "residuals, that the best leaves in a test: more misses simpler models"
-)
+_ALIKE = tuned(0.7, "of a simpler model's", "residuals that the best leaves: more misses simpler models")
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",

@@ -1,12 +1,13 @@
-"""A model of lens and shutter, some steps from another model's solution: what its unknowns would gain."""
+"""Solutions of candidate models of lens and shutter, begun from another model's."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.problem.bundle_model import (
     READOUT,
     Begun,
@@ -15,30 +16,57 @@ from geomosaic.adjustment.problem.bundle_model import (
     State,
     with_interior,
 )
+from geomosaic.adjustment.problem.priors import priors_of
 from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.solver.bundle import solve_bundle
 from geomosaic.adjustment.solver.bundle_equations import lengths_px
 from geomosaic.adjustment.solver.bundle_steps import _ROUGH, _converge
 from geomosaic.adjustment.solver.clearance import clearances_m
 from geomosaic.adjustment.solver.prior_reweighting import median_px, trust_in_tags
 from geomosaic.adjustment.solver.variance_component_newton import ahead
 from geomosaic.adjustment.solver.variance_components import variance_components
-from geomosaic.adjustment.terms.collinearity import interior_of
+from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
+from geomosaic.adjustment.terms.mounting import MOUNTING
 from geomosaic.adjustment.terms.rolling_shutter_rotation import with_drift, with_swing
+from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
+from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_STEPS = tuned(
-    4, "steps", "each, with the first variance components and the next: less loses models that are far"
-)
+_STEPS = tuned(4, "steps", "before and after variance components: fewer lose models that are far")
+_OF_ALL_LENSES = INTERIOR.index("k1")
+_ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
 
 
-def few_steps(tracks: Tracks, camera_of: Ints, priors: Priors, begun: Begun) -> Begun:
-    """The solution some steps from another model's, the first of them that of a score test (Rao 1948).
+@dataclass(frozen=True)
+class Model:
+    """A model of lens and shutter, and the solution that its own begins from."""
+
+    block: Block
+    settings: Settings
+    before: Begun
+
+
+def solved(tracks: Tracks, model: Model) -> Begun:
+    """The model's solution. Raises: NotSolvableError where there is none."""
+    block, begun = model.block, _begun(model)
+    priors = priors_of(block, model.settings, block.lenses, begun.points_m)
+    found = solve_bundle(
+        *(tracks, block.lens_of, priors, begun.poses),
+        again=begun, rough=True, lens_held=not model.settings.self_calibration,
+    )  # fmt: skip
+    return found.of_points(found.points_m)
+
+
+def few_steps(tracks: Tracks, model: Model) -> Begun:
+    """The model some steps from the solution before, the first of them that of a score test (Rao 1948).
 
     Residuals weigh by their present median, priors as stated; then variance components are estimated once.
     Raises: NotSolvableError where the equations have no solution.
     """
+    block, begun, camera_of = model.block, _begun(model), model.block.lens_of
+    priors = priors_of(block, model.settings, block.lenses, begun.points_m)
     state = _begin(priors, begun)
     clearance_m = clearances_m(tracks, state.positions, state.points)
     priors = replace(priors, held=begun.held, clearance_m=clearance_m)
@@ -90,3 +118,33 @@ def _end(camera_of: Ints, priors: Priors, state: State, factors: Factors, begun:
         drift_m=state.drift_m,
         level_m=state.level,
     )
+
+
+def _begun(model: Model) -> Begun:
+    """What the model's solve begins from: lenses of its kind, whose terms are determined anew."""
+    before, given = model.before, model.block.lenses
+    lenses = tuple(_begun_lens(*both) for both in zip(given, before.cameras, strict=True))
+    held, same = before.held.copy(), [a.kind == b.kind for a, b in zip(given, before.cameras, strict=True)]
+    of_lenses = held[: held.size - len(MOUNTING)].reshape(len(lenses), -1)
+    if model.settings.self_calibration:
+        of_lenses[~np.array(same), _OF_ALL_LENSES:READOUT] = False
+    return replace(before.of_points(before.points_m, lenses), held=held)
+
+
+def _begun_lens(given: Camera, found: Camera) -> Camera:
+    """A lens as found with another model; one of another kind gets terms that bend rays alike."""
+    numbers, before = interior_of(given), interior_of(found)
+    same = READOUT if given.kind == found.kind else _OF_ALL_LENSES
+    numbers[:same] = before[:same]
+    if given.kind != found.kind:
+        numbers[_OF_ALL_LENSES : _OF_ALL_LENSES + 3] = _odd_terms(found)
+    numbers[READOUT] = before[READOUT] or numbers[READOUT]
+    return with_interior(given, numbers)
+
+
+def _odd_terms(lens: Camera) -> Floats:
+    """k1 to k3 of the fisheye of the same focal length that bends rays as a lens does."""
+    widest = np.linalg.norm(lens.ray_from_image(lens.corners_px)[:, :2], axis=1).max()
+    angle = np.linspace(0.0, float(np.arctan(widest)), _ANGLES)
+    design = angle[:, None] ** [3, 5, 7]
+    return least_squares(design, lens.lens.radial(lens.terms, np.tan(angle)) - angle)
