@@ -118,16 +118,17 @@ class _Compared:
 def _compared(
     left_out: LeftOut, name: str, now: Block, candidates: dict[str, Model], its: Judged
 ) -> _Compared:
-    """Candidates some steps from the solution so far; solved are the best that may win and a simpler one that
-    does about as well, and others as long as these are rejected."""
+    """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
+    these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
     judged = left_out.expected(f"{name}-tested", candidates)
     share = {n: test.beside(its)[0] for n, test in judged.items()}
     may_win = [n for n in candidates if share[n] < _MAY_WIN]
     out = _Compared(judged, [], [], set())
     while may_win and not out.better:
         best = min(may_win, key=lambda n: share[n])
-        simpler = [n for n in may_win[: may_win.index(best)] if _ALIKE * share[n] < share[best]]
-        solved = [*sorted(simpler, key=lambda n: share[n])[:1], best]
+        first = next(n for n in may_win if BETTER * share[n] <= share[best])
+        simpler = [n for n in may_win[: may_win.index(first)] if _ALIKE * share[n] < share[best]]
+        solved = [*sorted(simpler, key=lambda n: share[n])[:1], first]
         begun = {n: replace(candidates[n], before=judged[n].solved or candidates[n].before) for n in solved}
         more = left_out.judged(f"{name}-{len(may_win)}", begun)
         judged.update(more)
@@ -136,7 +137,7 @@ def _compared(
         out.in_vain.update(in_vain)
         out.contradicted.extend(n for n in solved if n in against and more[n].beats(its))
         out.better.extend(n for n in solved if n not in in_vain | against and more[n].beats(its))
-        if best not in in_vain | against:
+        if best in solved and best not in in_vain | against:
             break
         may_win = [n for n in may_win if n not in solved]
     return out
