@@ -93,7 +93,7 @@ def _begin(priors: Priors, begun: Begun) -> State:
     )
     if priors.swing_sd_rad is None:
         return state
-    swing = np.zeros(priors.swing_sd_rad.shape)
+    swing: Floats = np.zeros(priors.swing_sd_rad.shape)
     state.swing, state.drift_m = swing, np.zeros((len(swing), 3))
     if begun.swing is not None and begun.drift_m is not None:
         same = min(begun.swing.shape[1], swing.shape[1])

@@ -120,7 +120,7 @@ def _compared(
 ) -> _Compared:
     """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
     these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
-    judged = left_out.expected(f"{name}-tested", candidates)
+    judged = left_out.expected(f"{name}-tested", candidates) if candidates else {}
     share = {n: test.beside(its)[0] for n, test in judged.items()}
     may_win = [n for n in candidates if share[n] < _MAY_WIN]
     out = _Compared(judged, [], [], set())
