@@ -14,15 +14,16 @@ from geomosaic.adjustment.problem.bundle_model import (
     Factors,
     Priors,
     State,
+    stepped,
     with_interior,
 )
 from geomosaic.adjustment.problem.priors import priors_of
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.bundle import solve_bundle
-from geomosaic.adjustment.solver.bundle_equations import lengths_px
-from geomosaic.adjustment.solver.bundle_steps import _ROUGH, _converge
-from geomosaic.adjustment.solver.clearance import clearances_m
+from geomosaic.adjustment.solver.bundle_equations import cost_of, known, lengths_px, normals_of
+from geomosaic.adjustment.solver.normal_equations import Reduced, reduce_normals
 from geomosaic.adjustment.solver.prior_reweighting import median_px, trust_in_tags
+from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_component_newton import ahead
 from geomosaic.adjustment.solver.variance_components import variance_components
 from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
@@ -35,6 +36,8 @@ from geomosaic.estimation.linear import least_squares
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _STEPS = tuned(4, "steps", "before and after variance components: fewer lose models that are far")
+_SHARES = tuned((1.0, 0.5, 0.25, 0.1), "of a step", "tried until the cost falls: fewer leave far models")
+_LITTLE = tuned(1e-3, "share of the cost", "a gain that ends the steps: less decides nothing")
 _OF_ALL_LENSES = INTERIOR.index("k1")
 _ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
 
@@ -68,17 +71,39 @@ def few_steps(tracks: Tracks, model: Model) -> Begun:
     block, begun, camera_of = model.block, _begun(model), model.block.lens_of
     priors = priors_of(block, model.settings, block.lenses, begun.points_m)
     state = _begin(priors, begun)
-    clearance_m = clearances_m(tracks, state.positions, state.points)
-    priors = replace(priors, held=begun.held, clearance_m=clearance_m)
+    priors = replace(priors, held=begun.held)
     miss_px = median_px(lengths_px(tracks, camera_of, priors, state))
     components = 0 if state.swing is None else state.swing.shape[1] + 2
     factors = Factors(max(miss_px, Factors.image_px), while_read=(1.0,) * components)
     priors = replace(priors, trust=trust_in_tags(priors, state, factors))
-    state, _, reduced = _converge(tracks, camera_of, priors, state, factors, _STEPS, _ROUGH)
+    state, reduced = _followed(tracks, camera_of, priors, state, factors)
     found = variance_components(tracks, camera_of, priors, state, factors, reduced, image_only=False)
     factors, _ = ahead(factors, *found, priors)
-    state, _, _ = _converge(tracks, camera_of, priors, state, factors, _STEPS, _ROUGH)
+    state, _ = _followed(tracks, camera_of, priors, state, factors)
     return _end(camera_of, priors, state, factors, begun)
+
+
+def _followed(
+    tracks: Tracks, camera_of: Ints, priors: Priors, state: State, factors: Factors
+) -> tuple[State, Reduced]:
+    """The state after some steps, until they gain next to nothing, and the last step's equations."""
+    cost = cost_of(tracks, camera_of, priors, state, factors)
+    of_cameras, of_platform = np.split(~known(priors), [state.interior.size])
+    for _ in range(_STEPS):
+        reduced = reduce_normals(normals_of(tracks, camera_of, priors, state, factors))
+        pose, interior, points, level, mounting = reduced.solve()
+        interior = interior * of_cameras.reshape(interior.shape)
+        step = pose, interior, points, level, mounting * of_platform[: mounting.size]
+        alone, before = wandering(reduced), cost
+        for share in _SHARES:
+            trial = settled_points(*(tracks, camera_of, priors, stepped(state, share, *step), factors, alone))
+            trial_cost = cost_of(tracks, camera_of, priors, trial, factors)
+            if trial_cost < cost:
+                state, cost = trial, trial_cost
+                break
+        if before - cost < _LITTLE * cost:
+            break
+    return state, reduced
 
 
 def _begin(priors: Priors, begun: Begun) -> State:

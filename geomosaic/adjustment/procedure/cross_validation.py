@@ -45,7 +45,7 @@ _PER_FRAME = tuned(64, "tracks", "that each frame asks for: fewer do not disting
 _CELLS = tuned(8, "cells a side", "of an image over which they are spread: corners distinguish lenses")
 _SURE = tuned(0.25, "share of the median", "a track's least residual by both models: less, exact fits decide")
 _ALIKE = tuned(0.25, "flying heights", "side of a place where tracks err alike: a third of a frame's width")
-_MOST_FRAMES = tuned(100, "frames", "that are compared: more take longer, fewer show models less surely")
+_MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
 _EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
 
