@@ -12,7 +12,9 @@ from adjustment_blocks import fly, hills
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.paper.chain import fit_similarity
-from geomosaic.adjustment.procedure.cross_validation import Judged, LeftOut, Model
+from geomosaic.adjustment.procedure import cross_validation
+from geomosaic.adjustment.procedure.candidate_solves import Model
+from geomosaic.adjustment.procedure.cross_validation import Judged, LeftOut
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.pipeline.artefacts import encode
@@ -288,11 +290,45 @@ def test_the_model_with_most_unknowns_is_begun_first() -> None:
             return [item.settings.model for item in items]
 
     left_out = object.__new__(LeftOut)
-    left_out._spread, left_out._judged = Apart(), None  # type: ignore[assignment]
     block = fly(1).block
+    left_out._spread, left_out._test = Apart(), None  # type: ignore[assignment]
+    left_out._frames = np.arange(len(block.names))
     models = {n: Model(block, Settings(model=n), None) for n in ("auto", "given")}  # type: ignore[arg-type]
     assert left_out.judged("models", models) == {"auto": "auto", "given": "given"}
     assert begun == ["given", "auto"]
+
+
+class Counted(AtOnce):
+    """The names of what is solved and tested."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tested: list[str] = []
+        self.solved: list[str] = []
+
+    def map(self, name, function, items, keys=None):  # type: ignore[no-untyped-def]
+        if name.startswith("models"):
+            (self.tested if name.endswith("tested") else self.solved).extend(keys)
+        return super().map(name, function, items, keys)
+
+
+def test_a_model_that_cannot_win_is_not_solved() -> None:
+    """Frames turn by 20 px: a readout alone and a fisheye gain nothing in the test."""
+    spread = Counted()
+    adjusted = METHODS["bundle"](fly(3, 2, 4, **TURNING).block, Settings(), spread)
+    assert adjusted.model is not None and adjusted.model.taken == ("turning",)
+    assert {"readout", "fisheye", "turning"} <= set(spread.tested)
+    assert spread.solved == ["given", "turning"]
+
+
+def test_a_large_block_is_compared_on_some_neighbouring_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The model that they choose is solved with all frames, and as well as if all had chosen it."""
+    monkeypatch.setattr(cross_validation, "_MOST_FRAMES", 6)
+    flown = fly(3, 2, 5, **TURNING)
+    adjusted = METHODS["bundle"](flown.block, Settings())
+    assert adjusted.model is not None and adjusted.model.taken == ("turning",)
+    assert set(adjusted.status) == {"tied"}
+    assert adjusted.figures["sigma_px"] < 0.4
 
 
 def test_models_and_surfaces_side_by_side_are_those_of_one_process(turning: Adjusted, tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
-"""Models of lens and shutter side by side: what each leaves at tie points that took no part in its solve."""
+"""Models of lens and shutter compared by what each leaves at tie points that took no part in its solve."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
-from geomosaic.adjustment.model import Block, ImageResiduals, Settings
-from geomosaic.adjustment.problem.interior import INTERIOR, READOUT, interior_of, with_interior
+from geomosaic.adjustment.model import Block, ImageResiduals
 from geomosaic.adjustment.problem.tracks import (
     Tracks,
     asked_tracks,
@@ -18,12 +18,17 @@ from geomosaic.adjustment.problem.tracks import (
     frame_by_frame,
     nearest_to_rays,
 )
-from geomosaic.adjustment.procedure.block_problem import block_problem
+from geomosaic.adjustment.procedure.block_part import (
+    neighbours,
+    part_of_block,
+    part_of_solution,
+    part_of_tracks,
+    solution_of_whole,
+)
+from geomosaic.adjustment.procedure.candidate_solves import Model, solved, tested
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.adjustment.solver.solution import Start
-from geomosaic.adjustment.solver.solve import SolveOptions, solve
-from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import cauchy_weight, median_of_known
 from geomosaic.matching.model import TiePair, TiePoints
@@ -31,57 +36,17 @@ from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_OF_ALL_LENSES = INTERIOR.index("k1")
-BETTER = sourced(
-    0.95,
-    "share of the residuals of left-out points",
-    "that a richer model has to stay below, beside the last one; of two that leave as much but for so "
-    "little the simpler one is taken: with more, models that say nothing new would be taken; with less, "
-    "turns that bend a block are not",
-    "docs/results.md, surveys as people deliver them: models that were not true left 0.98 to 1.04 in 12 "
-    "surveys, true ones 0.45 to 0.93",
-)
-_SURELY = sourced(
-    3.0,
-    "deviations",
-    "of a median that so many places give, by which it has to be less: with two, steady frames in gusts "
-    "came within 0.001 of turning; with more, a small block takes no model",
-    "normal distribution: 0.1 % by chance",
-)
-LEFT_OUT = tuned(
-    5,
-    "tracks",
-    "one of so many takes no part in the solve: with more left out the solve is poorer, with fewer "
-    "the judgement",
-)
+BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
+_SURELY = tuned(3.0, "deviations", "of the median share: with two, chance chooses; with more, none is chosen")
+LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")
 _LEAST_TRACKS = tuned(300, "tracks", "that thinning leaves: with fewer all are taken")
-_PER_FRAME = tuned(64, "tracks", "asked for by each frame: enough to distinguish models by a twentieth")
-_CELLS = tuned(8, "cells a side", "of an image over which they are spread: the corners distinguish lenses")
-_SURE = tuned(
-    0.25,
-    "share of the median",
-    "of what both models leave together, below which a point shows no more than others: with less, a few "
-    "points that happen to fit would decide",
-)
-_ALIKE = tuned(
-    0.25,
-    "flying heights",
-    "side of a place in which tracks err alike: a third of what a frame sees across, over which turns, "
-    "lenses and gusts are much the same; of smaller ones neighbours would count as independent, of "
-    "larger ones a block has too few",
-)
-_EXACT_PX = tuned(1e-4, "px", "residuals of a point at least, so that two exact ones have a ratio")
+_PER_FRAME = tuned(64, "tracks", "that each frame asks for: fewer do not distinguish models by a twentieth")
+_CELLS = tuned(8, "cells a side", "of an image over which they are spread: corners distinguish lenses")
+_SURE = tuned(0.25, "share of the median", "a track's least residual by both models: less, exact fits decide")
+_ALIKE = tuned(0.25, "flying heights", "side of a place where tracks err alike: a third of a frame's width")
+_MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
+_EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
-
-
-@dataclass(frozen=True)
-class Model:
-    """A model of lens and shutter, and the solution to begin its own from; same: which is of this model."""
-
-    block: Block
-    settings: Settings
-    before: Start
-    same: bool = False
 
 
 @dataclass(frozen=True)
@@ -125,35 +90,73 @@ class Judged:
         return float(shares[half]), float(shares[min(most, len(shares) - 1)])
 
 
+@dataclass(frozen=True)
+class _Test:
+    """Tracks to solve by, tracks that judge, and the place of each of these, (t,)."""
+
+    solving: Tracks
+    judges: Tracks
+    place: Ints
+
+
 class LeftOut:
-    """Tracks that models are solved by, and all others, which judge them. first: the solution by both."""
+    """Tracks that models are solved by, and all others, which judge them.
+
+    Of a large block some neighbouring frames are compared. Args: first: the solution by all tracks.
+    """
 
     def __init__(self, block: Block, tracks: Tracks, first: Start, spread: Spread) -> None:
+        self._whole, self._spread = first, spread
+        self._frames = _compared_frames(block)
+        block = self._part(block)
+        tracks, kept = part_of_tracks(tracks, self._frames)
+        points_m = first.points_m[kept]
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
         asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, _CELLS))
         few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
         out = np.random.default_rng(0).permutation(len(few)) % LEFT_OUT == 0
         solving = np.isin(np.arange(tracks.points), few[~out])
-        self.begun = first.of_points(first.points_m[solving])
-        place = places(first.points_m[~solving], flying_height_m(block))
-        self._judged = partial(
-            _judged, chosen_tracks(tracks, solving), chosen_tracks(tracks, ~solving), place
+        self.begun = part_of_solution(first, self._frames, points_m[solving])
+        self._test = _Test(
+            chosen_tracks(tracks, solving),
+            chosen_tracks(tracks, ~solving),
+            places(points_m[~solving], flying_height_m(block)),
         )
-        self._spread = spread
 
     def judged(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
         """What each model leaves. The last has most unknowns and takes longest: it is begun first."""
+        return self._of_each(name, partial(_judged, self._test, solved), models)
+
+    def expected(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
+        """What each model leaves after some steps from where it begins, see `tested`."""
+        return self._of_each(name, partial(_judged, self._test, tested), models)
+
+    def of_whole(self, found: Start) -> Start:
+        """What the whole block's solve begins from."""
+        return solution_of_whole(found, self._whole, self._frames)
+
+    def _of_each(
+        self, name: str, function: Callable[[Model], Judged], models: dict[str, Model]
+    ) -> dict[str, Judged]:
         names = list(models)[::-1]
-        sent = [replace(models[n], block=_without_tie_points(models[n].block)) for n in names]
-        found = dict(zip(names, self._spread.map(name, self._judged, sent, names), strict=True))
+        sent = [replace(models[n], block=self._part(models[n].block)) for n in names]
+        found = dict(zip(names, self._spread.map(name, function, sent, names), strict=True))
         return {n: found[n] for n in models}
 
+    def _part(self, block: Block) -> Block:
+        """The compared frames with bare pairs: they go to other processes."""
+        at, number = np.zeros((0, 2)), np.zeros(0, np.int32)
+        bare = (TiePair(left, right, at, at, number, number) for left, right in block.ties.frames)
+        return part_of_block(replace(block, ties=TiePoints(tuple(bare))), self._frames)
 
-def _without_tie_points(block: Block) -> Block:
-    """The block with the bare pairs: it goes to other processes."""
-    at, number = np.zeros((0, 2)), np.zeros(0, np.int32)
-    bare = (TiePair(left, right, at, at, number, number) for left, right in block.ties.frames)
-    return replace(block, ties=TiePoints(tuple(bare)))
+
+def _compared_frames(block: Block) -> Ints:
+    """Neighbouring frames of a large block if all its cameras are among them, else all frames."""
+    every = np.arange(len(block.names))
+    if len(every) <= _MOST_FRAMES:
+        return every
+    some = neighbours(block, np.ones(len(every), dtype=bool), _MOST_FRAMES)
+    return some if len({block.lens_of[i] for i in some}) == len(block.lenses) else every
 
 
 def places(points_m: Floats, height_m: float) -> Ints:
@@ -162,31 +165,15 @@ def places(points_m: Floats, height_m: float) -> Ints:
     return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
 
 
-def _judged(tracks: Tracks, judges: Tracks, place: Ints, model: Model) -> Judged:
-    """The solution with points of their own and no control, and what it leaves."""
-    block, before = model.block, model.before
-    lenses = tuple(_begun_lens(*both) for both in zip(block.lenses, before.cameras, strict=True))
-    begun = before.of_points(before.points_m, lenses)
-    problem = block_problem(block, model.settings, tracks, before.points_m)
-    options = SolveOptions(
-        rough=True, self_calibration=model.settings.self_calibration, same_model=model.same
-    )
+def _judged(test: _Test, solve: Callable[[Tracks, Model], Start], model: Model) -> Judged:
+    """A solution by points of its own and no control, and what it leaves."""
     try:
-        solved = solve(problem, before.poses, begun, options)
+        solved = solve(test.solving, model)
     except NotSolvableError:
-        return Judged(None, np.full(judges.points, np.inf), place)
-    image = left_out_residuals(judges, block, solved)
-    vibration = left_by_vibration(image, block.cameras)
-    return Judged(solved.of_points(solved.points_m), left_out_px(judges, image), place, vibration)
-
-
-def _begun_lens(given: Camera, found: Camera) -> Camera:
-    """A lens as it was found with another model, as far as this one has the same numbers."""
-    numbers, before = interior_of(given), interior_of(found)
-    same = READOUT if given.kind == found.kind else _OF_ALL_LENSES
-    numbers[:same] = before[:same]
-    numbers[READOUT] = before[READOUT] or numbers[READOUT]
-    return with_interior(given, numbers)
+        return Judged(None, np.full(test.judges.points, np.inf), test.place)
+    image = left_out_residuals(test.judges, model.block, solved)
+    vibration = left_by_vibration(image, model.block.cameras)
+    return Judged(solved, left_out_px(test.judges, image), test.place, vibration)
 
 
 def left_out_px(tracks: Tracks, image: ImageResiduals) -> Floats:

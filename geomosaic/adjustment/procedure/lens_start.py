@@ -13,6 +13,7 @@ from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.adjustment.problem.tracks import Tracks, chosen_tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.procedure.block_part import neighbours, part_of_block
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.cross_validation import (
@@ -24,56 +25,26 @@ from geomosaic.adjustment.procedure.cross_validation import (
     places,
 )
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
-from geomosaic.adjustment.procedure.model_selection import contradicts, with_readout
+from geomosaic.adjustment.procedure.model_selection import contradicts
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
-from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.matching.model import TiePoints
 from geomosaic.spread import Spread
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.model import Warn
 
 Ints = NDArray[np.intp]
 
-_FRAMES = tuned(
-    10,
-    "frames",
-    "of one camera that starts are compared on: fewer leave the focal length to chance, more take time "
-    "that the whole block takes anyway",
-)
-_PER_FRAME = tuned(192, "image observations a frame", "asked for by each frame of them, as for models")
-_CELLS = tuned(8, "cells a side", "of a frame over which they are spread: corners tell lenses apart")
+_FRAMES = tuned(10, "frames", "of one camera to compare starts on: with fewer focal lengths are chance")
+_PER_FRAME = tuned(192, "image observations a frame", "that each frame asks for: fewer leave lenses alike")
+_CELLS = tuned(8, "cells a side", "of a frame over which they are spread: corners distinguish lenses")
 _LEAST = tuned(50, "tracks", "with fewer nothing is compared: ten would judge")
-STARTS: tuple[tuple[str, float], ...] = sourced(
-    (
-        ("brown", 0.5),
-        ("brown", 0.67),
-        ("brown", 0.9),
-        ("brown", 1.2),
-        ("brown", 1.6),
-        ("fisheye", 0.35),
-        ("fisheye", 0.5),
-        ("fisheye", 0.75),
-        ("fisheye", 1.1),
-        ("fisheye", 1.6),
-    ),
-    "kind of lens, focal length over longer side",
-    "that are tried besides the given one, each within a fifth of all between: farther apart a solve "
-    "ends in another least value, closer ones end alike",
-    "28 to 60 mm on 36 mm and the wide modes of action cameras, fisheyes of 8 mm on APS-C and on four "
-    "thirds: 0.34 and 0.46",
-)
-
-
-_CONTRADICTED = tuned(
-    5.0,
-    "deviations",
-    "from a reported focal length, beyond which one that a few frames show contradicts it: with less, "
-    "what else bends a block would be blamed on the lens",
-)
+_BROWN = tuned((0.5, 0.67, 0.9, 1.2, 1.6), "focal lengths by longer side", "fewer: solves end elsewhere")
+_FISHEYE = tuned((0.35, 0.5, 0.75, 1.1, 1.6), "the same of fisheyes", "8 mm on APS-C is 0.34: fewer miss one")
+STARTS = tuple((kind, f) for kind, shares in (("brown", _BROWN), ("fisheye", _FISHEYE)) for f in shares)
+_CONTRADICTED = tuned(5.0, "deviations", "of a focal length: less, other errors count as the lens's")
 _FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
 
 
@@ -140,7 +111,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     known = camera.distortion_sd or not camera.focal_length_sd_px
     if known and not unsure(camera):
         return camera
-    part = _part(block, _well_overlapping(block, camera))
+    part = _part(block, camera)
     sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
     tracks = thin_tracks(join_tracks(part.ties), sizes, _PER_FRAME, _CELLS) if len(part.names) > 1 else None
     if tracks is None or tracks.points < _LEAST:
@@ -153,10 +124,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     if not unsure(camera):
         free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
         as_given, freed = _judged(f"lens-{camera.name}", trial, [camera, free], spread)
-        rolling = _rolling(trial, camera, spread)
-        if freed.solved is None or not all(freed.beats(its) for its in (as_given, *rolling)):
-            return camera
-        if contradicts(freed.solved, as_given.solved):
+        if freed.solved is None or not freed.beats(as_given) or contradicts(freed.solved, as_given.solved):
             return camera
         if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
             return camera
@@ -196,17 +164,6 @@ def _judged(name: str, trial: _Trial, lenses: Sequence[Camera], spread: Spread) 
     return spread.map(name, _tried, trials, keys)
 
 
-def _rolling(trial: _Trial, camera: Camera, spread: Spread) -> list[Judged]:
-    """What the lens as given leaves where its rows are read one after the other, if the block moves: another
-    focal length takes up some of what a shutter does."""
-    if trial.block.poses.velocities_m_per_s is None:
-        return []
-    block = replace(trial.block, cameras=(camera,) * len(trial.block.names))
-    block, settings = with_readout(block, trial.settings)
-    rolling = replace(trial, block=block, settings=settings)
-    return list(spread.map(f"lens-rolling-{camera.name}", _tried, [rolling], ["rolling"]))
-
-
 def _tried(trial: _Trial) -> Judged:
     """A lens's own solve, begun as a block is, and what it leaves at the other tracks."""
     nothing = Judged(None, np.full(trial.judges.points, np.inf), trial.place)
@@ -224,41 +181,9 @@ def _tried(trial: _Trial) -> Judged:
     return Judged(solved.of_points(solved.points_m), left_px, trial.place)
 
 
-def _well_overlapping(block: Block, camera: Camera) -> list[int]:
-    """Up to _FRAMES frames of a camera, each the one with most tie points to those before."""
-    mine = {i for i, c in enumerate(block.cameras) if c.name == camera.name}
-    ties = np.zeros((len(block.names),) * 2)
-    for pair in block.ties.pairs:
-        if pair.left in mine and pair.right in mine:
-            ties[pair.left, pair.right] = ties[pair.right, pair.left] = len(pair)
-    chosen = [int(np.argmax(ties.sum(axis=0)))] if ties.any() else []
-    while chosen and len(chosen) < _FRAMES:
-        shared = ties[chosen].sum(axis=0)
-        shared[chosen] = 0.0
-        if not shared.any():
-            break
-        chosen.append(int(np.argmax(shared)))
-    return sorted(chosen)
-
-
-def _part(block: Block, frames: Sequence[int]) -> Block:
-    """Some frames of a block and the pairs between them, without control, read at once."""
-    number = {frame: k for k, frame in enumerate(frames)}
-    at, poses = np.array(frames, dtype=np.intp), block.poses
-    pairs = tuple(
-        replace(t, left=number[t.left], right=number[t.right])
-        for t in block.ties.pairs
-        if t.left in number and t.right in number
-    )
-    return Block(
-        names=tuple(block.names[i] for i in frames),
-        cameras=tuple(block.cameras[i] for i in frames),
-        poses=Poses(
-            poses.positions_m[at], poses.rotations[at], poses.positions_sd_m[at], poses.rotations_sd_rad[at]
-        ),
-        ground=block.ground,
-        ties=TiePoints(pairs),
-        sequence=tuple(range(len(frames))),
-        lines=tuple(block.lines[i] for i in frames),
-        ground_pixel_m=block.ground_pixel_m,
-    )
+def _part(block: Block, camera: Camera) -> Block:
+    """Well-overlapping frames of a camera, all rows read at once."""
+    mine = np.array([c.name == camera.name for c in block.cameras])
+    part = part_of_block(block, neighbours(block, mine, _FRAMES))
+    poses = replace(part.poses, velocities_m_per_s=None, turns=None)
+    return replace(part, poses=poses, sequence=tuple(range(len(part.names))))

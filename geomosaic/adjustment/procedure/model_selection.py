@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Setti
 from geomosaic.adjustment.problem.interior import INTERIOR, READOUT
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import NOMINAL_READOUT_S
-from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model
+from geomosaic.adjustment.procedure.candidate_solves import Model
+from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
@@ -26,65 +27,18 @@ from geomosaic.survey.model import Warn
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-GOOD_PX = tuned(
-    1.0,
-    "px",
-    "image errors of a block of which all is given correctly: SIFT's own are 0.3 to 0.7 px of a "
-    "image that is matched at its size or half of it",
-)
-_PATTERN_PX = tuned(
-    0.25,
-    "px",
-    "root mean square of what residuals have in common by their place in the image: half of a "
-    "keypoint's own error",
-)
-_EXPLAINED: float = sourced(
-    0.5**0.5,
-    "share of the residuals of left-out points",
-    "that models together have to stay below where what they leave is more than GOOD_PX: half of the "
-    "squares. What no model explains there is land that moves, alike from neighbour to neighbour, and a "
-    "camera that may turn and be read in time follows some of it",
-    "docs/results.md, surveys as people deliver them: seed 839, all its land in the wind, bent by 3 px "
-    "for a gain of 5 to 8 %",
-)
+GOOD_PX = tuned(1.0, "px", "image deviation of a block with all given correctly: SIFT's is 0.3 to 0.7 px")
+_PATTERN_PX = tuned(0.25, "px", "RMS of residuals common to a place in the image: half of a keypoint's")
+_EXPLAINED = tuned(0.5**0.5, "share of left-out residuals", "more: moving land chooses a model")
 _TOO_FEW = tuned(100, "tracks", "with fewer nothing is chosen: twenty would judge")
-_LEAST_PX = sourced(
-    0.03,
-    "px",
-    "of tracks left out: nothing is to be gained below. Above it a shutter may hide though all looks "
-    "well, or turns that no gyroscope reports or not well enough: along straight lines a shutter only "
-    "stretches the block, and the principal point takes up how frames turn while they are read. 3 "
-    "degrees a second over a readout of 0.1 s bent a block by 8 px and left 0.2 px at its tracks",
-    "docs/results.md, surveys as people deliver them: seed 792, bent by 1.1 px, left 0.098",
-)
-_CONTRADICTS = tuned(
-    1.2,
-    "times as much",
-    "that positions may fit worse by: beyond, they are against a model, however well it pleases the "
-    "tie points; a block that is bent or stretched pleases them too",
-)
-_LEAST_SCATTER = tuned(0.2, "share of what is stated", "of positions; less is the luck of a few dozen")
-_SLOWEST_READOUT_S = sourced(
-    0.2,
-    "s",
-    "the slowest sensors of small cameras take 0.16 s: a solve that wants more bends something else with it",
-    "a Sequoia's LineReadoutTime: 0.164 s",
-)
-_SHOWN = sourced(
-    5.0,
-    "deviations",
-    "by which the solution would leave a readout of none: cameras that read all rows at once came to "
-    "3 at most, since image errors are alike along a track; see `bundle._with_unreported_shutters`",
-    "docs/results.md, surveys as people deliver them",
-)
-_NO_GUSTS = sourced(
-    2.0,
-    "times GUST_M_PER_S",
-    "root mean square, from which on rates that stand for what velocities are off by are frames that "
-    "turn: 0.1 to 1.3 in twelve surveys whose frames do not, 2.1 and more in six whose frames do",
-    "docs/results.md, surveys as people deliver them: seed 1727, 0.84 px off with rates of 2.3, with "
-    "swings 0.38",
-)
+_LEAST_PX = tuned(0.03, "px", "residuals with nothing to gain: a shutter that bends by 1 px may leave 0.1")
+_CONTRADICTS = tuned(1.2, "times", "that positions may fit worse by: with more, bent blocks are taken")
+_LEAST_SCATTER = tuned(0.2, "share of the stated", "deviation of positions: less is the luck of a few dozen")
+_SLOWEST_READOUT_S = sourced(0.2, "s", "beyond the slowest sensors of small cameras", "Sequoia: 0.164 s")
+_SHOWN = tuned(5.0, "deviations", "of a readout that the images show: global shutters came to 3")
+_NO_GUSTS = tuned(2.0, "times GUST_M_PER_S", "rates of frames that turn: steady ones came to 1.3 at most")
+_MAY_WIN = tuned(0.98, "share of left-out residuals", "after some steps: less loses models that gain slowly")
+_ALIKE = tuned(0.7, "of a simpler model's", "residuals that the best leaves: more misses simpler models")
 _GIVEN = "given"
 _TEXTS = {
     "lens": "the lens free of what its maker says",
@@ -108,10 +62,10 @@ def chosen_model(
     """Block and settings of the model to solve with, how it was chosen, None where the given one is good
     from the start, and what its solve begins from.
 
-    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; what
-    makes it worse by as much, or asks for what the block does not determine, is not tried again. Every model
-    is judged on the same tracks, which took no part in its solve, track by track (`Judged.beside`), all that
-    are tried beside one another at once.
+    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; a
+    readout that the block does not determine is not tried again. Every model is judged on the same tracks,
+    which took no part in its solve, track by track (`Judged.beside`). Some steps from the solution so far
+    show which models may win; only the best of these is solved, and a simpler one that does about as well.
 
     Args: first: the solution as given, by these tracks.
     """
@@ -121,38 +75,74 @@ def chosen_model(
     if good or tracks.points < _TOO_FEW:
         return block, settings, None, first
     left_out = LeftOut(block, tracks, first, spread)
-    now = Model(block, settings, left_out.begun, same=True)
-    taken: tuple[str, ...] = ()
-    worse: set[str] = set()
-    vibrating = left_by_vibration(_image_residuals(tracks, first), block.cameras) < BETTER
-    candidates = dict(_candidates(now, taken, vibrating))
-    more = left_out.judged("models", {_GIVEN: now} | candidates)
-    its = more.pop(_GIVEN)
-    now_px = its.median_px
+    now = Model(block, settings, left_out.begun)
+    its = left_out.judged("models", {_GIVEN: now})[_GIVEN]
+    now, now_px = replace(now, before=its.solved or now.before), its.median_px
     left_px, contradicted = {_GIVEN: now_px}, []
+    taken: tuple[str, ...] = ()
+    in_vain: set[str] = set()
+    vibrating = left_by_vibration(_image_residuals(tracks, first), block.cameras) < BETTER
     while now_px > _LEAST_PX:
-        share = {name: model.beside(its)[0] for name, model in more.items()}
-        in_vain = {name for name, model in more.items() if name == "readout" and _in_vain(now.block, model)}
-        worse |= {name for name in share if BETTER * share[name] > 1.0} | in_vain
-        left = {n: m.median_px if its.solved is None else share[n] * now_px for n, m in more.items()}
+        candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in in_vain}
+        found = _compared(left_out, f"models-{len(taken)}", now.block, candidates, its)
+        in_vain |= found.in_vain
+        left = {
+            name: model.median_px if its.solved is None else model.beside(its)[0] * now_px
+            for name, model in found.judged.items()
+        }
         left_px |= {"+".join((*taken, name)): px for name, px in left.items()}
-        for name in [name for name, model in more.items() if contradicts(model.solved, its.solved)]:
-            if more.pop(name).beats(its):
-                contradicted.append("+".join((*taken, name)))
-        better = [name for name, model in more.items() if name not in in_vain and model.beats(its)]
-        if not better:
+        contradicted += ["+".join((*taken, name)) for name in found.contradicted]
+        if not found.better:
             break
-        least = more[min(better, key=lambda name: share[name])]
-        best = next(name for name in better if not least.beats(more[name]))
-        taken, its, now_px = (*taken, best), more[best], left[best]
+        least = found.judged[min(found.better, key=lambda name: found.judged[name].beside(its)[0])]
+        best = next(name for name in found.better if not least.beats(found.judged[name]))
+        taken, its, now_px = (*taken, best), found.judged[best], left[best]
         now = replace(candidates[best], before=its.solved or now.before)
         vibrating = vibrating or its.vibration < BETTER
-        candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in worse}
-        more = left_out.judged(f"models-{len(taken)}", candidates) if candidates else {}
+    whole = left_out.of_whole(now.before)
     if now_px > max(GOOD_PX, _EXPLAINED * left_px[_GIVEN]):
-        now, taken = Model(block, settings, first), ()
+        now, whole, taken = Model(block, settings, first), first, ()
     choice = ModelChoice(taken, tuple(left_px), tuple(left_px.values()), tuple(contradicted))
-    return now.block, now.settings, choice, now.before
+    return now.block, now.settings, choice, whole
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """What each candidate leaves; those that are better, that would be but that positions contradict, and
+    that ask for what the block does not determine."""
+
+    judged: dict[str, Judged]
+    better: list[str]
+    contradicted: list[str]
+    in_vain: set[str]
+
+
+def _compared(
+    left_out: LeftOut, name: str, now: Block, candidates: dict[str, Model], its: Judged
+) -> _Compared:
+    """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
+    these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
+    judged = left_out.expected(f"{name}-tested", candidates) if candidates else {}
+    share = {n: test.beside(its)[0] for n, test in judged.items()}
+    may_win = [n for n in candidates if share[n] < _MAY_WIN]
+    out = _Compared(judged, [], [], set())
+    while may_win and not out.better:
+        best = min(may_win, key=lambda n: share[n])
+        first = next(n for n in may_win if BETTER * share[n] <= share[best])
+        simpler = [n for n in may_win[: may_win.index(first)] if _ALIKE * share[n] < share[best]]
+        solved = [*sorted(simpler, key=lambda n: share[n])[:1], first]
+        begun = {n: replace(candidates[n], before=judged[n].solved or candidates[n].before) for n in solved}
+        more = left_out.judged(f"{name}-{len(may_win)}", begun)
+        judged.update(more)
+        in_vain = {n for n in more if n == "readout" and _in_vain(now, more[n])}
+        against = {n for n in more if contradicts(more[n].solved, its.solved)}
+        out.in_vain.update(in_vain)
+        out.contradicted.extend(n for n in solved if n in against and more[n].beats(its))
+        out.better.extend(n for n in solved if n not in in_vain | against and more[n].beats(its))
+        if best in solved and best not in in_vain | against:
+            break
+        may_win = [n for n in may_win if n not in solved]
+    return out
 
 
 def contradicts(its: Start | None, now: Start | None) -> bool:

@@ -15,12 +15,13 @@ from geomosaic.adjustment.solver.determinability import undetermined, with_unrep
 from geomosaic.adjustment.solver.normal_equations import reduce_normals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
-from geomosaic.adjustment.solver.steps import Progress, settle, with_held
+from geomosaic.adjustment.solver.steps import Progress, first_steps, settle, with_components, with_held
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.row_functions import with_drift, with_swing
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import student_weight
@@ -113,6 +114,26 @@ def _solved(
     return replace(_finished(progress), implausible=implausible, held=held, readout_score=scores)
 
 
+def few_steps(problem: BlockProblem, start: Start) -> Start:
+    """A few steps from a solution of another model, the first of them that of a score test (Rao 1948).
+
+    Residuals weigh by their present median and priors as stated; then variance components are estimated once.
+    Raises: NotSolvableError where the equations have no solution.
+    """
+    at, held = _first_estimate(problem, start.poses, start)
+    problem = replace(problem, held=held)
+    components = _first_components(problem, at)
+    progress = Progress(problem.reweighted(at, components), at, components)
+    progress = with_components(progress)
+    progress = first_steps(progress)
+    at = progress.at
+    poses = _with_rows_read(
+        replace(start.poses, positions_m=at.positions_m, rotations=at.rotations), problem, at
+    )
+    cameras = _cameras(problem, at)
+    return Start(poses, cameras, at, progress.components, held, None)
+
+
 def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:
     """Where the unknowns begin, and which shared ones are held."""
     layout, frames = problem.layout, len(poses)
@@ -122,8 +143,9 @@ def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) ->
         (shared, held), points_m = start.shared_in(layout), start.points_m
     terms = next((t.terms for t in problem.frames if isinstance(t, RollingShutterRotation)), 0)
     swing_rad, drift_m = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
-    if start is not None and start.estimate.swing_rad.shape == swing_rad.shape:
-        swing_rad, drift_m = start.estimate.swing_rad, start.estimate.drift_m
+    if start is not None and terms:
+        same = min(terms, start.estimate.swing_rad.shape[1])
+        swing_rad[:, :same], drift_m = start.estimate.swing_rad[:, :same], start.estimate.drift_m
     positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
     return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift_m), held
 
@@ -160,12 +182,9 @@ def _finished(progress: Progress) -> Solution:
         positions_sd_m=sd[:, :3],
         rotations_sd_rad=sd[:, 3:],
     )
-    if at.swing_rad.shape[1]:
-        readouts_s = at.interior[image.camera_of, READOUT]
-        poses = with_drift(with_swing(poses, at.swing_rad, readouts_s), at.drift_m, readouts_s)
     return Solution(
-        poses=poses,
-        cameras=tuple(with_interior(c, row) for c, row in zip(image.cameras, at.interior, strict=True)),
+        poses=_with_rows_read(poses, problem, at),
+        cameras=_cameras(problem, at),
         estimate=at,
         components=components,
         held=np.zeros(layout.size, dtype=bool) if problem.held is None else problem.held,
@@ -182,3 +201,15 @@ def _finished(progress: Progress) -> Solution:
         readout_score=np.zeros(len(image.cameras)),
         steps=progress.steps,
     )
+
+
+def _cameras(problem: BlockProblem, at: Estimate) -> tuple[Camera, ...]:
+    return tuple(with_interior(c, row) for c, row in zip(problem.cameras, at.interior, strict=True))
+
+
+def _with_rows_read(poses: Poses, problem: BlockProblem, at: Estimate) -> Poses:
+    """Poses whose turns and velocities hold the swing and the drift too."""
+    if not at.swing_rad.shape[1]:
+        return poses
+    readouts_s = at.interior[problem.image.camera_of, READOUT]
+    return with_drift(with_swing(poses, at.swing_rad, readouts_s), at.drift_m, readouts_s)

@@ -45,6 +45,8 @@ _FINE = sourced(
     "0.02 leaves 0.08 deviations",
     "tests/test_bundle_oracle.py",
 )
+_FIRST = tuned(_Stop(1e-3, np.inf, 0.0), "shares, deviations", "of steps that test a model: no damping")
+_FIRST_STEPS = tuned(4, "steps", "of a test, before and after variance components; fewer lose far models")
 _STANDS = tuned(0.03, "share of a variance component", "a dozen frames know it to a third")
 _ROUGHLY = tuned(0.15, "share of a variance component", "the same, well enough to compare models")
 _STEPS_BETWEEN = tuned(2, "steps", "between estimates of the variance components")
@@ -114,6 +116,19 @@ def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
     if not rough:
         progress, _ = _converge(progress, _MOST_STEPS, _FINE)
     return progress
+
+
+def first_steps(progress: Progress) -> Progress:
+    """A few undamped steps, until they gain a thousandth of the cost."""
+    return _converge(progress, _FIRST_STEPS, _FIRST)[0]
+
+
+def with_components(progress: Progress) -> Progress:
+    """After a few steps, with all variance components by the residuals then."""
+    progress, reduced = _converge(progress, _FIRST_STEPS, _FIRST)
+    problem, at = progress.problem, progress.at
+    found = variance_components(problem, at, progress.components, reduced, image_only=False)
+    return replace(progress, components=found.components)
 
 
 def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Reduced]:

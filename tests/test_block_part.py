@@ -1,0 +1,76 @@
+"""Some neighbouring frames of a block, and solutions that pass between them and the whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from adjustment_blocks import fly
+
+from geomosaic.adjustment.problem.bundle_model import Begun, Factors
+from geomosaic.adjustment.problem.tracks import join_tracks
+from geomosaic.adjustment.procedure.block_part import (
+    neighbours,
+    part_of_block,
+    part_of_solution,
+    part_of_tracks,
+    solution_of_whole,
+)
+from geomosaic.adjustment.terms.collinearity import INTERIOR
+from geomosaic.adjustment.terms.mounting import MOUNTING
+
+
+def test_neighbours_are_tied_to_one_another_and_allowed() -> None:
+    block = fly(1, 2, 5).block
+    allowed = np.arange(10) != 3
+    chosen = neighbours(block, allowed, 4)
+    assert len(chosen) == 4 and 3 not in chosen and (np.diff(chosen) > 0).all()
+    pairs = part_of_block(block, chosen).ties.frames
+    assert {i for pair in pairs for i in pair} == set(range(4))
+    assert len(neighbours(block, np.zeros(10, dtype=bool), 4)) == 0
+
+
+def test_a_part_has_the_tracks_that_two_of_its_frames_see() -> None:
+    block = fly(1, 2, 5).block
+    frames = neighbours(block, np.ones(10, dtype=bool), 4)
+    tracks = join_tracks(block.ties)
+    part, kept = part_of_tracks(tracks, frames)
+    assert part.points == kept.sum() < tracks.points
+    assert (part.lengths >= 2).all() and set(part.frame) == set(range(4))
+    whole, all_kept = part_of_tracks(tracks, np.arange(10))
+    assert all_kept.all() and (whole.image_px == tracks.image_px).all()
+
+
+def test_a_solution_of_a_part_becomes_one_of_the_whole() -> None:
+    """Cameras come in another order in the part; frames beyond it follow its median move."""
+    block = fly(1, 2, 5).block
+    one, two = block.cameras[0], replace(block.cameras[0], name="other", focal_length_px=900.0)
+    block = replace(block, cameras=(one, *(two, one) * 4, two))
+    frames = np.array([1, 2, 5, 6])
+    held = np.zeros(2 * len(INTERIOR) + len(MOUNTING), dtype=bool)
+    held[1] = True
+    whole = Begun(
+        block.poses,
+        block.lenses,
+        np.zeros((5, 3)),
+        np.zeros(len(MOUNTING)),
+        held,
+        None,
+        Factors(),
+        None,
+        None,
+        0.0,
+    )
+    part = part_of_block(block, frames)
+    begun = part_of_solution(whole, frames, part.lenses, np.zeros((3, 3)))
+    assert [c.name for c in begun.cameras] == ["other", one.name]
+    assert np.flatnonzero(begun.held).tolist() == [len(INTERIOR) + 1]
+    moved = replace(begun.poses, positions_m=begun.poses.positions_m + [1.0, 0.0, 2.0])
+    swing = np.full((4, 2, 3), 0.1)
+    found = solution_of_whole(
+        replace(begun, poses=moved, swing=swing, drift_m=np.ones((4, 3))), whole, frames
+    )
+    assert found.cameras == block.lenses and np.array_equal(found.held, held)
+    assert np.allclose(found.poses.positions_m - block.poses.positions_m, [1.0, 0.0, 2.0])
+    assert found.swing is not None and np.array_equal(np.flatnonzero(found.swing.any(axis=(1, 2))), frames)
+    assert len(found.points_m) == 5
