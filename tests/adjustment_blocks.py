@@ -12,6 +12,8 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.interior import INTERIOR, interior_of
 from geomosaic.adjustment.problem.layout import UnknownLayout, Unknowns
 from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.terms.attitudes import Attitudes
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.terrain import level_unknown
 from geomosaic.camera.exterior import Poses, Turns
@@ -150,6 +152,17 @@ def layout_of(cameras: tuple[Camera, ...], interior_sd: np.ndarray) -> UnknownLa
     """The shared unknowns of cameras with prior deviations (c, 9), and the ground's level."""
     parts = [camera_unknowns(c, sd) for c, sd in zip(cameras, interior_sd, strict=True)]
     return UnknownLayout(tuple(parts), level_unknown(1.0), ())
+
+
+def frame_terms(reported: Poses) -> tuple[GnssPositions, Attitudes]:
+    """Positions with lever arm, delay and offset, and attitudes with boresight, of one connected part."""
+    n, parts = len(reported), (np.arange(len(reported)),)
+    one, assumed = np.ones((n, 3)), np.zeros(n, dtype=bool)
+    asked = {"lever_arm": True, "delay": True, "offset_sd_m": (1.0, 1.5, 3.0)}
+    return (
+        GnssPositions(reported, assumed, parts, one, tilt_sd_rad=0.01, **asked),
+        Attitudes(reported, parts, one, boresight=True),
+    )
 
 
 def estimate_of(problem: BlockProblem, poses: Poses) -> Estimate:
