@@ -8,6 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.adjustment.model import Block
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.interior import INTERIOR, interior_of
+from geomosaic.adjustment.problem.layout import UnknownLayout, Unknowns
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.terms.attitudes import Attitudes
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
+from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
+from geomosaic.adjustment.terms.terrain import level_unknown
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_x, about_z, exp_turn
@@ -133,3 +141,34 @@ def fly(
         tuple(range(n)), tuple(i // per_line for i in range(n)), 0.1,
     )  # fmt: skip
     return Flown(block, truth, rng)
+
+
+def camera_unknowns(camera: Camera, sd: np.ndarray) -> Unknowns:
+    """A camera's numbers with prior deviations (9,)."""
+    return Unknowns(camera.name, camera.name, INTERIOR, interior_of(camera), sd, np.ones(len(INTERIOR)))
+
+
+def layout_of(cameras: tuple[Camera, ...], interior_sd: np.ndarray) -> UnknownLayout:
+    """The shared unknowns of cameras with prior deviations (c, 9), and the ground's level."""
+    parts = [camera_unknowns(c, sd) for c, sd in zip(cameras, interior_sd, strict=True)]
+    return UnknownLayout(tuple(parts), level_unknown(1.0), ())
+
+
+def frame_terms(reported: Poses) -> tuple[GnssPositions, Attitudes]:
+    """Positions with lever arm, delay and offset, and attitudes with boresight, of one connected part."""
+    n, parts = len(reported), (np.arange(len(reported)),)
+    one, assumed = np.ones((n, 3)), np.zeros(n, dtype=bool)
+    asked = {"lever_arm": True, "delay": True, "offset_sd_m": (1.0, 1.5, 3.0)}
+    return (
+        GnssPositions(reported, assumed, parts, one, tilt_sd_rad=0.01, **asked),
+        Attitudes(reported, parts, one, boresight=True),
+    )
+
+
+def estimate_of(problem: BlockProblem, poses: Poses) -> Estimate:
+    """Poses with the prior values of all other unknowns."""
+    layout, frames = problem.layout, len(poses)
+    terms = next((t.terms for t in problem.frames if isinstance(t, RollingShutterRotation)), 0)
+    while_read = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
+    at = poses.positions_m, poses.rotations, problem.points.given_m
+    return Estimate(layout, *at, layout.given, *while_read)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat
 from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.problem.priors import priors_of
 from geomosaic.adjustment.problem.tracks import join_tracks
+from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.adjustment.solver.solve import solve
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
@@ -202,9 +202,7 @@ def test_land_that_stays_bent_when_it_is_bound_to_level_ground_is_not_flat(relie
     block = fly(1, 3, 6, points=1500, noise_px=0.1, crossed=True, relief=relief).block
     tracks = join_tracks(block.ties)
     points, kept = points_on_ground(block.poses, block.cameras, block.ground, tracks)
-    solved = solve_bundle(
-        kept, block.lens_of, priors_of(block, Settings(), block.lenses, points), block.poses
-    )
+    solved = solve(block_problem(block, Settings(), kept, points), block.poses)
     assert lies_flat(block, levelled(block.ground, solved), solved, solved) is flat
 
 

@@ -7,28 +7,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adjustment_blocks import fly, hills, level
+from adjustment_blocks import fly, hills, layout_of, level
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.problem.bundle_model import Priors, State, stepped
-from geomosaic.adjustment.problem.priors import interior_deviations, priors_of
+from geomosaic.adjustment.problem.estimate import Estimate, Step
+from geomosaic.adjustment.problem.interior import interior_of
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
+from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.blunder_detection import doubtful_positions, strayed_lenses
-from geomosaic.adjustment.solver.bundle import solve_bundle
-from geomosaic.adjustment.solver.bundle_equations import in_own_rows, seen_px, strayed_principal_points
+from geomosaic.adjustment.solver.solve import solve
 from geomosaic.adjustment.terms import collinearity
 from geomosaic.adjustment.terms.collinearity import (
     image_from_ground,
-    interior_of,
     kinds_of,
     project,
     readout_of,
 )
-from geomosaic.adjustment.terms.mounting import MOUNTING
+from geomosaic.adjustment.terms.image_observations import ImageObservations
+from geomosaic.adjustment.terms.interior_orientation import (
+    implausible_principal_points,
+    interior_deviations,
+)
 from geomosaic.adjustment.terms.row_functions import with_drift, with_swing
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
@@ -165,15 +168,19 @@ def test_errors_of_keypoints_do_not_stretch_frames() -> None:
     ground = rng.uniform([-25.0, -25.0, -2.0], [30.0, 10.0, 2.0], (m, 3))
     exact = told[0].image_from_ground(camera, ground)
     errors = rng.normal(0.0, 0.5, (m, 2))
-    priors = Priors(told, (camera,), np.full((1, 9), 0.1), ground, np.ones((m, 3)), np.zeros(m, bool))
-    state = State(centre[None], rotation, interior_of(camera)[None], ground, np.zeros(len(MOUNTING)))
-    state.swing, state.drift_m = np.zeros((1, 4, 3)), np.zeros((1, 3))
+    layout = layout_of((camera,), np.full((1, 9), 0.1))
+    still = np.zeros((1, 4, 3)), np.zeros((1, 3))
+    at = Estimate(layout, centre[None], rotation, ground, layout.given, *still)
 
     def seen(image_px: np.ndarray) -> tuple[np.ndarray, ...]:
         tracks = Tracks(np.zeros(m, np.intp), np.arange(m), image_px)
-        camera_of = np.zeros(1, np.intp)
-        seen = seen_px(tracks, camera_of, priors, state)
-        return project(*in_own_rows(tracks, camera_of, priors, state, seen))
+        image = ImageObservations(
+            *(tracks, np.zeros(1, np.intp), (camera,), told, np.zeros(m, bool)),
+            rolling=True,
+            left_out=np.zeros(1, bool),
+            local=np.ones(m),
+        )
+        return project(*image.arguments_in_own_rows(at, image.computed_px(at)))
 
     image, *derivatives = seen(exact + errors)
     assert (exact > 0.0).all() and (exact < [800.0, 600.0]).all()
@@ -222,7 +229,7 @@ def test_a_known_readout_leaves_steps_whole() -> None:
     wider = centre + 1.04 * (flown.truth.positions_m - centre)
     start = replace(block.poses, positions_m=wider, rotations=flown.truth.rotations)
     points, tracks = points_on_ground(start, block.cameras, block.ground, join_tracks(block.ties))
-    solved = solve_bundle(tracks, block.lens_of, priors_of(block, Settings(), block.lenses, points), start)
+    solved = solve(block_problem(block, Settings(), tracks, points), start)
     moved_m = np.linalg.norm(solved.poses.positions_m - wider, axis=1).max()
     assert solved.steps[0].step_m > 0.9 * moved_m > 2.0
     assert solved.cameras[0].readout_s == 0.1
@@ -312,22 +319,17 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
     """A twentieth of 4000 px is 200 px; at the corner r = 2500 / 5000 = 0.5."""
     sure = Camera("sure", 4000, 3000, 5000.0, 2000.0, 1500.0, focal_length_sd_px=25.0, distortion_sd=0.002)
     loose = replace(sure, name="loose", distortion_sd=0.0)
-    priors = Priors(
-        poses=Poses(np.zeros((1, 3)), np.eye(3)[None], np.ones((1, 3)), np.ones((1, 3))),
-        cameras=(sure, loose),
-        interior_sd=np.stack([interior_deviations(c) for c in (sure, loose)]),
-        points_m=np.zeros((0, 3)),
-        points_sd_m=np.zeros((0, 3)),
-        control=np.zeros(0, dtype=bool),
-    )
-    k1, k2, k3, p1, p2 = priors.interior_sd[0, 3:8]
+    sds = np.stack([interior_deviations(c) for c in (sure, loose)])
+    k1, k2, k3, p1, p2 = sds[0, 3:8]
     assert (k1, k2, p1, p2) == pytest.approx((0.008, 0.032, 0.004 / 3.0, 0.004 / 3.0))
-    assert (k3, *priors.interior_sd[1, 3:8]) == (0.1, 0.1, 0.1, 0.1, 0.003, 0.003)
+    assert (k3, *sds[1, 3:8]) == (0.1, 0.1, 0.1, 0.1, 0.003, 0.003)
     interior = np.stack([interior_of(c) for c in (sure, loose)])
     interior[0, 1:3] += [120.0, 159.0]
     interior[1, 1:3] += [120.0, 161.0]
-    state = State(np.zeros((1, 3)), np.eye(3)[None], interior, np.zeros((0, 3)), np.zeros(len(MOUNTING)))
-    strayed = strayed_principal_points(priors, state)
+    shared, layout = np.append(interior.ravel(), 0.0), layout_of((sure, loose), sds)
+    one, none = np.zeros((1, 3)), np.zeros((0, 3))
+    at = Estimate(layout, one, np.eye(3)[None], none, shared, np.zeros((1, 0, 3)), one)
+    strayed = implausible_principal_points(at, (sure, loose))
     assert np.flatnonzero(strayed).tolist() == [10, 11]
     (warning,) = strayed_lenses((sure, loose), strayed)
     assert (warning.code, warning.text[:7]) == ("lens-strayed", "loose: ")
@@ -369,32 +371,31 @@ def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: t
     points = np.column_stack([rng.uniform([-20.0, -20.0], [100.0, 110.0], (400, 2)), np.zeros(400)])
     positions = np.column_stack([flown.truth.positions_m[:, :2], np.full(frames, 100.0)])
     upright = np.tile(np.eye(3), (frames, 1, 1))
-    state = State(positions, upright, interior_of(camera)[None], points, np.zeros(len(MOUNTING)))
+    layout, drift_m = layout_of((camera,), np.ones((1, 9))), rng.normal(0.0, 0.1, (frames, 3))
+    no_swing = np.zeros((frames, 1, 3))
+    at = Estimate(layout, positions, upright, points, layout.given, no_swing, drift_m)
     f, n = np.arange(frames).repeat(400), np.tile(np.arange(400), frames)
 
-    def seen(s: State) -> np.ndarray:
-        return image_from_ground(s.positions[f], s.rotations[f], s.interior[f * 0], s.points[n])
+    def seen(s: Estimate) -> np.ndarray:
+        return image_from_ground(s.positions_m[f], s.rotations[f], s.interior[f * 0], s.points_m[n])
 
     turn, middle, principal_px = np.radians(turn_deg), points.mean(axis=0), 20.0 if scale else 0.0
 
     def moved(places: np.ndarray) -> np.ndarray:
         return scale * (places - middle) + np.cross(turn, places - middle)
 
-    state.swing, drift_m = np.zeros((frames, 1, 3)), rng.normal(0.0, 0.1, (frames, 3))
-    state.drift_m = drift_m
-    pose, interior = np.zeros((frames, 12)), np.zeros((1, 9))
+    pose, shared = np.zeros((frames, 12)), np.zeros(layout.size)
     pose[:, 9:] = moved(drift_m + middle)
     pose[:, :3] = moved(positions) - [principal_px * 100.0 / camera.focal_length_px, 0.0, 0.0]
     pose[:, 3:6] = turn
-    interior[0, 1] = -principal_px
-    step = pose, interior, moved(points), 0.0, np.zeros(len(MOUNTING))
-    after = stepped(state, 1.0, *step)
+    shared[1] = -principal_px
+    after = at.stepped(Step(pose, moved(points), shared))
     whole_m = (1.0 + scale) * drift_m @ exp_turn(np.array([turn]))[0].T
     assert after.drift_m == pytest.approx(whole_m, abs=0.02 * np.abs(drift_m).max())
-    off_px = np.linalg.norm(seen(after) - seen(state), axis=1)
-    added = replace(state, positions=positions + pose[:, :3], points=points + step[2])
-    added = replace(added, rotations=exp_turn(pose[:, 3:6]) @ upright, interior=state.interior + interior)
-    added_px = np.linalg.norm(seen(added) - seen(state), axis=1)
+    off_px = np.linalg.norm(seen(after) - seen(at), axis=1)
+    added = replace(at, positions_m=positions + pose[:, :3], points_m=points + moved(points))
+    added = replace(added, rotations=exp_turn(pose[:, 3:6]) @ upright, shared=at.shared + shared)
+    added_px = np.linalg.norm(seen(added) - seen(at), axis=1)
     assert off_px.max() < 0.1 and added_px.max() > 1.0, (off_px.max(), added_px.max())
 
 

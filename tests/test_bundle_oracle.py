@@ -9,13 +9,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from adjustment_blocks import fly, hills
+from adjustment_blocks import camera_unknowns, fly, hills
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.adjustment.problem.bundle_model import Bundle, Priors
+from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
-from geomosaic.adjustment.solver.bundle import solve_bundle
+from geomosaic.adjustment.procedure.block_problem import block_problem
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.solver.solve import solve
+from geomosaic.adjustment.terms.attitudes import TILT, YAW
+from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
+from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
 from geomosaic.projection.footprint import ground_from_images
@@ -39,18 +45,30 @@ class Oracle:
     """The cost of a block as a sum of squares. Unknowns are changes from what was told, in units of `size`:
     of each pose (east, north, up; turn from the left), of the lens, of each point."""
 
-    tracks: Tracks
-    priors: Priors
-    solved: Bundle
+    problem: BlockProblem
+    solved: Solution
+
+    @property
+    def tracks(self) -> Tracks:
+        return self.problem.tracks
+
+    @property
+    def told(self):
+        """Reported poses."""
+        return self.problem.image.reported
+
+    @property
+    def points(self):
+        """Prior coordinates and deviations."""
+        return self.problem.points
 
     @property
     def size(self):
         """Prior deviations: of poses those the solver settled on, of the lens and points those told."""
-        poses = self.priors.poses
-        pose = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad]) * self.solved.factors.by_column
-        return np.concatenate([
-            pose.ravel(), self.priors.interior_sd[0, :8], self.priors.points_sd_m.ravel()
-        ])  # fmt: skip
+        names = HORIZONTAL, HORIZONTAL, VERTICAL, TILT, TILT, YAW
+        factor = [self.solved.components[name] for name in names]
+        pose = np.column_stack([self.told.positions_sd_m, self.told.rotations_sd_rad]) * factor
+        return np.concatenate([pose.ravel(), self.problem.interior[0].sd[:8], self.points.sd_m.ravel()])
 
     @property
     def free(self):
@@ -61,26 +79,26 @@ class Oracle:
 
     @property
     def lens(self):
-        n = 6 * len(self.priors.poses)
+        n = 6 * len(self.told)
         return slice(n, n + 8)
 
     def of_solver(self):
         """The solver's solution."""
-        told, found = self.priors.poses, self.solved.poses
+        told, found = self.told, self.solved.poses
         turn = Turn.from_matrix(found.rotations @ np.swapaxes(told.rotations, 1, 2)).as_rotvec()
         pose = np.column_stack([found.positions_m - told.positions_m, turn])
-        after, before = self.solved.cameras[0], self.priors.cameras[0]
+        after, before = self.solved.cameras[0], self.problem.cameras[0]
         lens = [getattr(after, name) - getattr(before, name) for name in LENS]
-        points = self.solved.points_m - self.priors.points_m
+        points = self.solved.points_m - self.points.given_m
         off = np.concatenate([pose.ravel(), lens, points.ravel()])
         return np.divide(off, self.size, out=np.zeros_like(off), where=self.size > 0.0)
 
     def image(self, x):
         """Residuals over the deviation that their points leave of them, (m, 2)."""
         pose, lens, points = np.split(x * self.size, [self.lens.start, self.lens.stop])
-        told, before = self.priors.poses, self.priors.cameras[0]
+        told, before = self.told, self.problem.cameras[0]
         camera = replace(before, **{k: getattr(before, k) + v for k, v in zip(LENS, lens, strict=True)})
-        at = self.priors.points_m + points.reshape(-1, 3)
+        at = self.points.given_m + points.reshape(-1, 3)
         out = np.empty((len(self.tracks.frame), 2))
         for i, change in enumerate(pose.reshape(-1, 6)):
             seen = self.tracks.frame == i
@@ -89,7 +107,7 @@ class Oracle:
             out[seen] = self.tracks.image_px[seen] - here.image_from_ground(
                 camera, at[self.tracks.point[seen]]
             )
-        return out / (self.solved.factors.image_px * np.sqrt(self.shown[:, None]))
+        return out / (self.solved.components[IMAGE] * np.sqrt(self.shown[:, None]))
 
     @property
     def shown(self):
@@ -200,16 +218,15 @@ def both(request):
     points = (
         np.stack([np.bincount(tracks.point, column) for column in at.T], axis=1) / tracks.lengths[:, None]
     )
-    priors = Priors(
-        poses=block.poses,
-        cameras=block.cameras[:1],
-        interior_sd=np.array([[*LENS_SDS[request.param], 0.0]]),
-        points_m=points,
-        points_sd_m=np.full(points.shape, 5.0),
-        control=np.zeros(len(points), dtype=bool),
+    problem = block_problem(block, Settings(), tracks, points)
+    lens_sd = np.array([*LENS_SDS[request.param], 0.0])
+    problem = replace(
+        problem,
+        interior=(camera_unknowns(block.cameras[0], lens_sd),),
+        points=replace(problem.points, sd_m=np.full(points.shape, 5.0)),
+        terrain=None,
     )
-    solved = solve_bundle(tracks, np.zeros(6, dtype=np.intp), priors, block.poses)
-    oracle = Oracle(tracks, priors, solved)
+    oracle = Oracle(problem, solve(problem, block.poses))
     x = oracle.solve()
     covariance = oracle.covariance(x)
     return oracle, x, covariance
@@ -245,10 +262,10 @@ def test_stated_covariances_are_those_of_the_whole_system(both):
         here = slice(6 * i, 6 * i + 6)
         sd = np.sqrt(np.diag(sized[here, here]))
         assert np.abs((own - sized[here, here]) / np.outer(sd, sd)).max() < 0.02
-    free = np.flatnonzero(oracle.priors.interior_sd[0, :8])
+    free = np.flatnonzero(oracle.problem.interior[0].sd[:8])
     lens = sized[oracle.lens, oracle.lens][np.ix_(free, free)]
     sd = np.sqrt(np.diag(lens))
-    assert oracle.solved.interior_sd[0, free] == pytest.approx(sd, rel=0.002)
+    assert oracle.solved.shared_sd[free] == pytest.approx(sd, rel=0.002)
     assert oracle.solved.shared_correlation[np.ix_(free, free)] == pytest.approx(
         lens / np.outer(sd, sd), abs=0.01
     )

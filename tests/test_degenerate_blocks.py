@@ -13,8 +13,8 @@ from adjustment_blocks import fly, hills
 from geomosaic.adjustment.model import Adjusted, Block, GroundControl, Settings
 from geomosaic.adjustment.problem.usable_input import usable
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.control_points import control_residuals
+from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.errors import NotSolvableError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))

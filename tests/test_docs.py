@@ -259,12 +259,12 @@ def test_the_equations_name_modules_and_functions_that_are_there() -> None:
     for module in modules:
         assert (ROOT / "geomosaic" / module).is_file(), module
     for name, module in (
-        ("share_shown", "adjustment/solver/bundle_equations"), ("lie_weight", "estimation/robust"),
-        ("stepped", "adjustment/problem/bundle_model"),
+        ("shown", "adjustment/terms/image_observations"), ("lie_weight", "estimation/robust"),
+        ("stepped", "adjustment/problem/estimate"),
         ("common_error", "adjustment/procedure/common_offsets"), ("Readout", "adjustment/terms/collinearity"),
     ):  # fmt: skip
         assert f"`{name}`" in text
-        assert re.search(rf"^(?:def|class) {name}\b", (ROOT / f"geomosaic/{module}.py").read_text(), re.M)
+        assert re.search(rf"^ *(?:def|class) {name}\b", (ROOT / f"geomosaic/{module}.py").read_text(), re.M)
 
 
 def test_conda_s_environment_and_the_notice_know_all_that_is_needed() -> None:

@@ -13,8 +13,8 @@ from survey_files import survey_folder
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, GroundControl, HeightReference, Settings
-from geomosaic.adjustment.problem.bundle_model import Factors
 from geomosaic.adjustment.procedure.common_offsets import common_error, height_reference, with_common_error
+from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
@@ -89,7 +89,7 @@ def common_height_sd_m(
     poses = replace(poses, positions_m=poses.positions_m - np.column_stack([np.zeros((6, 2)), off_m]))
     if above_m is not None:
         ground = replace(ground, up_m=poses.positions_m[:1, 2:] - above_m)
-    return float(np.sqrt(common_error(block, poses, ground, Factors())[2]))
+    return float(np.sqrt(common_error(block, poses, ground, Components())[2]))
 
 
 def of_pos(survey: Survey, sd_vertical_m: float, *, datum_stated: bool) -> Survey:

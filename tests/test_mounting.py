@@ -1,4 +1,4 @@
-"""Boresight, lever arm, lag and readout: conventions by absolute numbers, and found again in blocks."""
+"""Boresight, lever arm, delay and readout: conventions by absolute numbers, and found again in blocks."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adjustment_blocks import fly
+from adjustment_blocks import fly, frame_terms
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.terms.mounting import MOUNTING, mounting_derivatives, pose_miss
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.adjustment.terms.attitudes import Attitudes
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
+from geomosaic.adjustment.terms.terrain import level_unknown
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, exp_turn
 
@@ -22,11 +26,25 @@ def told(yaw: float, pitch: float, roll: float, at: list[float], velocity: np.nd
     return Poses(np.array([at]), rotation[None], np.ones((1, 3)), np.ones((1, 3)), velocity)
 
 
+def estimate_of(poses: Poses, terms: tuple[GnssPositions, Attitudes], values: dict[str, float]) -> Estimate:
+    """The poses and the shared unknowns at values by name, in the units of their names."""
+    layout = UnknownLayout((), level_unknown(1.0), tuple(u for term in terms for u in term.unknowns()))
+    shared = np.array([values.get(name, 0.0) for _, name in layout.names]) * layout.unit
+    assert set(values) <= {name for _, name in layout.names}
+    none = np.zeros((0, 3)), shared, np.zeros((len(poses), 0, 3)), np.zeros((len(poses), 3))
+    return Estimate(layout, poses.positions_m, poses.rotations, *none)
+
+
+def miss_of(terms: tuple[GnssPositions, Attitudes], at: Estimate) -> np.ndarray:
+    """Residuals of positions and attitudes, (f, 6)."""
+    return np.concatenate([term.miss(at) for term in terms], axis=1)
+
+
 def test_each_number_means_what_its_name_says() -> None:
-    """Heading east: forward is east, right is south. The told attitude is turned further than the camera's."""
+    """Heading east: forward is east, right is south. The reported attitude is turned further than the
+    camera's."""
     camera = told(90.0, 0.0, 0.0, [10.0, 20.0, 100.0])
-    still = dict.fromkeys(MOUNTING, 0.0)
-    for name, value, heard in (
+    for name, value, reported in (
         ("boresight_roll_deg", 2.0, told(90.0, 0.0, 2.0, [10.0, 20.0, 100.0])),
         ("boresight_pitch_deg", -3.0, told(90.0, -3.0, 0.0, [10.0, 20.0, 100.0])),
         ("boresight_yaw_deg", 4.0, told(94.0, 0.0, 0.0, [10.0, 20.0, 100.0])),
@@ -34,29 +52,46 @@ def test_each_number_means_what_its_name_says() -> None:
         ("lever_arm_right_m", 0.4, told(90.0, 0.0, 0.0, [10.0, 19.6, 100.0])),
         ("lever_arm_down_m", -0.3, told(90.0, 0.0, 0.0, [10.0, 20.0, 100.3])),
         ("gps_lag_s", 0.5, told(90.0, 0.0, 0.0, [10.0, 14.0, 98.5], EAST)),
+        ("offset_east_m", 1.5, told(90.0, 0.0, 0.0, [11.5, 20.0, 100.0])),
+        ("offset_north_m", -0.6, told(90.0, 0.0, 0.0, [10.0, 19.4, 100.0])),
+        ("offset_up_m", 2.5, told(90.0, 0.0, 0.0, [10.0, 20.0, 102.5])),
     ):
-        number = np.array(list((still | {name: value}).values())) * [*[np.pi / 180] * 3, 1, 1, 1, 1]
-        miss = pose_miss(heard, camera.positions_m, camera.rotations, number)
+        terms = frame_terms(reported)
+        miss = miss_of(terms, estimate_of(camera, terms, {name: value}))
         np.testing.assert_allclose(miss, 0.0, atol=1e-12, err_msg=name)
 
 
 def test_derivatives_are_those_of_finite_differences() -> None:
-    """Of what poses and mounting make of the told numbers: the miss falls as that rises."""
+    """Of the computed positions and attitudes: the residual falls as these rise."""
     turn = np.array([[0.01, -0.02, 0.015]])
     camera = told(33.0, 5.0, -7.0, [1.0, 2.0, 90.0], EAST)
-    heard = replace(camera, rotations=exp_turn(turn * 1e-3) @ camera.rotations)
-    number = np.array([1e-4, -2e-4, 1e-4, 0.3, -0.2, 0.5, 0.4])
-    by_pose, by_mounting = mounting_derivatives(heard, camera.rotations, number)
+    reported = replace(camera, rotations=exp_turn(turn * 1e-3) @ camera.rotations)
+    terms = frame_terms(reported)
+    at = estimate_of(camera, terms, {})
+    platform = slice(at.layout.level + 1, None)
+    values = [0.3, -0.2, 0.5, 0.4, 0.6, -0.7, 0.9, 1e-4, -2e-4, 1e-4]
+    at = replace(at, shared=np.array([0.0, *values]))
+    by = np.zeros((6, 6 + len(values)))
+    for term, rows in zip(terms, (slice(0, 3), slice(3, 6)), strict=True):
+        by_pose, shared = term.derivatives(at)
+        assert by_pose is not None
+        by[rows, :6] = by_pose[0]
+        for name, its in shared:
+            columns = at.layout.platform_columns(name)
+            assert columns is not None
+            by[rows, 6:][:, columns] = its[0]
 
     def miss(step: np.ndarray) -> np.ndarray:
+        shared = at.shared.copy()
+        shared[platform] += step[6:]
         rotations = exp_turn(step[None, 3:6]) @ camera.rotations
-        return pose_miss(heard, camera.positions_m + step[:3], rotations, number + step[6:])[0]
+        moved = replace(at, positions_m=at.positions_m + step[:3], rotations=rotations, shared=shared)
+        return miss_of(terms, moved)[0]
 
-    for k in range(13):
-        step = np.zeros(13)
+    for k in range(16):
+        step = np.zeros(16)
         step[k] = 1e-5
-        by = np.concatenate([by_pose[0], by_mounting[0]], axis=1)[:, k]
-        np.testing.assert_allclose(by, -(miss(step) - miss(-step)) / 2e-5, atol=1e-3)
+        np.testing.assert_allclose(by[:, k], -(miss(step) - miss(-step)) / 2e-5, atol=1e-3)
 
 
 def _found(adjusted: Adjusted, name: str) -> tuple[float, float, bool]:

@@ -10,8 +10,8 @@ from test_chosen_model import _bent_m
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.solver import bundle_steps
-from geomosaic.adjustment.solver.local_image_variance import unrest
+from geomosaic.adjustment.solver import steps
+from geomosaic.adjustment.solver.local_image_variance import local_factors
 
 
 def residuals(views: np.ndarray, sd_px: np.ndarray, seed: int) -> tuple[Tracks, np.ndarray]:
@@ -28,7 +28,7 @@ def test_where_all_places_are_alike_all_points_count_alike(sd_px: float) -> None
     rng = np.random.default_rng(1)
     points_m, views = rng.uniform(0.0, 100.0, (2000, 3)), rng.integers(2, 8, 2000)
     tracks, length = residuals(views, np.full(2000, sd_px), 2)
-    found = unrest(tracks, points_m, length, np.ones(len(length), bool))
+    found = local_factors(tracks, points_m, length, np.ones(len(length), bool))
     assert np.abs(np.log(found)).max() < 0.12
 
 
@@ -37,7 +37,7 @@ def test_crowns_in_the_wind_are_told_from_still_ground() -> None:
     points_m, views = rng.uniform(0.0, 100.0, (4000, 3)), rng.integers(2, 8, 4000)
     crowns = np.floor(points_m[:, :2] / 25.0).sum(axis=1) % 2.0 == 0.0
     tracks, length = residuals(views, np.where(crowns, 1.2, 0.15), 4)
-    found = unrest(tracks, points_m, length, np.ones(len(length), bool))
+    found = local_factors(tracks, points_m, length, np.ones(len(length), bool))
     assert np.median(found[crowns]) / np.median(found[~crowns]) == pytest.approx(8.0, rel=0.1)
     sure = found < np.sqrt(found.min() * found.max())
     assert (sure == ~crowns).mean() > 0.9
@@ -48,13 +48,15 @@ def test_what_is_unknown_counts_as_ever() -> None:
     rng = np.random.default_rng(5)
     points_m, views = rng.uniform(0.0, 100.0, (300, 3)), np.full(300, 3)
     tracks, length = residuals(views, np.where(np.arange(300) < 150, 0.1, 2.0), 6)
-    none = unrest(tracks, points_m, length, np.zeros(len(length), bool))
+    none = local_factors(tracks, points_m, length, np.zeros(len(length), bool))
     assert none.tolist() == [1.0] * 300
     length[:3] = np.nan
-    assert unrest(tracks, points_m, length, np.ones(len(length), bool))[0] == 1.0
+    assert local_factors(tracks, points_m, length, np.ones(len(length), bool))[0] == 1.0
     few = tracks.point < 50
     small = Tracks(tracks.frame[few], tracks.point[few], tracks.image_px[few])
-    assert unrest(small, points_m[:50], length[few], np.ones(int(few.sum()), bool)).tolist() == [1.0] * 50
+    assert (
+        local_factors(small, points_m[:50], length[few], np.ones(int(few.sum()), bool)).tolist() == [1.0] * 50
+    )
 
 
 def test_still_ground_holds_a_block_of_which_half_moves(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,5 +73,5 @@ def test_still_ground_holds_a_block_of_which_half_moves(monkeypatch: pytest.Monk
         return float(np.sqrt(np.mean(np.square(off))))
 
     told_apart = bent_m()
-    monkeypatch.setattr(bundle_steps, "unrest", lambda tracks, points_m, *_: np.ones(len(points_m)))
+    monkeypatch.setattr(steps, "local_factors", lambda tracks, points_m, *_: np.ones(len(points_m)))
     assert told_apart < 0.75 * bent_m()

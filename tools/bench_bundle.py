@@ -19,7 +19,8 @@ import numpy as np
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.terms.collinearity import interior_of, project
+from geomosaic.adjustment.problem.interior import interior_of
+from geomosaic.adjustment.terms.collinearity import project
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
@@ -31,20 +32,20 @@ LEAST_TIES = 12
 POSITION_SD_M = np.array([1.5, 1.5, 2.0])
 TURN_SD_RAD = np.radians([0.3, 0.3, 1.0])
 PARTS = {
-    "join_tracks": "tracks joined",
-    "thin_tracks": "tracks thinned",
-    "start_poses": "start: block of similarities",
-    "_points_on_ground": "start: points on the ground",
-    "solve_bundle": "solves, in all",
-    "project_by_levers": "  derivatives",
-    "image_from_ground": "  image coordinates alone",
-    "build_normals": "  normal equations",
-    "reduce_normals": "  points eliminated",
-    "solve": "  corrections",
-    "covariance": "  covariances",
-    "_ground": "ground",
-    "settled": "residuals of pairs",
-    "misalignments_m": "misalignments of pairs",
+    "tracks.py:join_tracks": "tracks joined",
+    "tracks.py:thin_tracks": "tracks thinned",
+    "initialisation.py:start_poses": "start: block of similarities",
+    "block_solution.py:points_on_ground": "start: points on the ground",
+    "solve.py:solve": "solves, in all",
+    "collinearity.py:project_by_levers": "  derivatives",
+    "collinearity.py:image_from_ground": "  image coordinates alone",
+    "normal_equations.py:build_normals": "  normal equations",
+    "normal_equations.py:reduce_normals": "  points eliminated",
+    "normal_equations.py:solve": "  corrections",
+    "normal_equations.py:covariance": "  covariances",
+    "ground_choice.py:chosen_ground": "ground",
+    "outcome.py:residuals_m": "residuals of pairs",
+    "misalignment.py:misalignments_m": "misalignments of pairs",
 }
 
 
@@ -123,7 +124,7 @@ def _told(profile: cProfile.Profile, adjusted: Adjusted, truth: Poses) -> None:
     profile.create_stats()
     print(f"{'part':32s} {'calls':>6s} {'s':>7s}")
     for name, title in PARTS.items():
-        rows = [v for (file, _, called), v in profile.stats.items() if called == name and "geomosaic" in file]
+        rows = [v for (file, _, called), v in profile.stats.items() if f"{Path(file).name}:{called}" == name]
         if rows:
             print(f"{title:32s} {sum(r[0] for r in rows):6d} {sum(r[3] for r in rows):7.2f}")
 

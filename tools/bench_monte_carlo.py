@@ -57,7 +57,7 @@ from scipy.stats import t as student
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.problem.priors import interior_deviations
+from geomosaic.adjustment.terms.interior_orientation import interior_deviations
 from geomosaic.camera.exterior import Poses
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.footprint import ground_from_image

@@ -43,12 +43,14 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.bundle_model import Bundle, Priors, State
+from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.solver.bundle import solve_bundle
-from geomosaic.adjustment.solver.bundle_equations import pose_sd
-from geomosaic.adjustment.solver.prior_reweighting import trust_in_tags
-from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
+from geomosaic.adjustment.procedure.block_problem import block_problem
+from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.solver.solve import solve
+from geomosaic.adjustment.terms.attitudes import Attitudes
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
+from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.projection.footprint import ground_from_images
@@ -120,33 +122,30 @@ def by_default(p: Problem) -> Found:
     return Found(adjusted.poses, camera, residuals.residual_px, seconds, camera.ray_from_image)
 
 
-def by_positions(p: Problem) -> tuple[Found, Bundle, Floats]:
+def by_positions(p: Problem) -> tuple[Found, Solution, Floats]:
     """The project's bundle with tie points and positions alone; and the deviations (f, 3) with which each
-    position counted in the end: its factor, and more for a tag beyond three deviations."""
+    position counted in the end: its component, and more for a position beyond three deviations."""
     unknown = np.array([_UNKNOWN_SD.get(name, 0.0) for name in INTERIOR])
-    n = len(p.pos)
-    priors = Priors(
-        poses=replace(p.pos, rotations_sd_rad=np.full((n, 3), np.inf)),
-        cameras=(p.told,),
-        interior_sd=unknown[None],
-        points_m=p.start_m,
-        points_sd_m=np.full(p.start_m.shape, 1e4),
-        control=np.zeros(len(p.start_m), dtype=bool),
+    alone = replace(p.pos, rotations_sd_rad=np.full((len(p.pos), 3), np.inf))
+    problem = block_problem(p.draw.block, Settings(), p.tracks, p.start_m)
+    problem = replace(
+        problem,
+        interior=(replace(problem.interior[0], sd=unknown),),
+        points=replace(problem.points, sd_m=np.full(p.start_m.shape, 1e4)),
+        frames=tuple(
+            replace(term, reported=alone)
+            for term in problem.frames
+            if isinstance(term, GnssPositions | Attitudes)
+        ),
+        terrain=None,
     )
     begun = time.process_time()
-    bundle = solve_bundle(p.tracks, np.zeros(n, dtype=np.intp), priors, p.pos)
+    solution = solve(problem, p.pos)
     seconds = time.process_time() - begun
-    camera = bundle.cameras[0]
-    found = Found(bundle.poses, camera, bundle.residual_px, seconds, camera.ray_from_image)
-    state = State(
-        bundle.poses.positions_m,
-        bundle.poses.rotations,
-        interior_of(camera)[None],
-        bundle.points_m,
-        bundle.mounting,
-    )
-    counted = pose_sd(priors, bundle.factors) / np.sqrt(trust_in_tags(priors, state, bundle.factors))
-    return found, bundle, counted[:, :3]
+    camera, components = solution.cameras[0], solution.components
+    found = Found(solution.poses, camera, solution.residual_px, seconds, camera.ray_from_image)
+    positions = problem.reweighted(solution.estimate, components).frames[0]
+    return found, solution, positions.sd(components) / np.sqrt(positions.weight)
 
 
 def by_colmap(
@@ -277,12 +276,12 @@ def after_similarity_m(found_m: Floats, true_m: Floats) -> Floats:
     return np.asarray(scale * found @ (u * sign @ vt).T - true)
 
 
-def apart(found: Found, bundle: Bundle) -> float:
-    """Largest difference of a position, the focal length or k1 in the deviations the bundle states."""
-    position = (found.poses.positions_m - bundle.poses.positions_m) / bundle.poses.positions_sd_m
+def apart(found: Found, solution: Solution) -> float:
+    """Largest difference of a position, the focal length or k1 in the deviations the solution states."""
+    position = (found.poses.positions_m - solution.poses.positions_m) / solution.poses.positions_sd_m
     lens = [
-        (getattr(found.camera, name) - getattr(bundle.cameras[0], name))
-        / bundle.interior_sd[0, INTERIOR.index(name)]
+        (getattr(found.camera, name) - getattr(solution.cameras[0], name))
+        / solution.shared_sd[INTERIOR.index(name)]
         for name in ("focal_length_px", "k1")
     ]
     return float(np.abs([*position.ravel(), *lens]).max())
@@ -322,11 +321,11 @@ def compare(colmap: Any, case: Case, seed: int) -> float:
     """Prints the case's rows; returns how far apart the two solutions of one problem are."""
     p = problem(case, seed)
     print(row(case, "geomosaic", p, by_default(p)), flush=True)
-    mine, bundle, counted = by_positions(p)
+    mine, solution, counted = by_positions(p)
     print(row(case, "geomosaic, positions alone", p, mine), flush=True)
-    same: dict[str, Any] = {"sigma_px": bundle.factors.image_px, "position_sd_m": counted}
+    same: dict[str, Any] = {"sigma_px": solution.components[IMAGE], "position_sd_m": counted}
     theirs = by_colmap(colmap, p, lens="RADIAL", **same)
-    difference = apart(theirs, bundle)
+    difference = apart(theirs, solution)
     print(row(case, "COLMAP, the same problem", p, theirs, difference), flush=True)
     others: dict[str, dict[str, Any]] = {
         "COLMAP, OPENCV": same,

@@ -60,7 +60,7 @@ LONGEST_PX = 3000  # as matching.sift looks at frames
 SURE_CELLS = 0.5  # deviation of a cell that is taken
 FLAT_CELLS = 2.5  # heights around it differ by less
 BACK_PX = 0.3  # from where it began a window comes back to
-PLACE = 0.25  # flying heights, as adjustment.left_out
+PLACE = 0.25  # flying heights, as procedure.cross_validation
 AT_ONCE = 1000
 
 
