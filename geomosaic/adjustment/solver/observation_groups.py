@@ -22,7 +22,7 @@ AT_ONCE = tuned(
     "processor's cache; fewer mean more calls, more go through the memory",
 )
 _PAIRS_AT_ONCE = tuned(
-    1024, "pairs of observations", "multiplied at once: fewer, more calls; more leave the cache"
+    1024, "pairs of observations", "multiplied at once; more leave the cache, fewer: more calls"
 )
 
 
