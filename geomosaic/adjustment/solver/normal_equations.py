@@ -27,9 +27,7 @@ from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scal
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_LEAST_OF_POINTS = tuned(
-    1e-12, "share of the diagonal", "less: points at a camera get inverses without digits"
-)
+_LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
 _LOWER = np.tril_indices(len("xyz"))
 _SQUARE: Ints = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 """Where the numbers of a symmetric matrix (3, 3) stand in its lower triangle, row by row."""
@@ -88,14 +86,12 @@ def build_normals(
     terms: int = 0,
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
-    mounting (none here) with them.
+    mounting (none here) with them. Derivatives are asked for some points at a time, so that no array of all
+    of them is ever made.
 
-    Derivatives are asked for some points at a time, so that no array of all of them is ever made.
-
-    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing,
-        beside which it drifts. linearised: of
-        some observations (n,) residuals (2, n) observed minus computed, weights (n,), levers, and derivatives
-        by interior (2, k, n) and point (2, 3, n) as `collinearity.project_by_levers` gives them.
+    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing, beside which it
+        drifts. linearised: of some observations (n,) residuals (2, n) observed minus computed, weights (n,),
+        levers, and derivatives by interior (2, k, n) and point (2, 3, n) as `project_by_levers` gives them.
     """
     (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
     levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)))
