@@ -22,15 +22,16 @@ from geomosaic.adjustment.solver.point_elimination import (
     summed_by_point,
 )
 from geomosaic.adjustment.terms.pose_jacobian import Levers
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
 _LOWER = np.tril_indices(len("xyz"))
-_SQUARE: Ints = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
-"""Where the numbers of a symmetric matrix (3, 3) stand in its lower triangle, row by row."""
+_SQUARE: Ints = sourced(
+    np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]]), "places", "of (3, 3) in its triangle", "np.tril_indices"
+)
 
 
 @dataclass(frozen=True)
@@ -294,7 +295,4 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:
-    out = blocks.copy()
-    i = np.arange(blocks.shape[-1])
-    out[..., i, i] *= 1.0 + damping
-    return out
+    return blocks * (1.0 + damping * np.eye(blocks.shape[-1]))
