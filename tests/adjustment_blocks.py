@@ -160,7 +160,7 @@ def frame_terms(reported: Poses) -> tuple[GnssPositions, Attitudes]:
     one, assumed = np.ones((n, 3)), np.zeros(n, dtype=bool)
     asked = {"lever_arm": True, "delay": True, "offset_sd_m": (1.0, 1.5, 3.0)}
     return (
-        GnssPositions(reported, assumed, parts, one, tilt_sd_rad=0.01, **asked),
+        GnssPositions(reported, assumed, parts, one, **asked),
         Attitudes(reported, parts, one, boresight=True),
     )
 

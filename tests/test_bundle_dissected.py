@@ -6,8 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.solver.nested_dissection import Dissected
+from geomosaic.adjustment.solver.nested_dissection import Dissected, Dissection
 from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import (
+    cholesky,
+    cross_each,
+    inverse_of_factor,
+    multiply_each,
+    square_of_factor,
+)
 
 
 def _system(meets: np.ndarray, seed: int, b: int = 6) -> tuple[bsr_matrix, np.ndarray]:
@@ -53,7 +60,18 @@ def test_solutions_and_the_inverse_are_those_of_the_whole(shape: str) -> None:
     b = matrix.blocksize[0]
     f = np.arange(len(dense) // b)
     own = inverse.reshape(len(f), b, len(f), b)[f, :, f, :]
-    assert factors.inverse_blocks() == pytest.approx(own, rel=1e-9, abs=1e-13)
+    for _ in range(2):
+        assert factors.inverse_blocks() == pytest.approx(own, rel=1e-9, abs=1e-13)
+    assert factors.solve(side) == pytest.approx(inverse @ side, rel=1e-9, abs=1e-13)
+
+
+def test_a_block_that_is_dense_in_the_graph_is_factorised_as_one_matrix() -> None:
+    def fronts(meets: np.ndarray) -> int:
+        matrix, _ = _system(meets, 2)
+        return len(Dissection.of(matrix.indices, matrix.indptr).fronts)
+
+    assert fronts(_near(_grid(5, 20), (4, 15))) == 1
+    assert fronts(_near(_grid(5, 20), (1, 3))) > 3
 
 
 @settings(deadline=None, max_examples=30)
@@ -72,3 +90,23 @@ def test_a_matrix_that_is_not_positive_definite() -> None:
         bad[row, row] = value
         with pytest.raises(NotSolvableError):
             Dissected(bsr_matrix(bad, blocksize=(6, 6)))
+
+
+def test_a_factor_in_place_its_inverse_and_the_square_of_that() -> None:
+    _, dense = _system(SHAPES["all meet"], 4, 2)
+    upper = np.asfortranarray(np.tril(dense) + np.triu(np.full(dense.shape, 9.0), 1))
+    factor, broken_at = cholesky(upper, overwrite=True)
+    assert broken_at == -1
+    assert np.shares_memory(factor, upper)
+    np.testing.assert_allclose(factor, np.linalg.cholesky(dense), atol=1e-12)
+    inverse = inverse_of_factor(factor)
+    np.testing.assert_allclose(inverse @ factor, np.eye(len(dense)), atol=1e-12)
+    np.testing.assert_allclose(np.tril(square_of_factor(inverse)), np.tril(np.linalg.inv(dense)), atol=1e-12)
+
+
+def test_products_of_many_small_matrices() -> None:
+    rng = np.random.default_rng(8)
+    one, other, vectors = rng.normal(size=(2, 3, 50)), rng.normal(size=(3, 4, 50)), rng.normal(size=(3, 50))
+    np.testing.assert_allclose(multiply_each(one, other), np.einsum("ijm,jkm->ikm", one, other))
+    np.testing.assert_allclose(multiply_each(one, vectors), np.einsum("ijm,jm->im", one, vectors))
+    np.testing.assert_allclose(cross_each(vectors, other[:, 0]).T, np.cross(vectors.T, other[:, 0].T))

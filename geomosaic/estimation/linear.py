@@ -75,6 +75,24 @@ def inverse_each(matrices: Floats) -> Floats:
     return solve_each(matrices, np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape))
 
 
+def multiply_each(left: Floats, right: Floats) -> Floats:
+    """Products of m matrices (i, j, m) with m matrices (j, k, m) or vectors (j, m): (i, k, m) or (i, m)."""
+    across = left if right.ndim == 2 else left[:, :, None]
+    out = across[:, 0] * right[0]
+    for j in range(1, len(right)):
+        out += across[:, j] * right[j]
+    return np.asarray(out)
+
+
+def cross_each(one: Floats, other: Floats) -> Floats:
+    """Vector products of m vectors each, (3, m)."""
+    out = np.empty_like(one)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(one[j], other[k], out=out[i])
+        out[i] -= one[k] * other[j]
+    return out
+
+
 def _regular(matrices: Floats, finite: Bools) -> Bools:
     """Which of many matrices (...) are finite and not singular to double precision."""
     out = finite.copy()

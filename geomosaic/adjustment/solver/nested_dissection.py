@@ -26,9 +26,7 @@ _MIDDLE: tuple[float, float] = tuned(
     "between which those from one rim on are cut off: where least frames part them, but not so far out "
     "that the cuts hardly make parts smaller",
 )
-_MOST_WORK = tuned(
-    0.5, "share of a dense matrix's", "operations of a dissection; with more its copies take longer"
-)
+_MOST_WORK = tuned(0.7, "share of a dense matrix's", "operations; with more, dissection takes longer")
 _UNDETERMINED = "the block does not determine the poses of its frames"
 
 

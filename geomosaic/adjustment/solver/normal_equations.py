@@ -10,31 +10,27 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.sparse import bsr_matrix, csc_matrix
+from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.solver.nested_dissection import Dissected
-from geomosaic.adjustment.solver.observation_groups import Group, Sightings
+from geomosaic.adjustment.solver.observation_groups import Sightings
+from geomosaic.adjustment.solver.point_elimination import (
+    less_of_frames,
+    less_of_pairs,
+    scaled_rows,
+    summed_by,
+    summed_by_point,
+)
 from geomosaic.adjustment.terms.pose_jacobian import Levers
-from geomosaic.constants import sourced
-from geomosaic.estimation.linear import inverse_roots, solve_scaled
+from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_LEAST_OF_POINTS = sourced(
-    1e-12,
-    "share of the diagonal",
-    "that stands for a direction of a point that no image shows: a wild one that came to lie at a camera "
-    "has next to none along its ray, and its matrix no inverse; with more it would count, with less the "
-    "inverse has no digits",
-    "chosen; double precision has 16 digits, a square takes half of them",
-)
-
+_LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
 _LOWER = np.tril_indices(len("xyz"))
 _SQUARE: Ints = sourced(
-    np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]]),
-    "places in a lower triangle, row by row",
-    "where the numbers of a symmetric matrix (3, 3) stand",
-    "structure: np.tril_indices(3)",
+    np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]]), "places", "of (3, 3) in its triangle", "np.tril_indices"
 )
 
 
@@ -91,14 +87,12 @@ def build_normals(
     terms: int = 0,
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
-    mounting (none here) with them.
+    mounting (none here) with them. Derivatives are asked for some points at a time, so that no array of all
+    of them is ever made.
 
-    Derivatives are asked for some points at a time, so that no array of all of them is ever made.
-
-    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing,
-        beside which it drifts. linearised: of
-        some observations (n,) residuals (2, n) observed minus computed, weights (n,), levers, and derivatives
-        by interior (2, k, n) and point (2, 3, n) as `collinearity.project_by_levers` gives them.
+    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing, beside which it
+        drifts. linearised: of some observations (n,) residuals (2, n) observed minus computed, weights (n,),
+        levers, and derivatives by interior (2, k, n) and point (2, 3, n) as `project_by_levers` gives them.
     """
     (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
     levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)))
@@ -107,17 +101,13 @@ def build_normals(
     interior_point, points, point_side = np.empty((c, p, k, 3)), np.empty((p, 3, 3)), np.empty((p, 3))
     for group in sightings.groups:
         residual, weight, its, by_interior, by_point = linearised(sightings.order[group.span].astype(np.intp))
-        for kept, of_some in (
-            (levers.arms_m, its.arms_m),
-            (levers.terms, its.terms),
-            (levers.shares, its.shares),
-        ):
-            kept[:, group.span] = of_some
+        for name in ("arms_m", "terms", "shares"):
+            getattr(levers, name)[:, group.span] = getattr(its, name)
         rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)
         np.multiply(by_point, root, out=rows[:, -3:])
         np.multiply(by_interior, root, out=rows[:, d:-4])
         np.multiply(residual, root, out=rows[:, -4])
-        rows[:, :d] = its.by_pose(rows[:, -3:])
+        its.by_pose(rows[:, -3:], out=rows[:, :d])
         for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
             across, down = rows[:, :-3, here:end]
             in_frame[i] += across @ across.T + down @ down.T
@@ -126,7 +116,7 @@ def build_normals(
             row += rows[1, i - 3] * rows[1, j - 3]
         which = sightings.point[group.span] - group.points.start
         which = which + group.size * camera_of[sightings.frame[group.span]]
-        summed = _by_points(rows[:, d:], which, c * group.size).reshape(c, group.size, 3, k + 4)
+        summed = summed_by_point(rows[:, d:], which, c * group.size).reshape(c, group.size, 3, k + 4)
         interior_point[:, group.points] = np.swapaxes(summed[..., :k], 2, 3)
         point_side[group.points] = summed[..., k].sum(axis=0)
         points[group.points] = summed[..., k + 1 :].sum(axis=0)
@@ -186,9 +176,9 @@ class Reduced:
         for group in n.sightings.groups:
             step = dp.T.take(n.sightings.frame[group.span], axis=-1)
             moved_m = n.levers.of(group.span).as_points_m(step)
-            by_pose = np.einsum("ijm,jm->im", n.point_point[_SQUARE, group.span], moved_m)
+            by_pose = multiply_each(n.point_point[_SQUARE, group.span], moved_m)
             which = n.sightings.point[group.span] - group.points.start
-            side[group.points] -= _summed(by_pose, which, group.size)
+            side[group.points] -= summed_by(by_pose, which, group.size)
         side -= level * n.level_point
         points = np.einsum("pij,pj->pi", self.points_inverse, side)
         return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
@@ -272,12 +262,16 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     for group in s.groups:
         root = inverse_roots(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
         points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
-        beside = root @ _beside_points(n, group.points)
+        by_camera = n.interior_point[:, group.points].transpose(1, 3, 0, 2).reshape(group.size, 3, -1)
+        others = n.level_point[group.points, :, None], n.point_side[group.points, :, None]
+        beside = root @ np.concatenate([by_camera, *others], axis=2)
         flat = beside.reshape(3 * len(beside), -1)
         less_shared += flat.T @ flat
-        scaled = _scaled(n, group, root)
-        _less_of_frames(n, group, scaled, beside, (blocks, own, less_beside))
-        _less_of_pairs(group, scaled, blocks, across)
+        which = s.point[group.span] - group.points.start
+        seen = n.levers.of(group.span), n.point_point[_SQUARE, group.span]
+        scaled = scaled_rows(*seen, root, which)
+        less_of_frames(group, scaled, beside.take(which, axis=0), (blocks, own, less_beside))
+        less_of_pairs(group, scaled, blocks, across)
     blocks[turned_over] = np.swapaxes(blocks[across], 1, 2)
     less_beside = less_beside.reshape(d * f, -1)
     border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
@@ -300,74 +294,5 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     )
 
 
-def _beside_points(n: Normals, points: slice) -> Floats:
-    """What some points' rows have beside the poses: the cameras' numbers, the level, the right side,
-    (p, 3, c k + 2)."""
-    by_camera = n.interior_point[:, points].transpose(1, 3, 0, 2)
-    of_cameras = by_camera.reshape(*by_camera.shape[:2], -1)
-    return np.concatenate([of_cameras, n.level_point[points, :, None], n.point_side[points, :, None]], axis=2)
-
-
-def _scaled(n: Normals, group: Group, root: Floats) -> Floats:
-    """Rows of the points of a group in the columns of the poses, one sighting after the other (m, 3, d),
-    multiplied with root (p, 3, 3), that of the points' inverse."""
-    point = n.sightings.point[group.span] - group.points.start
-    roots = np.ascontiguousarray(np.moveaxis(root, 0, -1)).take(point, axis=-1)
-    by_point = np.einsum("ikm,kjm->ijm", roots, n.point_point[_SQUARE, group.span])
-    return np.ascontiguousarray(n.levers.of(group.span).by_pose(by_point).transpose(2, 0, 1))
-
-
-def _less_of_frames(
-    n: Normals, group: Group, scaled: Floats, beside: Floats, sums: tuple[Floats, Ints, Floats]
-) -> None:
-    """Takes off each frame's block what its sightings of some points say of these, and adds what lies
-    beside, multiplied with them.
-
-    Args: scaled: of `_scaled`; beside (p, 3, r); sums: blocks (n, d, d), the frames' places in them (f,), and
-        (f, d, r).
-    """
-    blocks, own, others = sums
-    rows = scaled.reshape(-1, scaled.shape[-1])
-    seen = beside.take(n.sightings.point[group.span] - group.points.start, axis=0).reshape(len(rows), -1)
-    runs = pairwise((3 * group.runs).tolist())
-    for i, at, (here, end) in zip(group.frames.tolist(), own[group.frames].tolist(), runs, strict=True):
-        mine = rows[here:end]
-        blocks[at] -= mine.T @ mine
-        others[i] += mine.T @ seen[here:end]
-
-
-def _less_of_pairs(group: Group, scaled: Floats, blocks: Floats, across: Ints) -> None:
-    """The same between frames that share points; across (k,): the pairs' places among blocks."""
-    m, _, d = scaled.shape
-    rows, starts = scaled.reshape(m, -1), group.shared[group.batches].tolist()
-    buffers = np.empty((2, max(np.diff(starts), default=0), 3 * d))
-    for (here, end), (begin, stop) in zip(pairwise(group.batches.tolist()), pairwise(starts), strict=True):
-        left, right = (
-            rows.take(which[begin:stop], axis=0, out=buffer[: stop - begin], mode="clip").reshape(
-                end - here, -1, d
-            )
-            for which, buffer in zip((group.one, group.other), buffers, strict=True)
-        )
-        blocks[across[group.pairs[here:end]]] -= np.swapaxes(left, 1, 2) @ right
-
-
-def _by_points(rows: Floats, which: Ints, count: int) -> Floats:
-    """Rows' numbers multiplied with their last three, those by the point, and added up by which (m,) they
-    belong to: (3 count, n) for rows (2, n, m)."""
-    each = np.ascontiguousarray(np.swapaxes(rows, 1, 2)).reshape(2 * len(which), -1)
-    place = np.tile((3 * which[:, None] + np.arange(3)).astype(np.int32).ravel(), 2)
-    starts = np.arange(0, len(place) + 1, 3, dtype=np.int32)
-    by_point = csc_matrix((each[:, -3:].ravel(), place, starts), shape=(3 * count, len(each)))
-    return np.asarray(by_point @ each)
-
-
-def _summed(values: Floats, which: Ints, count: int) -> Floats:
-    """Values (r, n) added up by which (n,) they belong to, (count, r)."""
-    return np.stack([np.bincount(which, row, count) for row in values], axis=1)
-
-
 def _damped(blocks: Floats, damping: float) -> Floats:
-    out = blocks.copy()
-    i = np.arange(blocks.shape[-1])
-    out[..., i, i] *= 1.0 + damping
-    return out
+    return blocks * (1.0 + damping * np.eye(blocks.shape[-1]))

@@ -21,9 +21,7 @@ AT_ONCE = tuned(
     "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
     "processor's cache; fewer mean more calls, more go through the memory",
 )
-_PAIRS_AT_ONCE = tuned(
-    1024, "pairs of observations", "multiplied at once: fewer, more calls; more leave the cache"
-)
+_PAIRS_AT_ONCE = tuned(1024, "pairs of observations", "multiplied at once; more leave the cache")
 
 
 @dataclass(frozen=True)

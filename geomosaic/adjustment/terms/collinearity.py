@@ -15,6 +15,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, Lens
 from geomosaic.constants import tuned
+from geomosaic.estimation.linear import cross_each, multiply_each
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -68,6 +69,11 @@ def _by_number(components: Floats) -> Floats:
     return components.transpose(-1, *range(components.ndim - 1))
 
 
+def _of_frames(values: Floats, frame: Ints) -> Floats:
+    """Those (f, ...) of each observation's frame (m,), by component (..., m)."""
+    return by_component(values).take(frame, axis=-1)
+
+
 def readout_of(
     poses: Poses,
     rotations: Floats,
@@ -86,19 +92,20 @@ def readout_of(
     beside the velocities.
     """
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
-    at_row, rates, terms, swinging = by_component(rotations[frame]), none.T, None, none.T
+    at_row, rates, terms, swinging = _of_frames(rotations, frame), none.T, None, none.T
     velocities = none if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frame]
     if poses.turns is not None:
         turn, rate = poses.turns.at(share * readouts_s, frame)
-        at_row = _product(at_row, _turned(by_component(turn)))
-        rates = _turn(at_row, by_component(rate - 0.5 * np.cross(turn, rate)))
+        turn, rate = by_component(turn), by_component(rate)
+        at_row = multiply_each(at_row, _turned(turn))
+        rates = multiply_each(at_row, rate - 0.5 * cross_each(turn, rate))
     if swing is not None:
         recorded = recorded_share(poses.turns, frame, readouts_s)
         terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
-        of_frame = by_component(swing[frame])
-        more = _turned(np.einsum("mt,tjm->jm", terms, of_frame))
-        swinging = np.einsum("mt,tjm->jm", slopes, of_frame)
-        at_row, rates = _product(more, at_row), _turn(more, rates)
+        by_term = np.swapaxes(_of_frames(swing, frame), 0, 1)
+        more = _turned(multiply_each(by_term, terms.T))
+        swinging = multiply_each(by_term, slopes.T)
+        at_row, rates = multiply_each(more, at_row), multiply_each(more, rates)
     drifting = none if drift_m is None else drift_m[frame]
     turned = _by_number(at_row)
     return Readout(
@@ -119,16 +126,6 @@ def _turned(turn_rad: Floats) -> Floats:
         even, odd = versine * (a * b), sine * c
         out[i, j], out[j, i] = even - odd, even + odd
     return out
-
-
-def _product(left: Floats, right: Floats) -> Floats:
-    """Matrices (3, 3, m) times matrices (3, 3, m)."""
-    return np.asarray(np.einsum("ijm,jkm->ikm", left, right))
-
-
-def _turn(matrices: Floats, vectors: Floats) -> Floats:
-    """Matrices (3, 3, m) times vectors (3, m)."""
-    return np.asarray(np.einsum("ijm,jm->im", matrices, vectors))
 
 
 def image_from_ground(
@@ -203,12 +200,12 @@ def project_by_levers(
                 by_interior[axis, column, which] = f[which] * both[axis]
     by_u, by_v, scale = slopes[:2], slopes[1:], f / z
     by_camera = np.stack([-by_u, by_v, -(by_u * u + by_v * v)], axis=1) * scale
-    by_point = np.einsum("ajm,ijm->aim", by_camera, turned)
+    by_point = multiply_each(by_camera, np.swapaxes(turned, 0, 1))
     by_interior[:, 0] = bent
     by_interior[0, 1] = by_interior[1, 2] = 1.0
     if read is not None:
         shown = np.concatenate([read.velocities_m_per_s, read.rates_rad_per_s], axis=1).T * read.shares
-        by_interior[:, 8] = np.einsum("ajm,jm->am", by_point, Levers(d, rigid, rigid).as_points_m(shown))
+        by_interior[:, 8] = multiply_each(by_point, Levers(d, rigid, rigid).as_points_m(shown))
         by_row = _by_row(read, turned, numbers, d, u, v, z, slopes)
         for derivatives in (by_interior, by_point):
             _in_own_row(derivatives, by_row)
@@ -227,7 +224,7 @@ def _directions(
     d = by_component(points_m - positions_m)
     if read is not None:
         d -= (read.velocities_m_per_s.T * interior[8] + read.drifting_m.T) * read.shares
-    x, y, z = np.einsum("ijm,im->jm", rotations, d)
+    x, y, z = multiply_each(np.swapaxes(rotations, 0, 1), d)
     z = np.where(z < 0.0, z, np.nan)
     return d, -x / z, y / z, z
 
@@ -258,10 +255,10 @@ def _by_row(
 ) -> Floats:
     """By how much points' images move while one row after the other is read, (2, m) px a row."""
     readout_s = interior[8]
-    a, b, c = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
+    turning = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
     moving = -readout_s * read.velocities_m_per_s.T - read.drifting_m.T
-    moving -= np.stack([b * d[2] - c * d[1], c * d[0] - a * d[2], a * d[1] - b * d[0]])
-    x, y, along = np.einsum("ijm,im->jm", rotations, moving)
+    moving -= cross_each(turning, d)
+    x, y, along = multiply_each(np.swapaxes(rotations, 0, 1), moving)
     du, dv = -(x + u * along) / z, (y - v * along) / z
     moved = np.stack([slopes[0] * du + slopes[1] * dv, slopes[1] * du + slopes[2] * dv])
     moved *= interior[0] / read.heights_px

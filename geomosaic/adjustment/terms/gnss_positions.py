@@ -36,8 +36,7 @@ class GnssPositions(FrameTerm):
     """Positions of f frames; residuals by component `horizontal` and `vertical`.
 
     reported: positions, deviations (inf where unknown) and velocities. assumed (f,): frames whose position is
-    an assumption, which says nothing of the others' deviations. parts: frames of each connected part.
-    tilt_sd_rad: typical deviation of reported tilts, the largest slope of heights in common. lever_arm,
+    an assumption, which says nothing of the others' deviations. parts: frames of each connected part. lever_arm,
     delay: whether they are solved for; the lever arm is forward, right and down. offset_sd_m (3,): of a
     common offset of all positions, zeros for none.
     """
@@ -46,7 +45,6 @@ class GnssPositions(FrameTerm):
     assumed: Bools
     parts: tuple[Ints, ...]
     weight: Floats
-    tilt_sd_rad: float
     lever_arm: bool = False
     delay: bool = False
     offset_sd_m: tuple[float, float, float] = (0.0, 0.0, 0.0)

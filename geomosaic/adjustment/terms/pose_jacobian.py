@@ -33,9 +33,10 @@ class Levers:
         """Of a pose: place and turn, and what a frame does while its rows are read, d."""
         return 6 + 3 * (len(self.terms) + len(self.shares))
 
-    def by_pose(self, by_point: Floats) -> Floats:
+    def by_pose(self, by_point: Floats, out: Floats | None = None) -> Floats:
         """Derivatives (..., d, n) by position, turn, swing and drift, from those by the point (..., 3, n)."""
-        out = np.empty((*by_point.shape[:-2], self.numbers, by_point.shape[-1]))
+        if out is None:
+            out = np.empty((*by_point.shape[:-2], self.numbers, by_point.shape[-1]))
         np.negative(by_point, out=out[..., :3, :])
         turn = out[..., 3:6, :]
         for axis in range(3):
