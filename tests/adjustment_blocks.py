@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.adjustment.kernels.interior import INTERIOR, interior_of
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import INTERIOR, interior_of
 from geomosaic.adjustment.problem.layout import UnknownLayout, Unknowns
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.attitudes import Attitudes

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 from adjustment_blocks import fly
-
 from geomosaic.adjustment.problem.bundle_model import Begun, Factors
+from geomosaic.adjustment.terms.mounting import MOUNTING
+
+from geomosaic.adjustment.kernels.collinearity import INTERIOR
 from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_part import (
     neighbours,
@@ -16,8 +18,6 @@ from geomosaic.adjustment.procedure.block_part import (
     part_of_tracks,
     solution_of_whole,
 )
-from geomosaic.adjustment.terms.collinearity import INTERIOR
-from geomosaic.adjustment.terms.mounting import MOUNTING
 
 
 def test_neighbours_are_tied_to_one_another_and_allowed() -> None:

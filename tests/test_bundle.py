@@ -11,28 +11,28 @@ from adjustment_blocks import fly, hills, layout_of, level
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.problem.estimate import Estimate, Step
-from geomosaic.adjustment.problem.interior import interior_of
-from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
-from geomosaic.adjustment.procedure.block_problem import block_problem
-from geomosaic.adjustment.procedure.block_solution import points_on_ground
-from geomosaic.adjustment.procedure.blunder_detection import doubtful_positions, strayed_lenses
-from geomosaic.adjustment.solver.solve import solve
-from geomosaic.adjustment.terms import collinearity
-from geomosaic.adjustment.terms.collinearity import (
+from geomosaic.adjustment.kernels import collinearity
+from geomosaic.adjustment.kernels.collinearity import (
     image_from_ground,
     kinds_of,
     project,
     readout_of,
 )
+from geomosaic.adjustment.kernels.interior import interior_of
+from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, Settings
+from geomosaic.adjustment.problem.estimate import Estimate, Step
+from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
+from geomosaic.adjustment.procedure.block_problem import block_problem
+from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.procedure.blunder_detection import doubtful_positions, strayed_lenses
+from geomosaic.adjustment.solver.solve import solve
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.interior_orientation import (
     implausible_principal_points,
     interior_deviations,
 )
-from geomosaic.adjustment.terms.row_functions import with_drift, with_swing
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z, exp_turn, log_turn

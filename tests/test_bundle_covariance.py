@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.terms.collinearity import INTERIOR, project
+from geomosaic.adjustment.kernels.collinearity import INTERIOR, project
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.solver.nested_dissection import Dissected, Dissection
+from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import (
     cholesky,

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.solver.normal_equations import Normals, build_normals, reduce_normals
-from geomosaic.adjustment.solver.observation_groups import Sightings
-from geomosaic.adjustment.terms.collinearity import image_from_ground, project, readout_of
-from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.adjustment.kernels.collinearity import image_from_ground, project, readout_of
+from geomosaic.adjustment.kernels.normal_equations import Normals, build_normals, reduce_normals
+from geomosaic.adjustment.kernels.observation_groups import Sightings
+from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError

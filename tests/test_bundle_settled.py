@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from adjustment_blocks import estimate_of, fly, hills
 
+from geomosaic.adjustment.kernels.normal_equations import reduce_normals
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
-from geomosaic.adjustment.solver.normal_equations import reduce_normals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_components import _ahead

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from adjustment_blocks import camera_unknowns, estimate_of, fly, frame_terms, hills
 
+from geomosaic.adjustment.kernels.interior import INTERIOR
+from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.problem.layout import UnknownLayout
 from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
-from geomosaic.adjustment.solver.normal_equations import Normals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.terms.attitudes import BORESIGHT

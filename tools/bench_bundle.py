@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from geomosaic.adjustment.kernels.collinearity import project
+from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.problem.interior import interior_of
-from geomosaic.adjustment.terms.collinearity import project
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn

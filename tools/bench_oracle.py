@@ -41,9 +41,9 @@ from bench_monte_carlo import FRAMES, Case, draw
 from cramer_rao import Draw
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.solution import Solution

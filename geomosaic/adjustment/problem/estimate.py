@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.interior import READOUT
+from geomosaic.adjustment.kernels.interior import READOUT
 from geomosaic.adjustment.problem.layout import UnknownLayout
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.estimation.linear import pseudo_inverse

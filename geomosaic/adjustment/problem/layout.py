@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.interior import INTERIOR
+from geomosaic.adjustment.kernels.interior import INTERIOR
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

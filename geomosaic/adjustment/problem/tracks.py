@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.solver.observation_groups import Sightings
+from geomosaic.adjustment.kernels.observation_groups import Sightings
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned

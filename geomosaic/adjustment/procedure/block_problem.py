@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M, flying_height_m
+from geomosaic.adjustment.kernels.interior import READOUT
+from geomosaic.adjustment.kernels.row_functions import TERMS, VIBRATION_TERMS, recorded_share
 from geomosaic.adjustment.model import Block, GroundControl, Settings
-from geomosaic.adjustment.problem.interior import READOUT
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.attitudes import Attitudes
@@ -27,7 +28,6 @@ from geomosaic.adjustment.terms.rolling_shutter_rotation import (
     UPWARDS,
     RollingShutterRotation,
 )
-from geomosaic.adjustment.terms.row_functions import TERMS, VIBRATION_TERMS, recorded_share
 from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.constants import tuned
 from geomosaic.placement.graph import connected_parts

@@ -7,9 +7,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.adjustment.paper.chain import fit_similarity
-from geomosaic.adjustment.problem.interior import INTERIOR
 from geomosaic.adjustment.procedure.resection import UNHEARD
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.problem.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.solution import Start

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from geomosaic.adjustment.kernels.row_functions import with_swing
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.solver.solution import Solution
-from geomosaic.adjustment.terms.row_functions import with_swing
 from geomosaic.constants import tuned
 
 _LEAST_FRAMES = tuned(5, "frames", "of which a median is no chance")

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.collinearity import kinds_of, project, readout_of
+from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
-from geomosaic.adjustment.problem.interior import interior_of
 from geomosaic.adjustment.solver.solution import Solution
-from geomosaic.adjustment.terms.collinearity import kinds_of, project, readout_of
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera

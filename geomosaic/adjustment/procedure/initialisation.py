@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
+from geomosaic.adjustment.kernels.nested_dissection import Dissected
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.paper.misalignment import OffsetNet
 from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, laid
-from geomosaic.adjustment.solver.nested_dissection import Dissected
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import tuned

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
-from geomosaic.adjustment.problem.interior import INTERIOR, READOUT
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import NOMINAL_READOUT_S
 from geomosaic.adjustment.procedure.candidate_solves import Model

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.row_functions import TERMS, VIBRATION_TERMS
 from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.adjustment.problem.tracks import frame_by_frame
-from geomosaic.adjustment.terms.row_functions import TERMS, VIBRATION_TERMS
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares

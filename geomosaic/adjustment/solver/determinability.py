@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import READOUT
+from geomosaic.adjustment.kernels.normal_equations import reduce_normals
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import READOUT
-from geomosaic.adjustment.solver.normal_equations import reduce_normals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components

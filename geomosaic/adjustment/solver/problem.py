@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import UnknownLayout, Unknowns
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.solver.normal_equations import Normals
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
 from geomosaic.adjustment.terms.term import Components, FrameTerm, Term

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.collinearity import project_by_levers
+from geomosaic.adjustment.kernels.normal_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.solver.normal_equations import Reduced
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.terms.collinearity import project_by_levers
 from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.constants import tuned

@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import interior_of
+from geomosaic.adjustment.kernels.normal_equations import Reduced
 from geomosaic.adjustment.model import SharedUnknowns, SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import interior_of
 from geomosaic.adjustment.problem.layout import UnknownLayout
-from geomosaic.adjustment.solver.normal_equations import Reduced
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera

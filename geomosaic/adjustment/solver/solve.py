@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import READOUT, with_interior
+from geomosaic.adjustment.kernels.normal_equations import reduce_normals
+from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import READOUT, with_interior
 from geomosaic.adjustment.solver.clearance import clearances_m
 from geomosaic.adjustment.solver.determinability import undetermined, with_unreported_readouts
-from geomosaic.adjustment.solver.normal_equations import reduce_normals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.solver.steps import Progress, first_steps, settle, with_components, with_held
+from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
-from geomosaic.adjustment.terms.row_functions import with_drift, with_swing
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
@@ -121,17 +122,16 @@ def few_steps(problem: BlockProblem, start: Start) -> Start:
     Raises: NotSolvableError where the equations have no solution.
     """
     at, held = _first_estimate(problem, start.poses, start)
-    problem = replace(problem, held=held)
     components = _first_components(problem, at)
-    progress = Progress(problem.reweighted(at, components), at, components)
-    progress = with_components(progress)
+    as_before = components.also({IMAGE: start.components[IMAGE]})
+    held = held & undetermined(problem, at, as_before)
+    problem = replace(problem, held=held)
+    progress = with_components(Progress(problem.reweighted(at, components), at, components))
     progress = first_steps(progress)
     at = progress.at
-    poses = _with_rows_read(
-        replace(start.poses, positions_m=at.positions_m, rotations=at.rotations), problem, at
-    )
-    cameras = _cameras(problem, at)
-    return Start(poses, cameras, at, progress.components, held, None)
+    poses = replace(problem.image.reported, positions_m=at.positions_m, rotations=at.rotations)
+    poses = _with_rows_read(poses, problem, at)
+    return Start(poses, _cameras(problem, at), at, progress.components, held, None)
 
 
 def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:

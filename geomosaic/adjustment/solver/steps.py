@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced, reduce_normals
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.solver.clearance import too_near
 from geomosaic.adjustment.solver.local_image_variance import local_factors
-from geomosaic.adjustment.solver.normal_equations import Normals, Reduced, reduce_normals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_components import variance_components

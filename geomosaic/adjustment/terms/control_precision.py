@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.model import GroundControl
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.terms.collinearity import project_by_levers
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.shared_by_frames import common_similarity, common_slope, robust_fit
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components

@@ -36,9 +36,9 @@ class GnssPositions(FrameTerm):
     """Positions of f frames; residuals by component `horizontal` and `vertical`.
 
     reported: positions, deviations (inf where unknown) and velocities. assumed (f,): frames whose position is
-    an assumption, which says nothing of the others' deviations. parts: frames of each connected part. lever_arm,
-    delay: whether they are solved for; the lever arm is forward, right and down. offset_sd_m (3,): of a
-    common offset of all positions, zeros for none.
+    an assumption, which says nothing of the others' deviations. parts: frames of each connected part.
+    lever_arm, delay: whether they are solved for; the lever arm is forward, right and down. offset_sd_m (3,): of
+    a common offset of all positions, zeros for none.
     """
 
     reported: Poses

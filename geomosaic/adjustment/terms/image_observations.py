@@ -9,18 +9,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import READOUT
-from geomosaic.adjustment.problem.tracks import Tracks, part_of
-from geomosaic.adjustment.solver.normal_equations import Normals, build_normals
-from geomosaic.adjustment.solver.observation_groups import AT_ONCE
-from geomosaic.adjustment.terms.collinearity import (
+from geomosaic.adjustment.kernels.collinearity import (
     image_from_ground,
     kinds_of,
     project_by_levers,
     readout_of,
 )
-from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.adjustment.kernels.interior import READOUT
+from geomosaic.adjustment.kernels.normal_equations import Normals, build_normals
+from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
+from geomosaic.adjustment.kernels.pose_jacobian import Levers
+from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.tracks import Tracks, part_of
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.interior import INTERIOR, PRINCIPAL, interior_of
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.interior import INTERIOR, PRINCIPAL, interior_of
 from geomosaic.adjustment.problem.layout import Unknowns
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned

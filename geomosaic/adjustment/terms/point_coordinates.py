@@ -8,8 +8,8 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.solver.normal_equations import Normals
 from geomosaic.adjustment.terms.control_precision import (
     CONTROL_HEIGHT,
     CONTROL_PLAN,

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
-from geomosaic.adjustment.solver.normal_equations import Normals
 from geomosaic.constants import tuned
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
-from geomosaic.adjustment.solver.normal_equations import Normals
 from geomosaic.adjustment.terms.term import Components, Term
 from geomosaic.estimation.robust import cauchy_cost, cauchy_weight
 from geomosaic.projection.ground import GroundSurface

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from geomosaic.adjustment.solver.observation_groups import Group
-from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.adjustment.kernels.observation_groups import Group
+from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.estimation.linear import multiply_each
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.solver.nested_dissection import Dissection
+from geomosaic.adjustment.kernels.nested_dissection import Dissection
 from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.solver.nested_dissection import Dissected
-from geomosaic.adjustment.solver.observation_groups import Sightings
-from geomosaic.adjustment.solver.point_elimination import (
+from geomosaic.adjustment.kernels.nested_dissection import Dissected
+from geomosaic.adjustment.kernels.observation_groups import Sightings
+from geomosaic.adjustment.kernels.point_elimination import (
     less_of_frames,
     less_of_pairs,
     scaled_rows,
     summed_by,
     summed_by_point,
 )
-from geomosaic.adjustment.terms.pose_jacobian import Levers
+from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.problem.interior import INTERIOR
-from geomosaic.adjustment.terms.pose_jacobian import Levers
-from geomosaic.adjustment.terms.row_functions import recorded_share, terms_at
+from geomosaic.adjustment.kernels.interior import INTERIOR
+from geomosaic.adjustment.kernels.pose_jacobian import Levers
+from geomosaic.adjustment.kernels.row_functions import recorded_share, terms_at
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, Lens

@@ -1,0 +1,1 @@
+"""The hot equations: collinearity, normal equations, nested dissection."""
