@@ -37,8 +37,8 @@ class GnssPositions(FrameTerm):
 
     reported: positions, deviations (inf where unknown) and velocities. assumed (f,): frames whose position is
     an assumption, which says nothing of the others' deviations. parts: frames of each connected part.
-    lever_arm, delay: whether they are solved for; the lever arm is forward, right and down. offset_sd_m (3,): of
-    a common offset of all positions, zeros for none.
+    lever_arm, delay: whether they are solved for; the lever arm is forward, right and down.
+    offset_sd_m (3,): of a common offset of all positions, zeros for none.
     """
 
     reported: Poses
