@@ -25,7 +25,7 @@ from geomosaic.adjustment.solver.normal_equations import Reduced, reduce_normals
 from geomosaic.adjustment.solver.prior_reweighting import median_px, trust_in_tags
 from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_component_newton import ahead
-from geomosaic.adjustment.solver.variance_components import variance_components
+from geomosaic.adjustment.solver.variance_components import undetermined, variance_components
 from geomosaic.adjustment.terms.collinearity import INTERIOR, interior_of
 from geomosaic.adjustment.terms.mounting import MOUNTING
 from geomosaic.adjustment.terms.rolling_shutter_rotation import with_drift, with_swing
@@ -71,11 +71,12 @@ def few_steps(tracks: Tracks, model: Model) -> Begun:
     block, begun, camera_of = model.block, _begun(model), model.block.lens_of
     priors = priors_of(block, model.settings, block.lenses, begun.points_m)
     state = _begin(priors, begun)
-    priors = replace(priors, held=begun.held)
     miss_px = median_px(lengths_px(tracks, camera_of, priors, state))
     components = 0 if state.swing is None else state.swing.shape[1] + 2
     factors = Factors(max(miss_px, Factors.image_px), while_read=(1.0,) * components)
-    priors = replace(priors, trust=trust_in_tags(priors, state, factors))
+    as_before = replace(factors, image_px=begun.factors.image_px)
+    held = begun.held & undetermined(tracks, camera_of, priors, state, as_before)
+    priors = replace(priors, held=held, trust=trust_in_tags(priors, state, factors))
     state, reduced = _followed(tracks, camera_of, priors, state, factors)
     found = variance_components(tracks, camera_of, priors, state, factors, reduced, image_only=False)
     factors, _ = ahead(factors, *found, priors)
