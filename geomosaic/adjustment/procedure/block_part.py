@@ -101,6 +101,8 @@ def part_of_solution(whole: Begun, frames: Ints, cameras: tuple[Camera, ...], po
 
 def solution_of_whole(found: Begun, whole: Begun, frames: Ints) -> Begun:
     """What a block's solve begins from: a part's frames as solved there, the others moved by the median."""
+    if len(frames) == len(whole.poses):
+        return found
     away_m = found.poses.positions_m - whole.poses.positions_m[frames]
     positions_m, rotations = whole.poses.positions_m + np.median(away_m, axis=0), whole.poses.rotations.copy()
     positions_m[frames], rotations[frames] = found.poses.positions_m, found.poses.rotations
