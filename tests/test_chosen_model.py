@@ -161,6 +161,18 @@ def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+def test_a_lens_that_its_maker_reports_wrongly() -> None:
+    """The corners are off by 14 % of their radius, where the maker says a thousandth."""
+    lens = Camera("made", 800, 600, 600.0, 402.0, 297.0, k1=-0.2)
+    flown = fly(6, 2, 4, points=500, relief=hills, lens=lens)
+    reported = replace(flown.block.cameras[0], k1=0.0, distortion_sd=0.001, focal_length_sd_px=2.0)
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=(reported,) * 8), Settings())
+    assert adjusted.model is not None
+    assert adjusted.model.taken == ("lens",)
+    assert adjusted.cameras[0].k1 == pytest.approx(-0.2, abs=0.01)
+    assert adjusted.figures["sigma_px"] < 0.4
+
+
 def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
     """The turns are told, how long the rows are read is not: begun at the span of the samples."""
     flown = fly(3, 2, 4, **TURNING)
