@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from adjustment_blocks import fly
-from geomosaic.adjustment.problem.bundle_model import Begun, Factors
-from geomosaic.adjustment.terms.mounting import MOUNTING
+from adjustment_blocks import estimate_of, fly
 
-from geomosaic.adjustment.kernels.collinearity import INTERIOR
+from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_part import (
     neighbours,
@@ -18,6 +16,9 @@ from geomosaic.adjustment.procedure.block_part import (
     part_of_tracks,
     solution_of_whole,
 )
+from geomosaic.adjustment.procedure.block_problem import block_problem
+from geomosaic.adjustment.solver.solution import Start
+from geomosaic.adjustment.terms.term import Components
 
 
 def test_neighbours_are_tied_to_one_another_and_allowed() -> None:
@@ -42,35 +43,27 @@ def test_a_part_has_the_tracks_that_two_of_its_frames_see() -> None:
 
 
 def test_a_solution_of_a_part_becomes_one_of_the_whole() -> None:
-    """Cameras come in another order in the part; frames beyond it follow its median move."""
+    """Frames beyond the part follow its median move; shared unknowns pass by name."""
     block = fly(1, 2, 5).block
     one, two = block.cameras[0], replace(block.cameras[0], name="other", focal_length_px=900.0)
     block = replace(block, cameras=(one, *(two, one) * 4, two))
     frames = np.array([1, 2, 5, 6])
-    held = np.zeros(2 * len(INTERIOR) + len(MOUNTING), dtype=bool)
+    problem = block_problem(block, Settings(), join_tracks(block.ties), np.zeros((5, 3)))
+    at = estimate_of(problem, block.poses)
+    held = np.zeros(at.layout.size, dtype=bool)
     held[1] = True
-    whole = Begun(
-        block.poses,
-        block.lenses,
-        np.zeros((5, 3)),
-        np.zeros(len(MOUNTING)),
-        held,
-        None,
-        Factors(),
-        None,
-        None,
-        0.0,
-    )
+    whole = Start(block.poses, block.lenses, at, Components(), held, None)
     part = part_of_block(block, frames)
-    begun = part_of_solution(whole, frames, part.lenses, np.zeros((3, 3)))
-    assert [c.name for c in begun.cameras] == ["other", one.name]
-    assert np.flatnonzero(begun.held).tolist() == [len(INTERIOR) + 1]
+    begun = part_of_solution(whole, frames, np.zeros((3, 3)))
+    layout = block_problem(part, Settings(), join_tracks(part.ties), np.zeros((3, 3))).layout
+    assert [u.name for u in layout.cameras] == ["other", one.name]
+    values, still_held = begun.shared_in(layout)
+    assert values[0] == 900.0 and np.flatnonzero(still_held).tolist() == [len(layout.cameras[0].names) + 1]
     moved = replace(begun.poses, positions_m=begun.poses.positions_m + [1.0, 0.0, 2.0])
-    swing = np.full((4, 2, 3), 0.1)
-    found = solution_of_whole(
-        replace(begun, poses=moved, swing=swing, drift_m=np.ones((4, 3))), whole, frames
-    )
+    swing = replace(begun.estimate, swing_rad=np.full((4, 2, 3), 0.1), drift_m=np.ones((4, 3)))
+    found = solution_of_whole(replace(begun, poses=moved, estimate=swing), whole, frames)
     assert found.cameras == block.lenses and np.array_equal(found.held, held)
     assert np.allclose(found.poses.positions_m - block.poses.positions_m, [1.0, 0.0, 2.0])
-    assert found.swing is not None and np.array_equal(np.flatnonzero(found.swing.any(axis=(1, 2))), frames)
+    turned = found.estimate.swing_rad.any(axis=(1, 2))
+    assert np.array_equal(np.flatnonzero(turned), frames)
     assert len(found.points_m) == 5

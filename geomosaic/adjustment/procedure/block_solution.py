@@ -89,7 +89,8 @@ def block_solution(
         ties, again = start.ties, start.of_ties
         points = start.problem.points.given_m[: ties.points]
     else:
-        lenses = block.cameras if start is None else [start.cameras[k] for k in block.lens_of]
+        found = {} if start is None else {c.name: c for c in start.cameras}
+        lenses = [found.get(c.name, c) for c in block.cameras]
         points, ties = points_on_ground(poses, lenses, block.ground, tracks)
         if start is not None:
             again = start.of_points(_nearest_to_rays(ties, start.poses, lenses, points))
