@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, SharedUnknowns
-from geomosaic.adjustment.paper.chain import fit_similarity
 from geomosaic.adjustment.procedure.resection import UNHEARD
 from geomosaic.adjustment.terms.collinearity import INTERIOR
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import MEDIAN_LENGTH, tuned
+from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import (

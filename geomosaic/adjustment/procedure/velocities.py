@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.paper.chain import fit_similarity
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import tuned
+from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.velocity import flown_m_per_s
 
