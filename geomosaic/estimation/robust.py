@@ -27,7 +27,7 @@ def irls(
 ) -> tuple[Floats, Floats]:
     """Unknowns (u,) and last weights by iteratively re-weighted least squares.
 
-    The solution is the one of the smallest norm where the design has no full rank.
+    It ends after so many rounds, or when weights repeat. Without full rank the norm is the smallest.
 
     Args: design (m, u), or (m, c, u) for observations of c components; observed (m,) or (m, c); weigh: from
         residuals, shaped as observed, to weights that broadcast with them; start (u,): without it the first
@@ -35,9 +35,11 @@ def irls(
     """
     unknowns = np.zeros(design.shape[-1]) if start is None else start
     residual = observed - (np.median(observed, axis=0) if start is None else design @ start)
-    rows, weight = design.reshape(-1, design.shape[-1]), np.ones_like(observed)
+    rows, weight = design.reshape(-1, design.shape[-1]), np.zeros(0)
     for _ in range(rounds):
-        weight = weigh(residual)
+        before, weight = weight, weigh(residual)
+        if np.array_equal(weight, before):
+            break
         weighted = (design * weight[..., None]).reshape(rows.shape)
         normal = weighted.T @ rows
         size = np.sqrt(np.diag(normal)) + 1e-12
