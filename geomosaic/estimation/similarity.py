@@ -13,6 +13,7 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import singular_values
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 _ROUNDS = tuned(20, "rounds", "of re-weighting; ten converge")
 _COLLINEAR = tuned(0.05, "second by first singular value", "below it points lie on a line and a turn is free")
 _MOST_TRIPLES = tuned(500, "triples of points", "to begin from; one of four is good with a third of blunders")
@@ -49,6 +50,13 @@ def fit_similarity(
         shift = complex(w_0 - turn * z_0)
         weight = weigh(np.abs(w - turn * z - shift))
     return turn, shift
+
+
+def similarity_design(z: Complexes) -> Floats:
+    """Derivatives (2, k, 4) of turn * z + shift, east and north, by both parts of the turn and the shift."""
+    one, zero = np.ones(len(z)), np.zeros(len(z))
+    rows = [[z.real, -z.imag, one, zero], [z.imag, z.real, zero, one]]
+    return np.stack([np.stack(row, axis=-1) for row in rows])
 
 
 @dataclass(frozen=True)
