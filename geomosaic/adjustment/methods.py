@@ -16,6 +16,7 @@ from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.outcome import settled
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.spread import Spread
 
@@ -28,55 +29,38 @@ class Method(Protocol):
     def __call__(self, block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted: ...
 
 
-def _in_process(solve: Callable[[Block, OffsetNet, Settings], Adjusted]) -> Method:
-    return lambda block, settings, spread=None: solve(block, offset_net(block), settings)
+def _shifting(solve: Callable[[OffsetNet, Block, Settings], offsets.Moves]) -> Method:
+    """A method that shifts frames over the map."""
+
+    def method(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
+        moves, rounds = solve(offset_net(block), block, settings)
+        return settled(block, _shifted(block.poses, moves), rounds)
+
+    return method
 
 
-def _shifted(block: Block, moved: offsets.Moves, sd_m: Floats | None = None) -> Adjusted:
-    """The block after moves in plan; sd_m (n,): their deviations per axis, where the method has them."""
-    (moves, rounds), sd = moved, block.poses.positions_sd_m
-    positions_m = block.poses.positions_m + np.column_stack([moves, np.zeros(len(moves))])
-    sd = sd if sd_m is None else np.column_stack([sd_m, sd_m, sd[:, 2]])
-    return settled(block, replace(block.poses, positions_m=positions_m, positions_sd_m=sd), rounds)
+def _shifted(poses: Poses, moves: Floats) -> Poses:
+    return replace(poses, positions_m=poses.positions_m + np.column_stack([moves, np.zeros(len(moves))]))
 
 
-def _none(block: Block, net: OffsetNet, _: Settings) -> Adjusted:
-    return _shifted(block, offsets.none(net))
-
-
-def _error_sharing(block: Block, net: OffsetNet, settings: Settings) -> Adjusted:
-    epsilon_m = settings.epsilon_px * block.ground_pixel_m
-    return _shifted(block, offsets.error_sharing(net, epsilon_m, settings.max_rounds))
-
-
-def _base_frame(block: Block, net: OffsetNet, _: Settings) -> Adjusted:
-    return _shifted(block, offsets.base_frame(net, block.sequence))
-
-
-def _layered(block: Block, net: OffsetNet, _: Settings) -> Adjusted:
-    return _shifted(block, offsets.layered(net, block.sequence))
-
-
-def _chain(block: Block, net: OffsetNet, _: Settings) -> Adjusted:
+def _chain(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
     """A similarity of the ground plane is a turn about the vertical, a shift, and a change of height."""
+    net, poses = offset_net(block), block.poses
     turn, shift = chain(net, block.sequence)
-    poses = block.poses
     east_m, north_m, up_m = poses.positions_m.T
-    move = turn * (east_m + 1j * north_m) + shift
+    to = turn * (east_m + 1j * north_m) + shift
     ground_m = block.ground.up_at(east_m, north_m)
-    up_m = ground_m + np.abs(turn) * (up_m - ground_m)
-    moved = replace(
-        poses,
-        positions_m=np.column_stack([move.real, move.imag, up_m]),
-        rotations=about_z(np.angle(turn)) @ poses.rotations,
-    )
-    moves = (moved.positions_m - poses.positions_m)[:, :2]
-    return settled(block, moved, (Round(net.misalignments_m(np.zeros((net.n, 2))), moves),))
+    positions_m = np.column_stack([to.real, to.imag, ground_m + np.abs(turn) * (up_m - ground_m)])
+    moved = replace(poses, positions_m=positions_m, rotations=about_z(np.angle(turn)) @ poses.rotations)
+    moves = (positions_m - poses.positions_m)[:, :2]
+    return settled(block, moved, (Round(net.misalignments_m(np.zeros_like(moves)), moves),))
 
 
-def _least_squares(block: Block, net: OffsetNet, _: Settings) -> Adjusted:
+def _least_squares(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
+    net, sd_up_m = offset_net(block), block.poses.positions_sd_m[:, 2]
     moves, sd_m = least_squares(net, *_deviations_m(block, net))
-    return _shifted(block, (moves, offsets.rounds_of(net, moves)), sd_m)
+    moved = replace(_shifted(block.poses, moves), positions_sd_m=np.column_stack([sd_m, sd_m, sd_up_m]))
+    return settled(block, moved, offsets.rounds_of(net, moves))
 
 
 def _deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
@@ -97,11 +81,15 @@ def _deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
 
 
 METHODS: dict[str, Method] = {
-    "none": _in_process(_none),
-    "chain": _in_process(_chain),
-    "layered": _in_process(_layered),
-    "base_frame": _in_process(_base_frame),
-    "error_sharing": _in_process(_error_sharing),
-    "least_squares": _in_process(_least_squares),
+    "none": _shifting(lambda net, block, settings: offsets.none(net)),
+    "chain": _chain,
+    "layered": _shifting(lambda net, block, settings: offsets.layered(net, block.sequence)),
+    "base_frame": _shifting(lambda net, block, settings: offsets.base_frame(net, block.sequence)),
+    "error_sharing": _shifting(
+        lambda net, block, settings: offsets.error_sharing(
+            net, settings.epsilon_px * block.ground_pixel_m, settings.max_rounds
+        )
+    ),
+    "least_squares": _least_squares,
     "bundle": pose_block,
 }

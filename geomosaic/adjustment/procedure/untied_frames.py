@@ -57,32 +57,23 @@ def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools
 
 
 def _move(out: Poses, given: Poses, i: int, near: Ints) -> None:
-    """Moves frame i like those near it, in place."""
+    """Moves frame i like those near it, in place; plan, height and each angle by itself."""
     at = given.positions_m[near, :2] - given.positions_m[i, :2]
-    shift = out.positions_m[near] - given.positions_m[near]
-    own = np.median(out.positions_sd_m[near], axis=0)
-    for axes in (slice(0, 2), slice(2, 3)):
-        stated = _stated(given.positions_sd_m[:, axes], near, i)
-        value, sd_m = _predicted(at, shift[:, axes], stated)
-        out.positions_m[i, axes] = given.positions_m[i, axes] + value
-        out.positions_sd_m[i, axes] = np.hypot(sd_m, own[axes])
     turned = log_turn(np.swapaxes(given.rotations, 1, 2)[near] @ out.rotations[near])
-    own, turn = np.median(out.rotations_sd_rad[near], axis=0), np.zeros(3)
-    out.rotations_sd_rad[i] = given.rotations_sd_rad[i]
-    observed = ~heading_assumed(given)
-    for axis in range(3):
-        mine = observed[near] if axis == 2 else np.ones(len(near), dtype=bool)
-        if not mine.any() or (axis == 2 and not observed[i]):
-            continue
-        stated = _stated(given.rotations_sd_rad[:, axis : axis + 1], near[mine], i)
-        value, sd_rad = _predicted(at[mine], turned[mine, axis : axis + 1], stated)
-        turn[axis], out.rotations_sd_rad[i, axis] = value[0], np.hypot(sd_rad, own[axis])
-    out.rotations[i] = given.rotations[i] @ exp_turn(turn[None])[0]
-
-
-def _stated(sd: Floats, near: Ints, i: int) -> Floats:
-    """Deviations (k + 1,) of the frames near and, last, of frame i: root mean squares of the columns."""
-    return np.asarray(np.sqrt((sd[np.append(near, i)] ** 2).mean(axis=1)))
+    corrections = np.hstack([out.positions_m[near] - given.positions_m[near], turned])
+    stated, own = (np.hstack([p.positions_sd_m, p.rotations_sd_rad]) for p in (given, out))
+    value, sd, own_sd = np.zeros(6), stated[i].copy(), np.median(own[near], axis=0)
+    observed = np.ones((len(given), 6), dtype=bool)
+    observed[:, 5] = ~heading_assumed(given)
+    for axes in (slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 5), slice(5, 6)):
+        mine = observed[near, axes].all(axis=1)
+        if mine.any() and observed[i, axes].all():
+            of_each = np.sqrt((stated[np.append(near[mine], i), axes] ** 2).mean(axis=1))
+            value[axes], predicted_sd = _predicted(at[mine], corrections[mine, axes], of_each)
+            sd[axes] = np.hypot(predicted_sd, own_sd[axes])
+    out.positions_m[i] = given.positions_m[i] + value[:3]
+    out.positions_sd_m[i], out.rotations_sd_rad[i] = sd[:3], sd[3:]
+    out.rotations[i] = given.rotations[i] @ exp_turn(value[None, 3:])[0]
 
 
 def _predicted(at_m: Floats, values: Floats, stated: Floats) -> tuple[Floats, float]:
