@@ -115,19 +115,19 @@ def surface_and_relief(block: Block, flat: GroundSurface, bundle: Bundle) -> tup
 def lies_flat(block: Block, flat: GroundSurface, free: Bundle, bound: Bundle) -> bool:
     """Whether level ground explains the images as well as free points: image residuals, tilts and heights do
     not grow, most points lie on it, and no relief remains. Sloping land would tilt the whole block."""
-    off_m = np.abs(_above(flat, bound))
+
+    def growth(group: str, numbers: int) -> float:
+        """Of a group's squared residuals in variances; numbers: of them a frame."""
+        shares = (bound.factors.of(group) / free.factors.of(group)) ** 2 - 1.0
+        return shares * numbers * float((~bound.left_out).sum())
+
     return bool(
         bound.factors.image_px < _AS_WELL * free.factors.image_px
-        and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
-        and all(_growth(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
+        and np.median(np.abs(_above(flat, bound))) < _NEAR_FLAT * _least_relief_m(block)
+        and growth("tilt", 2) < _LEVEL
+        and growth("vertical", 1) < _LEVEL
         and surface_and_relief(block, flat, bound)[1] <= _FLAT_PX
     )
-
-
-def _growth(free: Bundle, bound: Bundle, group: str, numbers: int) -> float:
-    """Growth of a group's squared residuals in variances; numbers: of them a frame."""
-    shares = (bound.factors.of(group) / free.factors.of(group)) ** 2 - 1.0
-    return shares * numbers * float((~bound.left_out).sum())
 
 
 def surface_of(

@@ -22,14 +22,10 @@ _MOST_NODES = tuned(40_000, "nodes", "more: slow equations; fewer: relief betwee
 _MOST_TRIAL_NODES = tuned(4_000, "nodes", "of a trial surface; some thirty are made of a block")
 _POINTS_PER_NODE = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
 _ROUNDS = tuned(8, "rounds", "of re-weighting, until trees and wrong matches have lost their weight")
-_CURVINGS: tuple[float, ...] = tuned(
-    (2.0, 4.0, 8.0, 16.0, 32.0), "1 / flying height²", "third derivatives tried; less: noise; more: flat"
-)  # fmt: skip
+_CURVINGS = tuned((2.0, 4.0, 8.0, 16.0, 32.0), "1 / flying height²", "tried; lower: noise; higher: flat")
 _USUAL_CURVING = _CURVINGS[2]
 _FREE: Standing = tuned((3, 0.0), "terms, flying heights", "heights about a plane without a prior")
-_STANDINGS: tuple[Standing, ...] = tuned(
-    (_FREE, (3, 0.0125), (6, 0.1), (6, 0.0125)), "terms, flying heights", "0.1: hills; 0.01: even land"
-)  # fmt: skip
+_STANDINGS = tuned((_FREE, (3, 0.0125), (6, 0.1), (6, 0.0125)), "as _FREE", "0.1: hills; 0.01: even land")
 _CLEARLY = tuned(0.9, "of the free surface's error", "more: planes by chance; less: crowns become ground")
 _LOW = tuned(0.5, "share of the points", "that may be ground; more: crowns; less: low wrong matches")
 _FEWEST = tuned(10, "tie points", "fewer have no median or quantile that means something")
@@ -37,9 +33,7 @@ _GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffn
 _CAP = tuned(10.0, "median errors", "most of a left-out point, so that blunders do not choose the stiffness")
 _SIDE = tuned(0.25, "flying heights", "width of a left-out side; frames show as much beyond the tie points")
 _MOST_OF_ALL = tuned(0.5, "share of the points", "in a left-out side; with more the rest is another block")
-_AWAY: tuple[float, ...] = tuned(
-    (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25), "flying heights", "bins of distance; finer: too few points"
-)  # fmt: skip
+_AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25), "flying heights", "bins; finer: too few points")
 _ONE_DEVIATION = sourced(0.683, "share", "within one deviation, of long tails too", "erf(1 / sqrt 2)")
 _POWERS = sourced((1.0, 2.5), "power", "of errors by distance, for wrong slope, curvature", "Wiener process")
 _OUTERMOST = tuned(0.98, "share of the points", "within a side; less: a side would begin inside the block")

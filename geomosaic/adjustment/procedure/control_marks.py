@@ -35,22 +35,20 @@ def rays_meet_m(
 ) -> Floats:
     """The nearest point (3,) in m to the rays of a control point's marks, enlarged by scale."""
     frames = np.array([i for i, _, _ in control.observations], dtype=np.intp)
-    return intersection_of_rays(poses, tuple(cameras), frames, _marks_px(control, scale))
+    marks_px = np.array([(scale * col, scale * row) for _, col, row in control.observations])
+    return intersection_of_rays(poses, tuple(cameras), frames, marks_px)
 
 
 def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[Warn, ...]]:
     """The block with enlarged image marks, where all lie near the first corner and rays of one point meet at
     one enlargement alone: some programs write marks of reduced images, which no file states."""
-    share = max(
-        (
-            max(col / block.cameras[i].width_px, row / block.cameras[i].height_px)
-            for c in block.control
-            for i, col, row in c.observations
-        ),
-        default=0.0,
+    marks, several = (
+        [mark for c in block.control for mark in c.observations],
+        in_several_images(block.control),
     )
-    marks, several = sum(len(c.observations) for c in block.control), in_several_images(block.control)
-    if not several or share <= 0.0 or share ** (2 * marks) > _BY_CHANCE:
+    sizes = [(block.cameras[i].width_px, block.cameras[i].height_px) for i, _, _ in marks]
+    share = max((max(m[1] / w, m[2] / h) for m, (w, h) in zip(marks, sizes, strict=True)), default=0.0)
+    if not several or share <= 0.0 or share ** (2 * len(marks)) > _BY_CHANCE:
         return block, ()
     poses, cameras = free(replace(block, control=()))
 
@@ -63,7 +61,7 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
     if best < 1.0 + _STEP or cost(1.0) - cost(best) < np.log(_SURELY):
         return block, ()
     text = (
-        f"all {marks} image marks of the control points lie in the first {100.0 * share:.0f} % of the "
+        f"all {len(marks)} image marks of the control points lie in the first {100.0 * share:.0f} % of the "
         f"width and height of their images, and their rays meet if the marks are enlarged by {best:.3f}: "
         "taken as measured in images reduced by that; give marks of the full images to be sure"
     )
@@ -74,13 +72,10 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
     return replace(block, control=enlarged), (Warn("control-marks-enlarged", "", text),)
 
 
-def _marks_px(control: GroundControl, scale: float) -> Floats:
-    return np.array([(scale * col, scale * row) for _, col, row in control.observations])
-
-
 def _miss_px(poses: Poses, cameras: Sequence[Camera], control: GroundControl, scale: float) -> Floats:
     """Distances (k,) of the enlarged marks from the image of their point, at most an image's longer side."""
-    at_m, frames = rays_meet_m(poses, cameras, control, scale), [i for i, _, _ in control.observations]
-    image_px = np.array([poses[i].image_from_ground(cameras[i], at_m) for i in frames])
-    worst = np.array([max(cameras[i].width_px, cameras[i].height_px) for i in frames], dtype=np.float64)
-    return np.asarray(np.fmin(np.linalg.norm(image_px - _marks_px(control, scale), axis=1), worst))
+    at_m, miss_px = rays_meet_m(poses, cameras, control, scale), []
+    for i, col, row in control.observations:
+        off = poses[i].image_from_ground(cameras[i], at_m) - [scale * col, scale * row]
+        miss_px.append(np.fmin(np.linalg.norm(off), max(cameras[i].width_px, cameras[i].height_px)))
+    return np.array(miss_px, dtype=np.float64)

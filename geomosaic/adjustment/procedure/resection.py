@@ -59,13 +59,11 @@ def resected(tracks: Tracks, bundle: Bundle, cameras: Sequence[Camera], wrong: B
         if pose is None:
             continue
         off_px = cameras[i].image_from_camera((ground_m - pose[0]) @ pose[1]) - image_px
-        if _median_px(off_px) < _BETTER * _median_px(bundle.residual_px[mine]):
+        now, before = (np.linalg.norm(off, axis=1) for off in (off_px, bundle.residual_px[mine]))
+        now, before = (np.median(np.nan_to_num(length, nan=np.inf)) for length in (now, before))
+        if now < _BETTER * before:
             positions[i], rotations[i], found = *pose, True
     return replace(bundle.poses, positions_m=positions, rotations=rotations) if found else None
-
-
-def _median_px(off_px: Floats) -> float:
-    return float(np.median(np.nan_to_num(np.linalg.norm(off_px, axis=1), nan=np.inf)))
 
 
 def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
