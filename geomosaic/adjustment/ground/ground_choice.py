@@ -77,7 +77,7 @@ def levelled(ground: GroundSurface, bundle: Bundle) -> GroundSurface:
 
 
 def chosen_ground(
-    block: Block, asked: str, bundle: Bundle, lengths: Ints, part: Ints
+    block: Block, setting: str, bundle: Bundle, lengths: Ints, part: Ints
 ) -> tuple[GroundSurface, float]:
     """The DEM; else level ground, or the rough surface of the points where relief shows. The second is the
     root mean square offset by relief in ground pixels, NaN where unknown.
@@ -85,19 +85,19 @@ def chosen_ground(
     With few points in three frames, tilts and relief are not separable: level ground comes first, see
     `lies_flat`.
 
-    Args: asked: see `Settings.ground`; lengths (p,): number of frames of each point; part (p,): its connected
-        part of the block, each of which may have its own level.
+    Args: setting: see `Settings.ground`; lengths (p,): frames of each point; part (p,): its connected part of
+        the block, with a level of its own.
     """
     if block.ground.kind == "dem":
         return block.ground, float("nan")
     flat, points = levelled(block.ground, bundle), bundle.points_m
     few = len(points) < LEAST_POINTS
-    if asked == "flat" or few or (asked == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
+    if setting == "flat" or few or (setting == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
         return flat, float("nan")
     surface = surface_of(block, flat, bundle, rough=True)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
     relief_px = _offset_px(block, relief - _bends(points, relief, part))
-    return surface if asked == "tie_surface" or relief_px > _FLAT_PX else flat, relief_px
+    return surface if setting == "tie_surface" or relief_px > _FLAT_PX else flat, relief_px
 
 
 def _offset_px(block: Block, relief: Floats) -> float:

@@ -117,9 +117,9 @@ def _error_growth(trials: _Trials, surfaces: Sequence[GroundSurface]) -> tuple[f
     errors of the surfaces without each side."""
     height_m, away, error = trials.heights.height_m, [np.zeros(0)], [np.zeros(0)]
     for (out, known), surface in zip(trials.without_each_side.values(), surfaces, strict=True):
-        asked = trials.heights.points_m[out]
-        away.append(KDTree(known.points_m[:, :2]).query(asked[:, :2])[0] / height_m)
-        error.append(_residual(asked, surface))
+        left_out = trials.heights.points_m[out]
+        away.append(KDTree(known.points_m[:, :2]).query(left_out[:, :2])[0] / height_m)
+        error.append(_residual(left_out, surface))
     of_bin, errors = np.digitize(np.concatenate(away), _AWAY), np.concatenate(error)
     bins = [k for k in range(1, len(_AWAY)) if np.sum(of_bin == k) >= _FEWEST]
     if len(bins) < 2:
@@ -138,9 +138,9 @@ def _best_curving(trials: _Trials, spacing_m: float) -> float:
     out = (col + 2 * row) % 5 == 0
     if out.sum() < _FEWEST or out.all():
         return _USUAL_CURVING
-    known, asked = heights.without(out), heights.points_m[out]
+    known, left_out = heights.without(out), heights.points_m[out]
     surfaces = trials.surfaces([Trial(known, spacing_m, curving, _FREE) for curving in _CURVINGS])
-    errors = [_residual(asked, surface) for surface in surfaces]
+    errors = [_residual(left_out, surface) for surface in surfaces]
     return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in errors]))]
 
 

@@ -31,22 +31,20 @@ _WITHIN_FLIGHT_M = tuned(1.0, "m", "agreement of a code receiver's positions in 
 _WRONG_SHIFT = tuned(5.0, "deviations", "between control and positions; datums differ by more")
 
 
-def strayed_frames(block: Block, poses: Poses, heard: Floats) -> dict[int, Warn]:
+def strayed_frames(block: Block, poses: Poses, shares: Floats) -> dict[int, Warn]:
     """Frames to leave out, by number: far from their positions, and either oblique among nadir views or with
     most tie points down-weighted. Views of flat ground may converge to a second, oblique pose.
 
-    Args: heard (n,): `heard_shares`.
+    Args: shares (n,): `heard_shares`.
     """
     far, limit = _off_m(block, poses)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
     usual = float(np.median(tilt))
     aside = (tilt > usual + _UPRIGHT_DEG) & (usual <= _UPRIGHT_DEG) & (far > limit)
     found = {}
-    for i in np.flatnonzero((far > limit) & (heard < UNHEARD)).tolist():
-        text = (
-            f"{100.0 * (1.0 - heard[i]):.0f} % of its tie points contradict those of other frames, which put "
-            f"it {far[i]:.0f} m from its own position; left out"
-        )
+    for i in np.flatnonzero((far > limit) & (shares < UNHEARD)).tolist():
+        text = f"{100.0 * (1.0 - shares[i]):.0f} % of its tie points contradict those of other frames, "
+        text += f"which put it {far[i]:.0f} m from its own position; left out"
         found[i] = Warn("frame-contradicted", block.names[i], text)
     for i in np.flatnonzero(aside).tolist():
         text = (
@@ -100,18 +98,18 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
     return np.degrees(turned), np.degrees(heading_limits_rad(given))
 
 
-def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> list[Warn]:
+def doubtful_positions(block: Block, poses: Poses, frames: NDArray[np.intp]) -> list[Warn]:
     """Warnings of a common shift of all positions, and of a wrong scale of the block.
 
     A shift beyond five stated deviations means another datum of control. The scale is that of the similarity
-    from adjusted to given positions of the frames `seen`. Its deviation is a position's over the root of the
+    from adjusted to given positions of the given frames. Its deviation is a position's over the root of the
     squared extent; a position's is the residual of the similarity, and at least the stated one or 1 m.
     """
-    seen = seen[~position_assumed(block.poses)[seen]]
-    if not len(seen):
+    frames = frames[~position_assumed(block.poses)[frames]]
+    if not len(frames):
         return []
-    stated = block.poses.positions_sd_m[seen]
-    given, found = block.poses.positions_m[seen], poses.positions_m[seen]
+    stated = block.poses.positions_sd_m[frames]
+    given, found = block.poses.positions_m[frames], poses.positions_m[frames]
     shift_m, out = np.median(given - found, axis=0), []
     if np.any(np.abs(shift_m) > _WRONG_SHIFT * np.median(stated, axis=0)):
         east, north, up = shift_m
@@ -122,7 +120,7 @@ def doubtful_positions(block: Block, poses: Poses, seen: NDArray[np.intp]) -> li
         out.append(Warn("positions-shifted", "", text))
     given, found = given[:, :2], found[:, :2]
     extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
-    if extent_m == 0.0 or len(seen) < 3 or np.ptp(given, axis=0).max() <= _SAME_PLACE_M:
+    if extent_m == 0.0 or len(frames) < 3 or np.ptp(given, axis=0).max() <= _SAME_PLACE_M:
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift

@@ -56,7 +56,7 @@ class Beliefs:
 
 
 def laid(
-    shape: Complexes, place: Complexes, beliefs: Beliefs, fixes: Fixes
+    shape: Complexes, place: Complexes, priors: Beliefs, fixes: Fixes
 ) -> tuple[complex, complex, Floats]:
     """The similarity, at = whole * place + shift, of a part onto its fixes, and their weights (k,).
 
@@ -66,21 +66,21 @@ def laid(
 
     Args: shape (n,): turn and scale of each frame against the given ones; place (n,): nadir points.
     """
-    given = _by_headings(shape, beliefs)
+    given = _by_headings(shape, priors)
     if not len(fixes.at):
-        return given, complex(np.mean(beliefs.nadir - given * place)), np.zeros(0)
+        return given, complex(np.mean(priors.nadir - given * place)), np.zeros(0)
     known = place[fixes.frame] + shape[fixes.frame] * fixes.offset
-    sd = float(np.median(beliefs.scale_sd[fixes.frame])), float(min(np.median(beliefs.yaw_sd_rad), np.pi))
+    sd = float(np.median(priors.scale_sd[fixes.frame])), float(min(np.median(priors.yaw_sd_rad), np.pi))
     tried = [_improved(whole, known, given, sd, fixes) for whole in (given, *_by_pairs(known, fixes))]
     return min(tried, key=lambda t: t[0])[1:]
 
 
-def _by_headings(shape: Complexes, beliefs: Beliefs) -> complex:
+def _by_headings(shape: Complexes, priors: Beliefs) -> complex:
     """Turn and scale of the part by most of its headings and heights."""
     turns = np.conj(shape) / np.abs(shape)
     apart = np.abs(np.angle(turns[:, None] * np.conj(turns)))
     best = turns[np.minimum(apart, _ALIKE_RAD).sum(axis=1).argmin()]
-    near = np.abs(np.angle(turns * np.conj(best))) < np.maximum(3.0 * beliefs.yaw_sd_rad, 0.1)
+    near = np.abs(np.angle(turns * np.conj(best))) < np.maximum(3.0 * priors.yaw_sd_rad, 0.1)
     turn = complex(turns[near].mean()) if near.any() else complex(best)
     return complex(turn / abs(turn) * np.exp(-np.median(np.log(np.abs(shape)))))
 

@@ -55,13 +55,13 @@ class HeightDrift:
         return [Warn("heights-drift", first, f"{text}; set by the images")]
 
 
-def height_drift(block: Block, poses: Poses, seen: NDArray[np.intp]) -> HeightDrift:
-    """The drift of reported minus adjusted heights of the frames `seen`, as slopes and jumps.
+def height_drift(block: Block, poses: Poses, frames: NDArray[np.intp]) -> HeightDrift:
+    """The drift of reported minus adjusted heights of the given frames, as slopes and jumps.
 
     Forward selection: a line, a jump, or both at once where neither suffices, as long as each rise exceeds
     three stated deviations of a height and five of its own.
     """
-    known = set(seen[~position_assumed(block.poses)[seen]].tolist())
+    known = set(frames[~position_assumed(block.poses)[frames]].tolist())
     order = np.array([i for i in block.sequence if i in known], dtype=np.intp)
     n = len(order)
     if n < _LEAST:
@@ -83,10 +83,10 @@ def _with_one_more(
     """The parts with the best one added, or a line and the best jump, and all rises (k,) in m; None where
     none is large and significant."""
     for line in ((), (0,)):
-        beside = (*parts, *line)
-        if len(set(beside)) < len(beside) or len(beside) >= min(_MOST, len(off_m) - 3):
+        others = (*parts, *line)
+        if len(set(others)) < len(others) or len(others) >= min(_MOST, len(off_m) - 3):
             continue
-        tried = (*beside, _best(off_m, beside))
+        tried = (*others, _best(off_m, others))
         shapes = _shapes(tried, len(off_m))
         rises = least_squares(shapes.T, off_m)
         left = float(((off_m - rises @ shapes) ** 2).sum())
@@ -103,13 +103,13 @@ def _shapes(parts: tuple[int, ...], n: int) -> Floats:
     return np.array([s - s.mean() for s in shapes]).reshape(len(parts), n)
 
 
-def _best(off_m: Floats, beside: tuple[int, ...]) -> int:
-    """The line or jump that reduces the squares most, beside given parts.
+def _best(off_m: Floats, others: tuple[int, ...]) -> int:
+    """The line or jump that reduces the squares most, given the other parts.
 
     All jumps at once, by running sums: a jump's product with a vector of mean 0 is the sum behind the jump.
     """
     n = len(off_m)
-    (line,), q = _shapes((0,), n), orthonormal(_shapes(beside, n).T)
+    (line,), q = _shapes((0,), n), orthonormal(_shapes(others, n).T)
     behind = np.arange(1, n - 2)  # two frames at least on either side
 
     def products(vectors: Floats) -> Floats:

@@ -114,14 +114,14 @@ def _priors(block: Block, nadir: Complexes, height_m: Floats) -> Beliefs:
 
 def _control_fixes(block: Block, off_m: Floats) -> Fixes:
     """Control points in their frames; off_m (n,): deviation on the ground by a frame's tilts."""
-    seen = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
-    seen.sort(key=lambda s: s[0])
-    frame = np.array([i for i, _, _ in seen], dtype=np.intp)
-    px = np.array([px for _, px, _ in seen], dtype=np.float64).reshape(-1, 2)
+    marks = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
+    marks.sort(key=lambda s: s[0])
+    frame = np.array([i for i, _, _ in marks], dtype=np.intp)
+    px = np.array([px for _, px, _ in marks], dtype=np.float64).reshape(-1, 2)
     ground_m = ground_from_images(frame, px, block.poses, block.cameras, block.ground)
     offset: Complexes = (ground_m - block.poses.positions_m[frame])[:, :2] @ np.array([1, 1j])
-    at: Complexes = np.array([complex(*c.enu_m[:2]) for _, _, c in seen], complex)
-    sd_m = np.hypot([c.sd_m[0] for _, _, c in seen], off_m[frame])
+    at: Complexes = np.array([complex(*c.enu_m[:2]) for _, _, c in marks], complex)
+    sd_m = np.hypot([c.sd_m[0] for _, _, c in marks], off_m[frame])
     hit = np.isfinite(offset)
     return Fixes(frame[hit], offset[hit], at[hit], sd_m[hit])
 

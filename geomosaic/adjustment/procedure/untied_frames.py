@@ -38,7 +38,7 @@ def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools
     Args: tied, untied (n,): which frames.
     """
     located = ~position_assumed(given)
-    known, asked = np.flatnonzero(tied & located), np.flatnonzero(untied & located)
+    known, wanted = np.flatnonzero(tied & located), np.flatnonzero(untied & located)
     if not len(known):
         return found
     out = replace(
@@ -49,7 +49,7 @@ def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools
         rotations_sd_rad=found.rotations_sd_rad.copy(),
     )
     at = given.positions_m[:, :2]
-    for i in asked:
+    for i in wanted:
         away_m = np.linalg.norm(at[known] - at[i], axis=1)
         with suppress(NotSolvableError):
             _move(out, given, int(i), known[np.argsort(away_m, kind="stable")[:_NEAREST]])
