@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from itertools import combinations_with_replacement
 from math import comb
 
@@ -13,7 +12,6 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _SLOPE = tuned(1.0, "m per m", "usual slope; less: hills are levelled; more: no return to level far out")
 _PER_HEIGHT = tuned(
     20.0, "places a flying height", "at which slopes count; less: single points bend the land"
@@ -52,8 +50,9 @@ class SmoothedGrid:
         band = np.zeros((3 * self._cols + 1, n), order="F")
         for below, entries in self._stiff.items():
             band[below] = entries / height**2
-        for below, (nodes, products) in self._products.items():
-            band[below] += np.bincount(nodes, (weight * products).ravel(), n)
+        for a, b in combinations_with_replacement(range(4), 2):
+            products = weight * (self._share[a] * self._share[b])
+            band[self._steps[b] - self._steps[a]] += np.bincount(self._node[a], products, n)
         side = np.bincount(self._node.ravel(), (self._share * (weight * up)).ravel(), n).astype(np.float64)
         return solve_band(cholesky_of_band(band, lower=True, overwrite=True), side, lower=True)
 
@@ -65,21 +64,6 @@ class SmoothedGrid:
         """Heights of the nodes as rows and columns."""
         grid = nodes.reshape(self._rows, self._cols)
         return grid.T if self._transposed else grid
-
-    @cached_property
-    def _products(self) -> dict[int, tuple[Ints, Floats]]:
-        """The points' part of the normal matrix for weights of 1, by distance below the diagonal: columns
-        (q p,) and products (q, p)."""
-        pairs: dict[int, list[tuple[int, int]]] = {}
-        for a, b in combinations_with_replacement(range(4), 2):
-            pairs.setdefault(self._steps[b] - self._steps[a], []).append((a, b))
-        return {
-            below: (
-                np.concatenate([self._node[a] for a, _ in both]),
-                np.stack([self._share[a] * self._share[b] for a, b in both]),
-            )
-            for below, both in pairs.items()
-        }
 
 
 def _stiffness(rows: int, cols: int, spacing: float, curving: float) -> dict[int, Floats]:
