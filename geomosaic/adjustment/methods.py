@@ -81,7 +81,7 @@ def _deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
 
 
 METHODS: dict[str, Method] = {
-    "none": _shifting(lambda net, block, settings: offsets.none(net)),
+    "none": _shifting(lambda net, block, settings: offsets.error_sharing(net, np.inf, 1)),
     "chain": _chain,
     "layered": _shifting(lambda net, block, settings: offsets.layered(net, block.sequence)),
     "base_frame": _shifting(lambda net, block, settings: offsets.base_frame(net, block.sequence)),

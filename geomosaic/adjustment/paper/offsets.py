@@ -18,12 +18,6 @@ Floats = NDArray[np.float64]
 Moves = tuple[Floats, tuple[Round, ...]]
 
 
-def none(net: OffsetNet) -> Moves:
-    """Coarse placement alone: no moves, and one round with its misalignments."""
-    still = np.zeros((net.n, 2))
-    return still, (Round(net.misalignments_m(still), still),)
-
-
 def rounds_of(net: OffsetNet, moves: Floats) -> tuple[Round, Round]:
     """The rounds of a method with a single step: misalignments before it, and after it."""
     still = np.zeros((net.n, 2))

@@ -60,10 +60,9 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     joints = joints_of(edges, ((p @ [1, 1j] - nadir[a], q @ [1, 1j] - nadir[b]) for p, q, (a, b) in all_m))
     shape = averaged(net.n, joints)
     assumed, priors = position_assumed(poses), _priors(block, nadir, height)
-    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
     known = np.flatnonzero(~assumed)
     positions = Fixes(known, np.zeros(len(known), complex), nadir[known], priors.position_sd_m[known])
-    control = _control_fixes(block, height * tilt)
+    control = _control_fixes(block, height)
     for part in connected_parts(net.n, edges):
         if len(part) == 1:
             continue
@@ -100,8 +99,7 @@ def placed_by_images(block: Block, start: Poses) -> Block:
 def _priors(block: Block, nadir: Complexes, height_m: Floats) -> Beliefs:
     """Priors in plan by positions, headings, heights and focal lengths."""
     poses, assumed = block.poses, position_assumed(block.poses)
-    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
-    position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height_m * tilt)
+    position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), _by_tilt_m(poses, height_m))
     focal = np.array([(c.focal_length_sd_px or 0.0) / c.focal_length_px for c in block.cameras])
     height = np.minimum(poses.positions_sd_m[:, 2] / np.maximum(height_m, 1.0), 0.5)
     return Beliefs(
@@ -112,8 +110,12 @@ def _priors(block: Block, nadir: Complexes, height_m: Floats) -> Beliefs:
     )
 
 
-def _control_fixes(block: Block, off_m: Floats) -> Fixes:
-    """Control points in their frames; off_m (n,): deviation on the ground by a frame's tilts."""
+def _by_tilt_m(poses: Poses, height_m: Floats) -> Floats:
+    return np.asarray(height_m * np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5))
+
+
+def _control_fixes(block: Block, height_m: Floats) -> Fixes:
+    """Control points in their frames, with the deviations of the points and of the frames' tilts."""
     marks = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
     marks.sort(key=lambda s: s[0])
     frame = np.array([i for i, _, _ in marks], dtype=np.intp)
@@ -121,7 +123,7 @@ def _control_fixes(block: Block, off_m: Floats) -> Fixes:
     ground_m = ground_from_images(frame, px, block.poses, block.cameras, block.ground)
     offset: Complexes = (ground_m - block.poses.positions_m[frame])[:, :2] @ np.array([1, 1j])
     at: Complexes = np.array([complex(*c.enu_m[:2]) for _, _, c in marks], complex)
-    sd_m = np.hypot([c.sd_m[0] for _, _, c in marks], off_m[frame])
+    sd_m = np.hypot([c.sd_m[0] for _, _, c in marks], _by_tilt_m(block.poses, height_m)[frame])
     hit = np.isfinite(offset)
     return Fixes(frame[hit], offset[hit], at[hit], sd_m[hit])
 

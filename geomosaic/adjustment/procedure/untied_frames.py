@@ -7,7 +7,7 @@ Least-squares collocation (Moritz 1980, Advanced Physical Geodesy) predicts them
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from copy import deepcopy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +41,7 @@ def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools
     known, wanted = np.flatnonzero(tied & located), np.flatnonzero(untied & located)
     if not len(known):
         return found
-    out = replace(
-        found,
-        positions_m=found.positions_m.copy(),
-        rotations=found.rotations.copy(),
-        positions_sd_m=found.positions_sd_m.copy(),
-        rotations_sd_rad=found.rotations_sd_rad.copy(),
-    )
-    at = given.positions_m[:, :2]
+    out, at = deepcopy(found), given.positions_m[:, :2]
     for i in wanted:
         away_m = np.linalg.norm(at[known] - at[i], axis=1)
         with suppress(NotSolvableError):
