@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.paper import offsets
-from geomosaic.adjustment.paper.chain import chain, fit_similarity
+from geomosaic.adjustment.paper.chain import chain
 from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, fullest_bin_mean
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface

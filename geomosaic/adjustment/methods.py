@@ -16,102 +16,80 @@ from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.outcome import outcome
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 
 
-def _slid(block: Block, moves: Floats, rounds: tuple[Round, ...], sd_m: Floats | None = None) -> Adjusted:
-    poses = block.poses
-    positions = poses.positions_m + np.column_stack([moves, np.zeros(len(moves))])
-    sd = poses.positions_sd_m
-    if sd_m is not None:
-        sd = np.column_stack([sd_m, sd_m, sd[:, 2]])
-    return outcome(block, replace(poses, positions_m=positions, positions_sd_m=sd), rounds)
-
-
-def _none(block: Block, settings: Settings) -> Adjusted:
-    return _slid(block, *offsets.none(offset_net(block)))
-
-
-def _error_sharing(block: Block, settings: Settings) -> Adjusted:
-    epsilon_m = settings.epsilon_px * block.ground_pixel_m
-    return _slid(block, *offsets.error_sharing(offset_net(block), epsilon_m, settings.max_rounds))
-
-
-def _base_frame(block: Block, settings: Settings) -> Adjusted:
-    return _slid(block, *offsets.base_frame(offset_net(block), block.sequence))
-
-
-def _layered(block: Block, settings: Settings) -> Adjusted:
-    return _slid(block, *offsets.layered(offset_net(block), block.sequence))
-
-
-def _chain(block: Block, settings: Settings) -> Adjusted:
-    """A similarity of the ground plane is a turn about the vertical, a shift, and a change of height."""
-    net = offset_net(block)
-    turn, shift = chain(net, block.sequence)
-    poses = block.poses
-    z = poses.positions_m[:, 0] + 1j * poses.positions_m[:, 1]
-    moved = turn * z + shift
-    ground_up = block.ground.up_at(poses.positions_m[:, 0], poses.positions_m[:, 1])
-    up = ground_up + np.abs(turn) * (poses.positions_m[:, 2] - ground_up)
-    laid = replace(
-        poses,
-        positions_m=np.column_stack([moved.real, moved.imag, up]),
-        rotations=about_z(np.angle(turn)) @ poses.rotations,
-    )
-    still = np.zeros((net.n, 2))
-    moves = np.column_stack([(moved - z).real, (moved - z).imag])
-    return outcome(block, laid, (Round(net.misalignments_m(still), moves),))
-
-
-def _least_squares(block: Block, settings: Settings) -> Adjusted:
-    net = offset_net(block)
-    prior_sd_m, pair_sd_m = offset_deviations_m(block, net)
-    moves, sd_m = least_squares(net, prior_sd_m, pair_sd_m)
-    still = np.zeros_like(moves)
-    rounds = (Round(net.misalignments_m(still), moves), Round(net.misalignments_m(moves), still))
-    return _slid(block, moves, rounds, sd_m)
-
-
-def offset_deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
-    """Standard deviations of the offset model: of each frame's POS (n,), of each pair (m,).
-
-    A frame's ground is off by its position and by height times tilt. A pair's mean disagreement
-    differs from a pure offset by what yaw and height errors do at the overlap, half a base away from
-    either nadir point; never less than half a ground pixel.
-    """
-    poses = block.poses
-    height = poses.positions_m[:, 2] - block.ground.up_at(poses.positions_m[:, 0], poses.positions_m[:, 1])
-    horizontal = poses.positions_sd_m[:, :2].mean(axis=1)
-    tilt = np.minimum(poses.rotations_sd_rad[:, :2].mean(axis=1), 0.5)
-    prior = np.hypot(horizontal, height * tilt)
-    a, b = net.pairs.T
-    half_base = np.linalg.norm(poses.positions_m[a, :2] - poses.positions_m[b, :2], axis=1) / 2.0
-    per_metre = np.hypot(np.minimum(poses.rotations_sd_rad[:, 2], 1.0), poses.positions_sd_m[:, 2] / height)
-    pair = half_base * np.hypot(per_metre[a], per_metre[b])
-    return prior, np.maximum(pair, 0.5 * block.ground_pixel_m)
-
-
 class Method(Protocol):
-    """spread: who makes what can be made side by side; None for this process alone."""
+    """Returns the adjusted block. spread: runs work in parallel; None for this process alone."""
 
     def __call__(self, block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted: ...
 
 
-def _in_one(method: Callable[[Block, Settings], Adjusted]) -> Method:
-    """A method that makes nothing side by side."""
-    return lambda block, settings, spread=None: method(block, settings)
+def _shifting(solve: Callable[[OffsetNet, Block, Settings], offsets.Moves]) -> Method:
+    """A method that shifts frames over the map."""
+
+    def method(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
+        moves, rounds = solve(offset_net(block), block, settings)
+        return outcome(block, _shifted(block.poses, moves), rounds)
+
+    return method
+
+
+def _shifted(poses: Poses, moves: Floats) -> Poses:
+    return replace(poses, positions_m=poses.positions_m + np.column_stack([moves, np.zeros(len(moves))]))
+
+
+def _chain(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
+    """A similarity of the ground plane is a turn about the vertical, a shift, and a change of height."""
+    net, poses = offset_net(block), block.poses
+    turn, shift = chain(net, block.sequence)
+    east_m, north_m, up_m = poses.positions_m.T
+    to = turn * (east_m + 1j * north_m) + shift
+    ground_m = block.ground.up_at(east_m, north_m)
+    positions_m = np.column_stack([to.real, to.imag, ground_m + np.abs(turn) * (up_m - ground_m)])
+    moved = replace(poses, positions_m=positions_m, rotations=about_z(np.angle(turn)) @ poses.rotations)
+    moves = (positions_m - poses.positions_m)[:, :2]
+    return outcome(block, moved, (Round(net.misalignments_m(np.zeros_like(moves)), moves),))
+
+
+def _least_squares(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
+    net, sd_up_m = offset_net(block), block.poses.positions_sd_m[:, 2]
+    moves, sd_m = least_squares(net, *_deviations_m(block, net))
+    moved = replace(_shifted(block.poses, moves), positions_sd_m=np.column_stack([sd_m, sd_m, sd_up_m]))
+    return outcome(block, moved, offsets.rounds_of(net, moves))
+
+
+def _deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
+    """Standard deviations of the offset model in metres: of each frame's ground (n,), of each pair (m,).
+
+    A frame's ground is off by its position and by height times tilt. A pair differs from a pure offset by
+    yaw and height errors half a base away from either nadir point; at least by half a ground pixel.
+    """
+    poses = block.poses
+    height = poses.positions_m[:, 2] - block.ground.up_at(poses.positions_m[:, 0], poses.positions_m[:, 1])
+    tilt = np.minimum(poses.rotations_sd_rad[:, :2].mean(axis=1), 0.5)
+    frame = np.hypot(poses.positions_sd_m[:, :2].mean(axis=1), height * tilt)
+    a, b = net.pairs.T
+    half_base = np.linalg.norm(poses.positions_m[a, :2] - poses.positions_m[b, :2], axis=1) / 2.0
+    per_metre = np.hypot(np.minimum(poses.rotations_sd_rad[:, 2], 1.0), poses.positions_sd_m[:, 2] / height)
+    pair = half_base * np.hypot(per_metre[a], per_metre[b])
+    return frame, np.maximum(pair, 0.5 * block.ground_pixel_m)
 
 
 METHODS: dict[str, Method] = {
-    "none": _in_one(_none),
-    "chain": _in_one(_chain),
-    "layered": _in_one(_layered),
-    "base_frame": _in_one(_base_frame),
-    "error_sharing": _in_one(_error_sharing),
-    "least_squares": _in_one(_least_squares),
+    "none": _shifting(lambda net, block, settings: offsets.error_sharing(net, np.inf, 1)),
+    "chain": _chain,
+    "layered": _shifting(lambda net, block, settings: offsets.layered(net, block.sequence)),
+    "base_frame": _shifting(lambda net, block, settings: offsets.base_frame(net, block.sequence)),
+    "error_sharing": _shifting(
+        lambda net, block, settings: offsets.error_sharing(
+            net, settings.epsilon_px * block.ground_pixel_m, settings.max_rounds
+        )
+    ),
+    "least_squares": _least_squares,
     "bundle": pose_block,
 }

@@ -1,101 +1,103 @@
-"""Robust weights: what is far off loses its say without being cut off."""
+"""Robust weights and costs, and iteratively re-weighted least squares."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.linear import least_squares
 
 Floats = NDArray[np.float64]
-_CAUCHY = tuned(
-    3.0,
-    "deviations",
-    "where Cauchy's weight is a half, and where a tag's begins to fall: with less, what is merely noisy "
-    "loses its say; with more, what is wrong keeps it",
-)
-LIES = tuned(
-    6.0,
-    "deviations",
-    "beyond which an observation is called wrong: of a million honest ones none is; with less, honest "
-    "ones would be named",
-)
-_NO_SAY = tuned(
-    1e-6,
-    "share of the full weight",
-    "left to what is called wrong: it doesn't pull, but a frame that nothing else holds keeps its "
-    "place; with 0 the equations could not be solved",
-)
-_FREEDOM = sourced(
-    5.0,
-    "degrees of freedom",
-    "of image errors: keypoints on what moves or looks alike leave long tails, for which 5 to 9 gave "
-    "shapes up to a third better than Cauchy's function at 3 deviations. Where errors are normal, "
-    "squares are 3 % above those stated with 5, 8 % with 4. No survey shows its own: a point seen twice "
-    "takes three of four numbers, and whatever its errors are, its residuals look long-tailed",
-    "docs/results.md, Student's distribution of image errors: 14 dirty surveys, seeds 102 to 329; "
-    "normal errors: tests/test_bundle_covariance.py, seeds 1 to 6",
-)
-INFORMATION: float = sourced(
-    (_FREEDOM + 2.0) / (_FREEDOM + 4.0),
-    "share of a normal pair's information",
-    "what a pair that errs by Student's distribution contributes beside a normal one of the same scale: "
-    "weights without it state deviations that are too small",
-    "Lange, Little and Taylor 1989, Journal of the American Statistical Association 84, appendix B",
-)
+_CAUCHY = tuned(3.0, "deviations", "half weight here; less: noisy data lose weight; more: blunders keep it")
+_BLUNDER = tuned(6.0, "deviations", "residuals of blunders; less: good observations are rejected")
+_REJECTED = tuned(1e-6, "share of the full weight", "0 would leave frames without other data undetermined")
+_FREEDOM = sourced(5.0, "degrees of freedom", "of image errors with long tails", "docs/results.md")
+INFORMATION: float = sourced((_FREEDOM + 2) / (_FREEDOM + 4), "1", "of Student pairs", "Lange 1989, app. B")
+
+
+def irls(
+    design: Floats,
+    observed: Floats,
+    weigh: Callable[[Floats], Floats],
+    start: Floats | None = None,
+    rounds: int = 10,
+) -> tuple[Floats, Floats]:
+    """Unknowns (u,) and last weights by iteratively re-weighted least squares.
+
+    It ends after so many rounds, or when weights repeat. Without full rank the norm is the smallest.
+
+    Args: design (m, u), or (m, c, u) for observations of c components; observed (m,) or (m, c); weigh: from
+        residuals, shaped as observed, to weights that broadcast with them; start (u,): without it the first
+        residuals are those of the median.
+    """
+    unknowns = np.zeros(design.shape[-1]) if start is None else start
+    residual = observed - (np.median(observed, axis=0) if start is None else design @ start)
+    rows, weight = design.reshape(-1, design.shape[-1]), np.zeros(0)
+    for _ in range(rounds):
+        before, weight = weight, weigh(residual)
+        if np.array_equal(weight, before):
+            break
+        weighted = (design * weight[..., None]).reshape(rows.shape)
+        normal = weighted.T @ rows
+        size = np.sqrt(np.diag(normal)) + 1e-12
+        scaled = normal / (size[:, None] * size)
+        unknowns = least_squares(scaled, weighted.T @ observed.ravel() / size, rcond=1e-12) / size
+        residual = observed - design @ unknowns
+    return unknowns, weight
 
 
 def cauchy_weight(standardised: Floats) -> Floats:
-    """Weights of standardised residual lengths."""
+    """Cauchy's weights of standardised residual lengths."""
     return np.asarray(1.0 / (1.0 + (standardised / _CAUCHY) ** 2))
 
 
 def cauchy_cost(standardised: Floats) -> Floats:
-    """Of what `cauchy_weight` minimises the sum by re-weighted least squares; squares for small residuals."""
+    """The cost that `cauchy_weight` minimises; the square for small residuals."""
     return np.asarray(_CAUCHY**2 * np.log1p((standardised / _CAUCHY) ** 2))
 
 
 def lie_weight(standardised: Floats) -> Floats:
-    """1 up to three deviations, beyond them falling with the square of the distance; next to none beyond
-    six, where a tag is called wrong: it no longer pulls.
-
-    For tags of which nearly all are right: Cauchy's function takes a quarter of their weight from position
-    tags (three numbers each) that are merely noisy, which costs accuracy and overstates deviations.
+    """Weights for GNSS and IMU data, nearly all of which are right: 1 up to three deviations, then falling
+    with the square; next to 0 beyond six. Cauchy's would take a quarter of the weight of three good numbers.
     """
     falling = (_CAUCHY / np.maximum(standardised, _CAUCHY)) ** 2
-    return np.asarray(np.where(standardised > LIES, _NO_SAY, falling))
+    return np.asarray(np.where(standardised > _BLUNDER, _REJECTED, falling))
 
 
 def student_weight(standardised: Floats) -> Floats:
-    """Weights of lengths of pairs that err by Student's distribution, 1 in the mean; they are standardised by
-    the deviation of normal pairs that would contribute as much (Lange, Little and Taylor 1989, section 3)."""
+    """Weights of pairs with Student's distribution, 1 in the mean, by their standardised lengths.
+
+    The deviation is that of normal pairs with the same information (Lange et al. 1989, section 3).
+    """
     return np.asarray((_FREEDOM + 2.0) / (_FREEDOM + standardised**2 / INFORMATION))
 
 
 def student_cost(standardised: Floats) -> Floats:
-    """Twice the negative logarithm of the density, 0 at 0; its slope by the square: weight / INFORMATION."""
+    """Twice the negative log density, 0 at 0; its derivative by the square is weight / INFORMATION."""
     return np.asarray((_FREEDOM + 2.0) * np.log1p(standardised**2 / (INFORMATION * _FREEDOM)))
 
 
 def student_bend(standardised: Floats) -> Floats:
-    """The share by which the curvature of `student_cost` along an error is less than across it, where it is
-    what the weight says; beyond 1 it is negative."""
+    """The share by which the curvature of `student_cost` along an error is below that across it; above 1 the
+    curvature along it is negative."""
     square = standardised**2
     return np.asarray(2.0 * square / (INFORMATION * _FREEDOM + square))
 
 
 def share_down_weighted(standardised: Floats) -> float:
-    """The share of pairs whose `student_weight` is less than half of a perfect one's; NaN of none."""
+    """The share of pairs with less than half the `student_weight` of a residual of 0; NaN without pairs."""
     half = student_weight(standardised) < student_weight(np.zeros(1)) / 2.0
     return float(half.mean()) if half.size else float("nan")
 
 
 def credible(factor: float, redundancy: float) -> float:
-    """A factor estimated from so many redundant observations, drawn to 1 where it may as well be chance.
+    """A factor of standard deviations, shrunk towards 1 where it may be chance.
 
-    Its logarithm is weighed with the probability that the stated deviation is wrong, by Schwarz's
-    approximation (1978) of the evidence: of 48 observations a factor of 1.1 is chance, one of 1.5 is not.
-    Else the covariance of a small block with rightly stated deviations would follow their draw.
+    Its logarithm is weighted with the probability that the stated deviation is wrong, by Schwarz's
+    approximation (1978) of the evidence: with a redundancy of 48, 1.1 is chance and 1.5 is not.
     """
     variance = max(factor**2, 1e-6)
     evidence = redundancy / 2.0 * (variance - 1.0 - np.log(variance))

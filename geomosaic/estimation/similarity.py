@@ -1,9 +1,10 @@
-"""Similarities of space: one scale, one rotation, one shift."""
+"""Robust similarities of the plane and of space: one scale, one rotation, one shift."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +13,50 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import singular_values
 
 Floats = NDArray[np.float64]
-_ROUNDS = tuned(20, "rounds", "of re-weighting; ten settle it")
-_COLLINEAR = tuned(
-    0.05,
-    "of the largest singular value",
-    "for the second one, below which points lie on a line and are free to turn about it",
-)
-_MOST_TRIPLES = tuned(
-    500,
-    "triples",
-    "of points to begin from; one of four is good where a third are blunders",
-)
+Complexes = NDArray[np.complex128]
+_ROUNDS = tuned(20, "rounds", "of re-weighting; ten converge")
+_COLLINEAR = tuned(0.05, "second by first singular value", "below it points lie on a line and a turn is free")
+_MOST_TRIPLES = tuned(500, "triples of points", "to begin from; one of four is good with a third of blunders")
+
+
+def cauchy_about_median(length: Floats, medians: float = 2.0) -> Floats:
+    """Cauchy's weights (k,), a half at so many median residuals."""
+    return np.asarray(1.0 / (1.0 + (length / max(medians * float(np.median(length)), 1e-9)) ** 2))
+
+
+def fit_similarity(
+    source: Floats,
+    target: Floats,
+    rounds: int = 5,
+    weigh: Callable[[Floats], Floats] = cauchy_about_median,
+    *,
+    symmetric: bool = False,
+) -> tuple[complex, complex]:
+    """Robust similarity of the plane as complex numbers, target = turn * source + shift.
+
+    Args: source, target (k, 2), k >= 2; weigh: weights (k,) by residual lengths (k,), in the unit of the
+        target; symmetric: scale by the ratio of both extents, which noise in the source does not shrink.
+    """
+    z, w = source @ [1, 1j], target @ [1, 1j]
+    weight = np.ones(len(z))
+    turn, shift = 1.0 + 0j, 0j
+    for _ in range(rounds):
+        z_0, w_0 = np.average(z, weights=weight), np.average(w, weights=weight)
+        spread = float((weight * np.abs(z - z_0) ** 2).sum())
+        if spread > 0.0:
+            turn = complex((weight * (w - w_0) * np.conj(z - z_0)).sum() / spread)
+            if symmetric and turn:
+                turn *= np.sqrt(float((weight * np.abs(w - w_0) ** 2).sum()) / spread) / abs(turn)
+        shift = complex(w_0 - turn * z_0)
+        weight = weigh(np.abs(w - turn * z - shift))
+    return turn, shift
+
+
+def similarity_design(z: Complexes) -> Floats:
+    """Derivatives (2, k, 4) of turn * z + shift, east and north, by both parts of the turn and the shift."""
+    one, zero = np.ones(len(z)), np.zeros(len(z))
+    rows = [[z.real, -z.imag, one, zero], [z.imag, z.real, zero, one]]
+    return np.stack([np.stack(row, axis=-1) for row in rows])
 
 
 @dataclass(frozen=True)
@@ -34,33 +68,30 @@ class Similarity3D:
     shift: Floats
 
     def of(self, points: Floats) -> Floats:
-        """Points (n, 3) moved."""
+        """Transformed points (n, 3)."""
         return np.asarray(self.scale * points @ self.rotation.T + self.shift)
 
     @classmethod
     def through(cls, points: Floats, to: Floats) -> Similarity3D | None:
-        """The robust similarity that takes points (n, 3) nearest to others (n, 3), n >= 3.
+        """The robust similarity from points (n, 3) to others (n, 3); None for fewer than 3 or on a line.
 
-        None where the points are fewer or lie on a line. Begun from the three points with the least median
-        miss (Rousseeuw 1984), then re-weighted with Cauchy's function about the median miss; each fit after
-        Umeyama 1991, section 4.
+        The start is the triple with the least median residual (Rousseeuw 1984); Cauchy's weights about the
+        median residual follow. Each fit is Umeyama's (1991, section 4).
         """
-        if len(points) < 3 or _on_a_line(points) or _on_a_line(to):
+        if len(points) < 3 or _collinear(points) or _collinear(to):
             return None
-        best, least = cls._weighted(points, to, np.ones(len(points))), np.inf
-        for triple in list(combinations(range(len(points)), 3))[:_MOST_TRIPLES]:
+        tried = [cls._weighted(points, to, np.ones(len(points)))]
+        for triple in islice(combinations(range(len(points)), 3), _MOST_TRIPLES if len(points) > 3 else 0):
             some = list(triple)
-            if _on_a_line(points[some]):
-                continue
-            tried = cls._weighted(points[some], to[some], np.ones(3))
-            miss = float(np.median(np.linalg.norm(tried.of(points) - to, axis=1)))
-            if len(points) > 3 and miss < least:
-                best, least = tried, miss
+            if not _collinear(points[some]):
+                tried.append(cls._weighted(points[some], to[some], np.ones(3)))
+        best = min(tried[1:] or tried, key=lambda t: float(np.median(t._residual(points, to))))
         for _ in range(_ROUNDS):
-            miss = np.linalg.norm(best.of(points) - to, axis=1)
-            typical = max(float(np.median(miss)), 1e-9)
-            best = cls._weighted(points, to, 1.0 / (1.0 + (miss / (3.0 * typical)) ** 2))
+            best = cls._weighted(points, to, cauchy_about_median(best._residual(points, to), 3.0))
         return best
+
+    def _residual(self, points: Floats, to: Floats) -> Floats:
+        return np.asarray(np.linalg.norm(self.of(points) - to, axis=1))
 
     @classmethod
     def _weighted(cls, points: Floats, to: Floats, weight: Floats) -> Similarity3D:
@@ -75,6 +106,6 @@ class Similarity3D:
         return cls(scale, rotation, there - scale * rotation @ middle)
 
 
-def _on_a_line(points: Floats) -> bool:
+def _collinear(points: Floats) -> bool:
     sizes = singular_values(points - points.mean(axis=0))[1]
     return bool(sizes[1] <= _COLLINEAR * sizes[0])

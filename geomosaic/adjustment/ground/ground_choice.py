@@ -1,4 +1,4 @@
-"""The ground that goes with a solved bundle: a DEM, flat land, or the surface of the tie points."""
+"""The ground of an adjusted block: a DEM, a level plane, or the surface of the tie points."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.ground.tie_surface import level_m, tie_surface
+from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
+from geomosaic.estimation.robust import irls
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
@@ -20,64 +21,37 @@ from geomosaic.spread import Spread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-DEM_SD_M = tuned(
-    1.0,
-    "m",
-    "what a DEM without a stated deviation is good to: national models of 1 to 10 m nodes state less,"
-    " those of satellites more",
-)
-LEAST_POINTS = tuned(
-    50,
-    "points",
-    "fewer make no surface: a dozen nodes of three points each, and some to judge it by",
-)
-_SEEN_THRICE = tuned(
-    0.1,
-    "share of the tie points",
-    "seen in three frames or more, without which nothing distinguishes relief from tilts",
-)
-_AS_WELL = tuned(
-    1.1,
-    "times the image deviation",
-    "of the free block, up to which one that is bound to level ground fits as well: with less, level "
-    "land would get a surface that follows noise",
-)
-_NEAR_FLAT = tuned(
-    3.0,
-    "px",
-    "that relief may move the image by where land counts as flat: with more, hills would be pressed flat",
-)
-_FLAT_PX = tuned(0.5, "ground pixels", "that relief may move points by on flat land: less is not seen")
-_LEVEL = sourced(
-    11.3,
-    "variances of the free block",
-    "by which the squares of heights or tilts may grow if it is bound to level ground, three degrees "
-    "of freedom: the block's level and its two tilts. Over land that slopes by 3 degrees they grow by"
-    " 70 and more, over level land by 1",
-    "chi-squared, 3 degrees of freedom, 99 %",
-)
+DEM_SD_M = tuned(1.0, "m", "of a DEM that states no deviation; national models are better, satellites' worse")
+LEAST_POINTS = tuned(50, "points", "fewer make no surface: a dozen nodes, and some points to judge it by")
+_SEEN_THRICE = tuned(0.1, "share of the points", "in three frames; fewer: tilts and relief are not separable")
+_AS_WELL = tuned(1.1, "of the free image deviation", "less: level land gets a surface that follows noise")
+_NEAR_FLAT = tuned(3.0, "times the relief of flat land", "median of the points; more: hills are pressed flat")
+_FLAT_PX = tuned(0.5, "ground pixels", "offset by the relief of flat land; less does not show")
+_LEVEL = sourced(11.3, "variances", "growth of heights or tilts over level land", "chi-squared, 3 dof, 99 %")
 
 
 def flying_height_m(block: Block) -> float:
+    """The median flying height."""
     return float(np.median(flying_heights_m(block.poses, block.ground)))
 
 
-def _view(block: Block) -> float:
-    """How far relief moves the middle of a frame's outer half, per metre of height."""
+def _offset_per_height(block: Block) -> float:
+    """Relief displacement in the middle of a frame's outer half, per metre of height."""
     return max(float(np.hypot(c.width_px, c.height_px)) / 4.0 / c.focal_length_px for c in block.cameras)
 
 
 def _least_relief_m(block: Block) -> float:
-    """Relief that moves a point by _FLAT_PX: less than that is flat."""
-    return _FLAT_PX * block.ground_pixel_m / _view(block)
+    return _FLAT_PX * block.ground_pixel_m / _offset_per_height(block)
 
 
 def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: Ints) -> float:
-    """How far points lie off the ground: the spread about it of the best determined quarter as solved so
-    far, less what their own deviations explain; of flat ground less each part's bend, and at most what is
-    flat. part: see `chosen_ground`."""
+    """Deviation in m of the points from the ground: the robust spread of the best determined quarter, without
+    their own deviations; over flat ground without each part's bend, and at most the relief of flat land.
+
+    Args: part (p,): see `chosen_ground`.
+    """
     flat, least_m = ground.kind == "flat", _least_relief_m(block)
-    off = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
+    off = _above(ground, bundle)
     off = off - _bends(bundle.points_m, off, part) if flat else off
     well = bundle.points_sd_m[:, 2] <= np.quantile(bundle.points_sd_m[:, 2], 0.25)
     spread = NORMAL_PER_MAD * float(np.median(np.abs(off[well] - np.median(off[well]))))
@@ -86,68 +60,75 @@ def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: In
     return float(np.clip(rough, 0.1 * least_m, least_m if flat else DEM_SD_M))
 
 
+def _above(ground: GroundSurface, bundle: Solution) -> Floats:
+    """Heights of the points above the ground, (p,)."""
+    return np.asarray(bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1]))
+
+
 def levelled(ground: GroundSurface, bundle: Solution) -> GroundSurface:
-    """The ground's own shape at the level of the points: the frames' heights are theirs, also over a DEM
-    of another datum."""
-    above = bundle.points_m[:, 2] - ground.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
-    return replace(ground, up_m=ground.up_m + level_m(above, bundle.points_sd_m[:, 2]))
+    """The ground shifted up to the robust level of the points, also of a DEM with another datum."""
+    above, sd_m = _above(ground, bundle), bundle.points_sd_m[:, 2]
+
+    def weigh(left: Floats) -> Floats:
+        scale = np.maximum(1.5 * float(np.median(np.abs(left))), sd_m)
+        return np.asarray(1.0 / (1.0 + (left / scale) ** 2) / sd_m**2)
+
+    level_m, _ = irls(np.ones((len(above), 1)), above, weigh, rounds=20)
+    return replace(ground, up_m=ground.up_m + level_m[0])
 
 
 def chosen_ground(
-    block: Block, asked: str, bundle: Solution, lengths: Ints, part: Ints
+    block: Block, setting: str, bundle: Solution, lengths: Ints, part: Ints
 ) -> tuple[GroundSurface, float]:
-    """A DEM stays; else flat at the points' own level, or their surface where relief shows: by how many
-    ground pixels it moves points is the second, NaN where not known. The surface is a rough one.
+    """The DEM; else level ground, or the rough surface of the points where relief shows. The second is the
+    root mean square offset by relief in ground pixels, NaN where unknown.
 
-    Where hardly a point is seen from three frames, frames' tilts and relief can't be distinguished, and flat
-    ground is to be tried first, see `lies_flat`.
+    With few points in three frames, tilts and relief are not separable: level ground comes first, see
+    `lies_flat`.
 
-    Args: asked: see `Settings.ground`; lengths (p,): in how many frames each point is seen; part (p,): the
-        number of the connected part of the block that each belongs to: each may lie at its own level.
+    Args: setting: see `Settings.ground`; lengths (p,): frames of each point; part (p,): its connected part of
+        the block, with a level of its own.
     """
     if block.ground.kind == "dem":
         return block.ground, float("nan")
     flat, points = levelled(block.ground, bundle), bundle.points_m
     few = len(points) < LEAST_POINTS
-    if asked == "flat" or few or (asked == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
+    if setting == "flat" or few or (setting == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
         return flat, float("nan")
     surface = surface_of(block, flat, bundle, rough=True)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
-    relief_px = _moves_px(block, relief - _bends(points, relief, part))
-    return surface if asked == "tie_surface" or relief_px > _FLAT_PX else flat, relief_px
+    relief_px = _offset_px(block, relief - _bends(points, relief, part))
+    return surface if setting == "tie_surface" or relief_px > _FLAT_PX else flat, relief_px
 
 
-def _moves_px(block: Block, relief: Floats) -> float:
-    """By how many ground pixels relief (p,) in metres moves points, root mean square."""
-    return _view(block) * float(np.sqrt(np.mean(np.square(relief)))) / block.ground_pixel_m
+def _offset_px(block: Block, relief: Floats) -> float:
+    """Root mean square offset of points by relief (p,) in m, in ground pixels."""
+    return _offset_per_height(block) * float(np.sqrt(np.mean(np.square(relief)))) / block.ground_pixel_m
 
 
 def surface_and_relief(block: Block, flat: GroundSurface, bundle: Solution) -> tuple[GroundSurface, float]:
-    """The rough surface of the points, and by how many ground pixels its relief moves them, bends and all."""
+    """The rough surface of the points, and the offset by its relief in ground pixels, bends included."""
     surface = surface_of(block, flat, bundle, rough=True)
     up_m = surface.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
-    return surface, _moves_px(block, up_m - np.median(up_m))
+    return surface, _offset_px(block, up_m - np.median(up_m))
 
 
 def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution) -> bool:
-    """Whether flat ground explains the images as well as free points do: the image residuals don't grow,
-    most points come to lie on it, no bend stays that images could have given up (a block without height
-    control may have bent so: drawn to level ground it straightens, but over a land that is bent), and neither
-    tilts nor heights leave what POS says of them, as far as it is believed beside free points: land that
-    slopes would tilt the whole block."""
-    off_m = np.abs(bound.points_m[:, 2] - flat.up_at(bound.points_m[:, 0], bound.points_m[:, 1]))
+    """Whether level ground explains the images as well as free points: image residuals, tilts and heights do
+    not grow, most points lie on it, and no relief remains. Sloping land would tilt the whole block."""
+
+    def growth(group: str, numbers: int) -> float:
+        """Of a group's squared residuals in variances; numbers: of them a frame."""
+        shares = (bound.components[group] / free.components[group]) ** 2 - 1.0
+        return shares * numbers * float((~bound.left_out).sum())
+
     return bool(
         bound.components[IMAGE] < _AS_WELL * free.components[IMAGE]
-        and np.median(off_m) < _NEAR_FLAT * _least_relief_m(block)
-        and all(_grown(free, bound, g, n) < _LEVEL for g, n in (("tilt", 2), ("vertical", 1)))
+        and np.median(np.abs(_above(flat, bound))) < _NEAR_FLAT * _least_relief_m(block)
+        and growth("tilt", 2) < _LEVEL
+        and growth("vertical", 1) < _LEVEL
         and surface_and_relief(block, flat, bound)[1] <= _FLAT_PX
     )
-
-
-def _grown(free: Solution, bound: Solution, group: str, numbers: int) -> float:
-    """By how many variances the squares of a group's misses have grown, of so many numbers a frame."""
-    shares = (bound.components[group] / free.components[group]) ** 2 - 1.0
-    return shares * numbers * float((~bound.left_out).sum())
 
 
 def surface_of(
@@ -158,8 +139,8 @@ def surface_of(
     rough: bool = False,
     spread: Spread | None = None,
 ) -> GroundSurface:
-    """The surface of the points, over all that points and frames cover; flat: about their level; rough,
-    spread: see `tie_surface`."""
+    """The surface of the points over all points and frames; flat: their level; rough, spread: see
+    `tie_surface`."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
@@ -169,16 +150,12 @@ def surface_of(
 
 
 def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:
-    """What of the relief each part of a block without height control may have bent in, (p,)."""
+    """The nearest paraboloid to the relief in each part (p,): a block without height control may bend so."""
     out = np.zeros(len(points))
     for k in np.unique(part):
-        out[part == k] = _bend(points[part == k], relief[part == k])
+        mine = part == k
+        extent_m = max(float(np.ptp(points[mine, :2], axis=0).max()), 1.0)
+        e, n = ((points[mine, :2] - points[mine, :2].mean(axis=0)) / extent_m).T
+        terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
+        out[mine] = terms @ least_squares(terms, relief[mine])
     return out
-
-
-def _bend(points: Floats, relief: Floats) -> Floats:
-    """The paraboloid that is nearest to the relief."""
-    extent_m = max(float(np.ptp(points[:, :2], axis=0).max()), 1.0)
-    e, n = ((points[:, :2] - points[:, :2].mean(axis=0)) / extent_m).T
-    terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
-    return np.asarray(terms @ least_squares(terms, relief))

@@ -1,4 +1,4 @@
-"""All offsets at once, weighted, with POS as priors: one sparse solve."""
+"""All offsets at once by weighted least squares, with GNSS positions as priors."""
 
 from __future__ import annotations
 
@@ -12,50 +12,31 @@ from geomosaic.estimation.linear import SparseFactors
 
 Floats = NDArray[np.float64]
 _HUBER = sourced(
-    1.5,
-    "deviations",
-    "beyond which a misalignment pulls no harder: with 1.345 a normal error loses 5 % of its say, "
-    "with more, wrong pairs pull",
-    "chosen above Huber's 1.345 (Huber 1981, Robust statistics)",
+    1.5, "deviations", "full weight up to here; more: wrong pairs pull", "Huber 1981, about 1.345"
 )
 
 
 def least_squares(
     net: OffsetNet, prior_sd_m: Floats, pair_sd_m: Floats, rounds: int = 8
 ) -> tuple[Floats, Floats]:
-    """Moves that minimise sum (move / prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho.
+    """Moves (n, 2) and their standard deviations (n,) per axis, in metres.
 
-    A pair observes the difference of two moves: minus the median of its tie points' differences.
-    Since each frame has a prior, no frame is the base, and what the pairs carry along a line is held
-    by every frame's own position: the error stays level instead of growing.
+    The minimum of sum (move / prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho. A pair observes the
+    difference of two moves as the median over its tie points. Priors keep errors from growing along a line.
 
-    Args: prior_sd_m (n,): how far a frame's POS may put its ground off; pair_sd_m (m,): how far a
-        pair's mean disagreement may be from a pure offset.
-    Returns: moves (n, 2) and their standard deviations (n,), the same in east and north.
+    Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU; pair_sd_m (m,): of a pair's mean
+        difference about a pure offset.
     """
-    a, b = net.pairs.T
-    observed = -np.array(
-        [np.median(net.differences_m(p, np.zeros((net.n, 2))), axis=0) for p in range(len(a))]
-    )
-    observed = observed.reshape(-1, 2)
-    m = len(a)
-    design = coo_matrix(
-        (np.concatenate([-np.ones(m), np.ones(m)]), (np.tile(np.arange(m), 2), np.concatenate([a, b]))),
-        shape=(m, net.n),
-    ).tocsc()
-    weight = 1.0 / pair_sd_m**2
-    moves = np.zeros((net.n, 2))
+    m, still = len(net.pairs), np.zeros((net.n, 2))
+    observed = -np.array([np.median(net.differences_m(p, still), axis=0) for p in range(m)]).reshape(-1, 2)
+    entries = np.concatenate([-np.ones(m), np.ones(m)])
+    rows = np.tile(np.arange(m), 2)
+    design = coo_matrix((entries, (rows, net.pairs.T.ravel())), shape=(m, net.n)).tocsc()
+    weight, moves = 1.0 / pair_sd_m**2, still
     for _ in range(rounds):
-        normal = (design.T @ diags(weight) @ design + diags(1.0 / prior_sd_m**2)).tocsc()
-        solver = SparseFactors(normal)
+        solver = SparseFactors((design.T @ diags(weight) @ design + diags(1.0 / prior_sd_m**2)).tocsc())
         moves = solver.solve(np.asarray(design.T @ (weight[:, None] * observed)))
         miss = np.linalg.norm(design @ moves - observed, axis=1) / pair_sd_m
         weight = np.minimum(1.0, _HUBER / np.maximum(miss, 1e-9)) / pair_sd_m**2
-    sd = np.sqrt([solver.solve(_unit(net.n, i))[i] for i in range(net.n)])
-    return np.asarray(moves), np.asarray(sd)
-
-
-def _unit(n: int, i: int) -> Floats:
-    e = np.zeros(n)
-    e[i] = 1.0
-    return e
+    variance = [solver.solve(np.eye(1, net.n, i)[0])[i] for i in range(net.n)]
+    return np.asarray(moves), np.sqrt(variance)

@@ -1,9 +1,10 @@
-"""How far two frames disagree: the paper's histogram, and a net of such disagreements."""
+"""Misalignments of pairs of frames on the ground: the paper's histogram, and the net of all pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,31 +20,28 @@ Floats = NDArray[np.float64]
 
 
 def fullest_bin_mean(differences: Floats, step: float = 1.0) -> Floats:
-    """Misalignment of a pair: the mean of the fullest histogram bin, each axis by itself.
+    """Misalignment (2,) of a pair: the mean of the fullest histogram bin, each axis by itself.
 
-    Yue et al. 2021, equation 5: differences of tie-point coordinates counted in bins of one pixel;
-    the mean of those in the fullest bin. Of equally full bins the one nearest the median counts.
+    Yue et al. 2021, equation 5. Of equally full bins the one nearest the median counts.
 
-    Args: differences (k, 2), k >= 1, in the unit of `step`. Returns: (2,).
+    Args: differences (k, 2), k >= 1, of tie points, in the unit of `step`, the width of a bin.
     """
     out = np.empty(2)
-    for axis in range(2):
-        values = differences[:, axis]
+    for axis, values in enumerate(differences.T):
         bins = np.floor(values / step).astype(np.int64)
         names, counts = np.unique(bins, return_counts=True)
         fullest = names[counts == counts.max()]
-        middle = np.median(values) / step
-        chosen = fullest[np.abs(fullest + 0.5 - middle).argmin()]
+        chosen = fullest[np.abs(fullest + 0.5 - np.median(values) / step).argmin()]
         out[axis] = values[bins == chosen].mean()
     return out
 
 
 @dataclass(frozen=True)
 class OffsetNet:
-    """A block seen as frames that slide over the map.
+    """A block as n frames that shift over the map.
 
-    pairs: (m, 2) frame indices. left_m, right_m: per pair (k, 2) east and north of the tie points as
-    each frame places them before any move.
+    pairs: (m, 2) frame indices, the lower first. left_m, right_m: per pair (k, 2) east and north of the tie
+    points by either frame before any move. step_m: width of the histogram's bins.
     """
 
     n: int
@@ -53,13 +51,12 @@ class OffsetNet:
     step_m: float
 
     def differences_m(self, pair: int, moves_m: Floats) -> Floats:
-        """Right minus left (k, 2) of one pair once frames have moved by moves_m (n, 2)."""
+        """Right minus left (k, 2) of one pair after the frames' moves_m (n, 2)."""
         a, b = self.pairs[pair]
         return np.asarray(self.right_m[pair] - self.left_m[pair] + (moves_m[b] - moves_m[a]))
 
     def misalignment_m(self, pair: int, moves_m: Floats, seen_from: int | None = None) -> Floats:
-        """Fullest-bin misalignment (2,) of one pair, bins of step_m: right minus left, or the other
-        frame minus `seen_from`."""
+        """Misalignment (2,) of one pair: right minus left, or the other frame minus `seen_from`."""
         m = fullest_bin_mean(self.differences_m(pair, moves_m), self.step_m)
         return m if seen_from in (None, self.pairs[pair][0]) else -m
 
@@ -67,38 +64,38 @@ class OffsetNet:
         """Misalignment of every pair, (m, 2)."""
         return np.array([self.misalignment_m(p, moves_m) for p in range(len(self.pairs))]).reshape(-1, 2)
 
-    @property
+    @cached_property
     def edges(self) -> list[tuple[int, int]]:
         """The pairs as plain tuples."""
         return [(int(a), int(b)) for a, b in self.pairs]
+
+    @cached_property
+    def pair_of(self) -> dict[tuple[int, int], int]:
+        """The number of the pair of two frames, in either order."""
+        return {pair: p for p, (a, b) in enumerate(self.edges) for pair in ((a, b), (b, a))}
 
 
 def ties_on_ground(
     block: Block, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Where each pair's left and its right frame put its tie points, east and north, (k, 2) each; NaN where a
-    ray misses. A keypoint of several pairs goes down to the ground once."""
-    seen = TiePairs.of(block.ties.pairs)
-    frame = seen.frame.astype(np.intp)
-    plan_m = ground_from_images(frame, seen.image_px, poses, cameras, ground)[:, :2].copy()
-    for left, right in seen.ends:
+    """East and north (k, 2) of each pair's tie points by its left and its right frame, NaN where a ray misses
+    the ground."""
+    ties = TiePairs.of(block.ties.pairs)
+    plan_m = ground_from_images(ties.frame.astype(np.intp), ties.image_px, poses, cameras, ground)[:, :2]
+    plan_m = plan_m.copy()
+    for left, right in ties.ends:
         yield plan_m[left], plan_m[right]
 
 
 def offset_net(block: Block) -> OffsetNet:
-    """Projects a block's tie points to the ground once; points that miss it are left out."""
+    """The net of a block's tie points on the ground; points that miss it are left out."""
     left, right, pairs = [], [], []
     on_ground = ties_on_ground(block, block.poses, block.cameras, block.ground)
     for pair, (a, b) in zip(block.ties.frames, on_ground, strict=True):
-        seen = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-        if seen.any():
+        hit = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+        if hit.any():
             pairs.append(pair)
-            left.append(a[seen])
-            right.append(b[seen])
-    return OffsetNet(
-        n=len(block.names),
-        pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
-        left_m=tuple(left),
-        right_m=tuple(right),
-        step_m=block.ground_pixel_m,
-    )
+            left.append(a[hit])
+            right.append(b[hit])
+    both = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return OffsetNet(len(block.names), both, tuple(left), tuple(right), block.ground_pixel_m)

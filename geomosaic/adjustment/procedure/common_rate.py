@@ -1,4 +1,4 @@
-"""What frames' own rates of turning have in common beside reported ones: the zero of the gyroscope."""
+"""The zero offset of the gyroscope: the common part of the frames' own rotation rates."""
 
 from __future__ import annotations
 
@@ -11,19 +11,13 @@ from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.constants import tuned
 
-_LEAST_FRAMES = tuned(5, "frames", "of which a median is no chance")
-_OWN_SD_RAD_PER_S = tuned(
-    0.012,
-    "rad/s",
-    "of a frame's own rate beside the zero: a delay that is a millisecond off, times 10 rad/s² in gusts",
-)
+_LEAST_FRAMES = tuned(5, "frames", "fewer: the median is chance")
+_OWN_SD_RAD_PER_S = tuned(0.012, "rad/s", "of a frame about the offset: 1 ms of delay in 10 rad/s²")
 
 
 def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tuple[Block, Settings]:
-    """The block whose reported turns hold the median of the frames' own rates in camera axes too, and
-    settings by which these keep near it.
-
-    Each frame's own rate, free within what a gyroscope's zero may be off, costs a small block its shape.
+    """The block with the median of the frames' own rates, in camera axes, added to the reported rotations,
+    and settings with a narrower prior of own rates. Rates as free as the offset weaken small blocks.
     """
     if not solved.estimate.swing_rad.shape[1] or block.poses.turns is None:
         return block, settings

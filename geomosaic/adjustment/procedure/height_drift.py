@@ -1,4 +1,4 @@
-"""Heights that drift by weather or jump with a battery, distinguished from ground that the images show."""
+"""Drifts and jumps of reported heights (weather, a new battery), detected against the adjusted block."""
 
 from __future__ import annotations
 
@@ -15,28 +15,18 @@ from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Warn
 
 Floats = NDArray[np.float64]
-_LEAST = tuned(4, "frames", "of which a drift can be distinguished from noise")
-_DRIFTS = tuned(3.0, "stated deviations of a height", "what is less, the heights' own deviation covers")
-_DRIFTS_CLEARLY = tuned(
-    5.0,
-    "its own deviations",
-    "of the jump or slope that fits best of as many as there are frames: with less, one would be "
-    "found by chance",
-)
-_MOST = tuned(
-    4,
-    "jumps and slopes",
-    "a flight of two batteries and a wrong barometer has two of each; more would follow the noise",
-)
+_LEAST = tuned(4, "frames", "fewer: a drift is not separable from noise")
+_DRIFTS = tuned(3.0, "stated deviations of a height", "less is covered by the heights' own deviation")
+_CLEARLY = tuned(5.0, "its own deviations", "of the best of as many jumps as frames; less: chance")
+_MOST = tuned(4, "jumps and slopes", "two batteries and a wrong barometer have two of each; more: noise")
 
 
 @dataclass(frozen=True)
 class HeightDrift:
-    """By how much reported heights go astray in order of flight.
+    """Drift of reported heights in order of flight.
 
-    order (n,): frames by time. metres (n,): of each, without their mean, which says where the block lies.
-    parts: the largest first, its rise in metres and the place in `order` behind which it jumps, or None for
-    a slope from end to end.
+    order (n,): frames by time. metres (n,): drift of each, with mean 0. parts: the largest first: rise in m,
+    and the place in `order` behind which it jumps, or None for a slope from end to end.
     """
 
     order: NDArray[np.intp]
@@ -44,13 +34,13 @@ class HeightDrift:
     parts: tuple[tuple[float, int | None], ...]
 
     def freed(self, block: Block) -> Block:
-        """The block with heights that drift no longer."""
+        """The block with heights without the drift."""
         at = block.poses.positions_m.copy()
         at[self.order, 2] -= self.metres
         return replace(block, poses=replace(block.poses, positions_m=at))
 
     def warnings(self, block: Block) -> list[Warn]:
-        """The largest part in words."""
+        """The largest part as a warning."""
         if not self.parts:
             return []
         rise_m, jump = self.parts[0]
@@ -65,77 +55,69 @@ class HeightDrift:
         return [Warn("heights-drift", first, f"{text}; set by the images")]
 
 
-def height_drift(block: Block, poses: Poses, seen: NDArray[np.intp]) -> HeightDrift:
-    """What reported minus solved heights of the frames `seen` do in order of flight.
+def height_drift(block: Block, poses: Poses, frames: NDArray[np.intp]) -> HeightDrift:
+    """The drift of reported minus adjusted heights of the given frames, as slopes and jumps.
 
-    One after the other, whichever explains most: a line through all, or a jump (another battery, another
-    zero), or both where neither alone does; as long as each is more than three stated deviations of a height,
-    and more than five of its own.
+    Forward selection: a line, a jump, or both at once where neither suffices, as long as each rise exceeds
+    three stated deviations of a height and five of its own.
     """
-    known = set(seen[~position_assumed(block.poses)[seen]].tolist())
+    known = set(frames[~position_assumed(block.poses)[frames]].tolist())
     order = np.array([i for i in block.sequence if i in known], dtype=np.intp)
     n = len(order)
     if n < _LEAST:
         return HeightDrift(order, np.zeros(n), ())
     off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
     off_m -= off_m.mean()
-    stated_m = float(np.median(block.poses.positions_sd_m[order, 2]))
+    least_m = _DRIFTS * float(np.median(block.poses.positions_sd_m[order, 2]))
     parts: tuple[int, ...] = ()
     rises = np.zeros(0)
-    while grown := _grown(off_m, parts, _DRIFTS * stated_m):
+    while grown := _with_one_more(off_m, parts, least_m):
         parts, rises = grown
     by_size = sorted(zip(rises.tolist(), parts, strict=True), key=lambda part: -abs(part[0]))
-    metres = rises @ _shapes(parts, n) if parts else np.zeros(n)
-    return HeightDrift(order, metres, tuple((r, k or None) for r, k in by_size))
+    return HeightDrift(order, rises @ _shapes(parts, n), tuple((r, k or None) for r, k in by_size))
 
 
-def _grown(off_m: Floats, parts: tuple[int, ...], least_m: float) -> tuple[tuple[int, ...], Floats] | None:
-    """The parts with the one more that explains most, or with a line and a jump more where no one alone is
-    enough, and the rises of all; None where none is large and sure enough."""
+def _with_one_more(
+    off_m: Floats, parts: tuple[int, ...], least_m: float
+) -> tuple[tuple[int, ...], Floats] | None:
+    """The parts with the best one added, or a line and the best jump, and all rises (k,) in m; None where
+    none is large and significant."""
     for line in ((), (0,)):
-        beside = (*parts, *line)
-        if len(set(beside)) < len(beside) or len(beside) >= min(_MOST, len(off_m) - 3):
+        others = (*parts, *line)
+        if len(set(others)) < len(others) or len(others) >= min(_MOST, len(off_m) - 3):
             continue
-        tried = (*beside, _most_explaining(off_m, beside))
-        rises, sds = _fit(_shapes(tried, len(off_m)), off_m)
-        if (np.abs(rises) > np.maximum(least_m, _DRIFTS_CLEARLY * sds))[len(parts) :].all():
+        tried = (*others, _best(off_m, others))
+        shapes = _shapes(tried, len(off_m))
+        rises = least_squares(shapes.T, off_m)
+        left = float(((off_m - rises @ shapes) ** 2).sum())
+        sds = np.sqrt(np.diag(inverse(shapes @ shapes.T)) * left / (len(off_m) - 1 - len(rises)))
+        if (np.abs(rises) > np.maximum(least_m, _CLEARLY * sds))[len(parts) :].all():
             return tried, rises
     return None
 
 
 def _shapes(parts: tuple[int, ...], n: int) -> Floats:
-    """A line (0), and jumps behind the k-th frame, that rise by 1 and have no mean, (parts, n)."""
+    """A line (0), and jumps behind the k-th frame, that rise by 1 with mean 0, (parts, n)."""
     along = np.arange(n)
     shapes = [along / (n - 1.0) if k == 0 else (along > k).astype(np.float64) for k in parts]
     return np.array([s - s.mean() for s in shapes]).reshape(len(parts), n)
 
 
-def _most_explaining(off_m: Floats, beside: tuple[int, ...]) -> int:
-    """Which line or jump takes most off the squares that those beside it leave.
+def _best(off_m: Floats, others: tuple[int, ...]) -> int:
+    """The line or jump that reduces the squares most, given the other parts.
 
-    All jumps at once, by running sums: what a jump has in common with a course without mean is the sum of
-    the course behind it.
+    All jumps at once, by running sums: a jump's product with a vector of mean 0 is the sum behind the jump.
     """
     n = len(off_m)
-    q = orthonormal(_shapes(beside, n).T)
+    (line,), q = _shapes((0,), n), orthonormal(_shapes(others, n).T)
     behind = np.arange(1, n - 2)  # two frames at least on either side
 
-    def common(course: Floats) -> Floats:
-        sums = course.sum(axis=0) - np.cumsum(course, axis=0)
-        return np.concatenate([_shapes((0,), n) @ course, sums[behind]])
+    def products(vectors: Floats) -> Floats:
+        sums = vectors.sum(axis=0) - np.cumsum(vectors, axis=0)
+        return np.concatenate([line[None] @ vectors, sums[behind]])
 
-    line = _shapes((0,), n)[0]
     squares = np.concatenate([[line @ line], (behind + 1.0) * (n - 1.0 - behind) / n])
-    free = squares - (common(q) ** 2).sum(axis=1)
-    gain = common((off_m - q @ (q.T @ off_m))[:, None])[:, 0] ** 2 / np.where(
-        free > 1e-9 * squares, free, np.inf
-    )
+    free = squares - (products(q) ** 2).sum(axis=1)
+    along = products((off_m - q @ (q.T @ off_m))[:, None])[:, 0]
+    gain = along**2 / np.where(free > 1e-9 * squares, free, np.inf)
     return int(np.concatenate([[0], behind])[gain.argmax()])
-
-
-def _fit(shapes: Floats, off_m: Floats) -> tuple[Floats, Floats]:
-    """By least squares: how much of each shape (k, n) there is, and its deviation."""
-    found = least_squares(shapes.T, off_m)
-    left = float(((off_m - found @ shapes) ** 2).sum())
-    cofactors = np.diag(inverse(shapes @ shapes.T))
-    return np.asarray(found), np.asarray(np.sqrt(cofactors * left / (len(off_m) - 1 - len(found))))

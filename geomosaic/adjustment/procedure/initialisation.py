@@ -1,4 +1,4 @@
-"""Where a bundle begins: the frames' shape from the images, laid onto the positions part by part."""
+"""Initial poses: relative orientation in the plane from the images, georeferenced part by part."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix, diags
 
 from geomosaic.adjustment.kernels.nested_dissection import Dissected
 from geomosaic.adjustment.model import Block
@@ -15,6 +15,7 @@ from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, la
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import tuned
+from geomosaic.estimation.similarity import similarity_design
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, position_assumed
@@ -24,55 +25,18 @@ from geomosaic.projection.footprint import ground_from_images
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_MOST_TIES = tuned(
-    60,
-    "tie points a pair",
-    "taken for the start: a similarity of two frames takes two, the others outvote wrong ones; more "
-    "take time alone",
-)
-_ROUNDS = tuned(
-    4,
-    "rounds",
-    "of shape by the ties, then laying on the positions: the first hears no position, the later ones "
-    "those that fit; with fewer a long line stays bent",
-)
-_OF_A_PAIR = tuned(
-    6.0,
-    "independent tie points",
-    "what a pair's tie points say together at most: they miss alike, by the frames' tilts; if each "
-    "counted, positions would have no say",
-)
-_LOCAL_SCALE_SD = tuned(
-    0.1,
-    "share of the scale",
-    "how far a frame's scale may go from what the pairs' average says: along a line of frames that all "
-    "look 5 degrees ahead each pair's is off by some per cent, one way; with more, frames shrink to "
-    "please ties",
-)
-_LOCAL_TURN_SD = tuned(
-    0.1,
-    "rad",
-    "how far a frame's turn may go from what the pairs' average says; with more, a long line bends to "
-    "please its ties",
-)
-_CAUCHY = tuned(
-    3.0,
-    "deviations of a tie point",
-    "where its weight is a half: with less, ties that tilts put aside lose their say; with more, wrong "
-    "matches keep it",
-)
-_ANYWHERE = tuned(
-    100.0,
-    "flying heights; for its scale the share",
-    "that a frame without a position may be off: nothing beside the ties, but it holds a part that "
-    "nothing else holds; with less it would draw the block to where the frame was assumed to be",
-)
+_MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
+_ROUNDS = tuned(4, "rounds", "of shape, then georeferencing; fewer: a long line stays bent")
+_OF_A_PAIR = tuned(6.0, "independent tie points", "of a pair, whose errors are alike; more outvote positions")
+_LOCAL_SD = tuned(0.1, "rad, share of the scale", "of a frame about the pairs' mean; more: lines bend")
+_CAUCHY = tuned(3.0, "deviations of a tie point", "less: tilted frames lose ties; more: blunders keep weight")
+_ANYWHERE = tuned(100.0, "flying heights; of the scale the share", "deviation without a position; less pulls")
 
 
 @dataclass(frozen=True)
 class _Ties:
-    """Tie points of a part, each pair thinned: frames a and b (m,), their places (m,) east + i north from the
-    frames' nadir points, and what each may be off by (m,)."""
+    """Thinned tie points of a part: frames a and b (m,), east + i north (m,) from either nadir point, and
+    their deviations (m,)."""
 
     a: Ints
     b: Ints
@@ -82,46 +46,31 @@ class _Ties:
 
 
 def start_poses(block: Block, net: OffsetNet) -> Poses:
-    """Frames turned, scaled and shifted over the ground so that the images agree, each connected part laid
-    onto its positions as one.
+    """Poses turned, scaled and shifted over the ground until the images agree; attitudes stay level.
 
-    A camera's heading may be wrong by any angle and its height by any factor: both come from the pairs. What
-    a part has in common, scale, turn and place, comes from its positions by one robust similarity, and from
-    headings and heights as far as their deviations go; ties that shrink have no way of pleasing themselves.
+    Headings and heights of single frames may be wrong by any amount: both come from the pairs. Each connected
+    part is georeferenced by one robust similarity to positions, headings and heights, or to control points
+    where no frame has a position.
     """
-    poses = block.poses
+    poses, edges = block.poses, net.edges
     height = flying_heights_m(poses, block.ground)
     nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
     turn, place = np.ones(len(nadir), np.complex128), nadir.copy()
-    edges = net.edges
-    whole = zip(net.left_m, net.right_m, edges, strict=True)
-    joints = joints_of(edges, ((p @ [1, 1j] - nadir[a], q @ [1, 1j] - nadir[b]) for p, q, (a, b) in whole))
-    left = [_thinned(p) @ [1, 1j] - nadir[a] for p, (a, _) in zip(net.left_m, edges, strict=True)]
-    right = [_thinned(p) @ [1, 1j] - nadir[b] for p, (_, b) in zip(net.right_m, edges, strict=True)]
+    all_m = zip(net.left_m, net.right_m, edges, strict=True)
+    joints = joints_of(edges, ((p @ [1, 1j] - nadir[a], q @ [1, 1j] - nadir[b]) for p, q, (a, b) in all_m))
     shape = averaged(net.n, joints)
-    tilt = np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5)
-    position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), height * tilt)
-    assumed = position_assumed(poses)
-    beliefs = Beliefs(
-        nadir,
-        np.where(assumed, _ANYWHERE * height, position_sd_m),
-        np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
-        _scale_sd(block, height),
-    )
+    assumed, priors = position_assumed(poses), _priors(block, nadir, height)
     known = np.flatnonzero(~assumed)
-    positions = Fixes(known, np.zeros(len(known), np.complex128), nadir[known], position_sd_m[known])
-    control = _control_fixes(block, height * tilt)
-    for frames in connected_parts(net.n, edges):
-        if len(frames) == 1:
+    positions = Fixes(known, np.zeros(len(known), complex), nadir[known], priors.position_sd_m[known])
+    control = _control_fixes(block, height)
+    for part in connected_parts(net.n, edges):
+        if len(part) == 1:
             continue
-        inside = set(frames)
-        mine = [k for k, (a, _) in enumerate(edges) if a in inside]
-        ties = _ties([edges[k] for k in mine], [left[k] for k in mine], [right[k] for k in mine],
-                     np.maximum(joints.miss_m[mine], net.step_m), frames)  # fmt: skip
-        fixes = (positions if not assumed[frames].all() else control).of(np.array(frames))
-        turn[frames], place[frames] = _part(ties, shape[frames], beliefs.of(np.array(frames)), fixes)
-    scale = np.abs(turn)
-    up = poses.positions_m[:, 2] + (scale - 1.0) * height
+        frames = np.array(part)
+        ties = _ties(net, nadir, np.maximum(joints.miss_m, net.step_m), part)
+        fixes = (positions if not assumed[frames].all() else control).of(frames)
+        turn[frames], place[frames] = _part(ties, shape[frames], priors.of(frames), fixes)
+    up = poses.positions_m[:, 2] + (np.abs(turn) - 1.0) * height
     return replace(
         poses,
         positions_m=np.column_stack([place.real, place.imag, up]),
@@ -130,9 +79,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
 
 
 def placed_by_images(block: Block, start: Poses) -> Block:
-    """The block with its frames without position where the start has put them, as high, and headed as there
-    if they have no heading either; nothing is known of them still. Where no frame has a position, its ground
-    pixel is that of these heights."""
+    """The block with frames without position moved to their start, and headed as there without a heading;
+    their deviations stay. Without any position the ground pixel follows the new heights."""
     assumed = position_assumed(block.poses)
     if not assumed.any():
         return block
@@ -148,115 +96,95 @@ def placed_by_images(block: Block, start: Poses) -> Block:
     return replace(moved, ground_pixel_m=block.ground_pixel_m * times)
 
 
-def _control_fixes(block: Block, off_m: Floats) -> Fixes:
-    """Where control points lie in the frames that see them; off_m (n,): what these are off by their tilts."""
-    seen = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
-    frame = np.array([i for i, _, _ in seen], dtype=np.intp)
-    if not len(frame):
-        nowhere = np.zeros(0, np.complex128)
-        return Fixes(frame, nowhere, nowhere, np.zeros(0))
-    px = np.array([px for _, px, _ in seen])
+def _priors(block: Block, nadir: Complexes, height_m: Floats) -> Beliefs:
+    """Priors in plan by positions, headings, heights and focal lengths."""
+    poses, assumed = block.poses, position_assumed(block.poses)
+    position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), _by_tilt_m(poses, height_m))
+    focal = np.array([(c.focal_length_sd_px or 0.0) / c.focal_length_px for c in block.cameras])
+    height = np.minimum(poses.positions_sd_m[:, 2] / np.maximum(height_m, 1.0), 0.5)
+    return Beliefs(
+        nadir,
+        np.where(assumed, _ANYWHERE * height_m, position_sd_m),
+        np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
+        np.where(assumed, _ANYWHERE, np.hypot(height, np.maximum(focal, 0.01))),
+    )
+
+
+def _by_tilt_m(poses: Poses, height_m: Floats) -> Floats:
+    return np.asarray(height_m * np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), 0.5))
+
+
+def _control_fixes(block: Block, height_m: Floats) -> Fixes:
+    """Control points in their frames, with the deviations of the points and of the frames' tilts."""
+    marks = [(i, (col, row), c) for c in block.control if not c.check for i, col, row in c.observations]
+    marks.sort(key=lambda s: s[0])
+    frame = np.array([i for i, _, _ in marks], dtype=np.intp)
+    px = np.array([px for _, px, _ in marks], dtype=np.float64).reshape(-1, 2)
     ground_m = ground_from_images(frame, px, block.poses, block.cameras, block.ground)
     offset: Complexes = (ground_m - block.poses.positions_m[frame])[:, :2] @ np.array([1, 1j])
-    at: Complexes = np.array([c.enu_m[:2] for _, _, c in seen]) @ np.array([1, 1j])
-    sd_m = np.hypot([c.sd_m[0] for _, _, c in seen], off_m[frame])
-    hit, order = np.isfinite(offset), np.argsort(frame, kind="stable")
-    order = order[hit[order]]
-    return Fixes(frame[order], offset[order], at[order], sd_m[order])
+    at: Complexes = np.array([complex(*c.enu_m[:2]) for _, _, c in marks], complex)
+    sd_m = np.hypot([c.sd_m[0] for _, _, c in marks], _by_tilt_m(block.poses, height_m)[frame])
+    hit = np.isfinite(offset)
+    return Fixes(frame[hit], offset[hit], at[hit], sd_m[hit])
 
 
-def _scale_sd(block: Block, height_m: Floats) -> Floats:
-    """How well frames' scales are determined by their heights and focal lengths, as shares of them, (n,)."""
-    focal = np.array([(c.focal_length_sd_px or 0.0) / c.focal_length_px for c in block.cameras])
-    height = np.minimum(block.poses.positions_sd_m[:, 2] / np.maximum(height_m, 1.0), 0.5)
-    known = np.hypot(height, np.maximum(focal, 0.01))
-    return np.where(position_assumed(block.poses), _ANYWHERE, known)
-
-
-def _part(ties: _Ties, shape: Complexes, beliefs: Beliefs, fixes: Fixes) -> tuple[Complexes, Complexes]:
+def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple[Complexes, Complexes]:
     """Turn and scale, and nadir point, of each frame of a part."""
     shape, place = shape / np.exp(np.log(np.abs(shape)).mean()), np.zeros(len(shape), np.complex128)
-    own = fixes.offset == 0.0
-    trust = np.ones(len(shape))
-    trust[fixes.frame[own]] = 0.0
+    own, middle = fixes.offset == 0.0, priors.nadir.mean()
+    weight = np.ones(len(shape))
+    weight[fixes.frame[own]] = 0.0
     first, whole = shape, 1.0 + 0j
     for _ in range(_ROUNDS):
-        wanted = (beliefs.nadir - beliefs.nadir.mean()) / whole
-        shape, place = _agreed(ties, shape, first, wanted, beliefs.position_sd_m / abs(whole), trust)
-        whole, shift, heard = laid(shape, place, beliefs, fixes)
-        trust[fixes.frame[own]] = heard[own]
-        place = place + (shift - beliefs.nadir.mean()) / whole
-    return whole * shape, whole * place + beliefs.nadir.mean()
+        off, wanted = np.log(shape / first), (priors.nadir - middle) / whole
+        prior = np.column_stack([-off.real, -off.imag, wanted.real, wanted.imag])
+        prior_weight = np.full((len(shape), 4), 1.0 / _LOCAL_SD**2)
+        prior_weight[:, 2:] = (np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2)[:, None]
+        shape, place = _agreed(ties, shape, prior.ravel(), prior_weight.ravel())
+        whole, shift, of_fixes = laid(shape, place, priors, fixes)
+        weight[fixes.frame[own]] = of_fixes[own]
+        place = place + (shift - middle) / whole
+    return whole * shape, whole * place + middle
 
 
 def _agreed(
-    ties: _Ties, shape: Complexes, first: Complexes, wanted: Complexes, sd_m: Floats, trust: Floats
+    ties: _Ties, shape: Complexes, prior: Floats, prior_weight: Floats
 ) -> tuple[Complexes, Complexes]:
-    """Frames of a part turned and scaled a little, and put down, so that their tie points meet; linear.
+    """Turn and scale, and place, of a part's frames with the least distances of tie points; linear, robust.
 
-    Unknowns of a frame: the logarithm of its scale, its turn, and its place. The mean logarithm stays as it
-    is: the part as a whole can't shrink. Places are drawn to those wanted as far as they are trusted, which
-    keeps a long line from bending.
+    Unknowns of a frame: steps of the logarithm of its scale and of its turn, and its place. The mean
+    logarithm is fixed, so that the part does not shrink; priors (4 n,) of places keep long lines straight.
     """
     n, m = len(shape), len(ties.a)
-    row = np.arange(m)
-    g_a, g_b = shape[ties.a] * ties.z_a, -shape[ties.b] * ties.z_b
-    one = np.ones(m)
-    # Rows: east parts of all ties, then north parts. A frame's step (s + i t) moves g to g (1 + s + i t).
-    entries = [
-        (row, 4 * ties.a, g_a.real), (row, 4 * ties.a + 1, -g_a.imag), (row, 4 * ties.a + 2, one),
-        (row, 4 * ties.b, g_b.real), (row, 4 * ties.b + 1, -g_b.imag), (row, 4 * ties.b + 2, -one),
-        (row + m, 4 * ties.a, g_a.imag), (row + m, 4 * ties.a + 1, g_a.real), (row + m, 4 * ties.a + 3, one),
-        (row + m, 4 * ties.b, g_b.imag), (row + m, 4 * ties.b + 1, g_b.real), (row + m, 4 * ties.b + 3, -one),
-    ]  # fmt: skip
-    rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    design = coo_matrix((values, (rows, columns)), shape=(2 * m, 4 * n)).tocsc()
-    apart = -(g_a + g_b)
-    side = np.concatenate([apart.real, apart.imag])
-    off = np.log(shape / first)
-    prior = np.column_stack([-off.real, -off.imag, wanted.real, wanted.imag]).ravel()
-    sd = np.column_stack([np.full(n, _LOCAL_SCALE_SD), np.full(n, _LOCAL_TURN_SD), sd_m, sd_m]).ravel()
-    prior_weight = (
-        np.column_stack([np.ones((n, 2)), np.tile(np.maximum(trust, 1e-6)[:, None], 2)]).ravel() / sd**2
-    )
+    g_a, g_b = shape[ties.a] * ties.z_a, shape[ties.b] * ties.z_b
+    values = np.concatenate([similarity_design(g_a), -similarity_design(g_b)], axis=2)
+    columns = np.concatenate([4 * k[:, None] + np.arange(4) for k in (ties.a, ties.b)], axis=1)
+    starts = np.arange(0, values.size + 1, 8)
+    design = csr_matrix((values.ravel(), np.tile(columns.ravel(), 2), starts), shape=(2 * m, 4 * n)).tocsc()
+    design.eliminate_zeros()
+    side, total = np.concatenate([(g_b - g_a).real, (g_b - g_a).imag]), np.tile([1.0, 0.0, 0.0, 0.0], n)
     tie_weight, x = 1.0 / ties.sd_m**2, np.zeros(4 * n)
     for _ in range(3):
         weight = np.tile(tie_weight, 2)
-        normal = design.T @ design.multiply(weight[:, None]).tocsc() + coo_matrix(
-            (prior_weight, (np.arange(4 * n),) * 2)
-        )
-        total = np.zeros(4 * n)
-        total[::4] = 1.0
+        normal = design.T @ design.multiply(weight[:, None]).tocsc() + diags(prior_weight)
         sides = np.column_stack([design.T @ (weight * side) + prior_weight * prior, total])
         free, along = Dissected(normal.tobsr(blocksize=(4, 4))).solve(sides).T
         x = free - along * (total @ free) / (total @ along)
-        miss = design @ x - side
-        length = np.hypot(miss[:m], miss[m:])
+        length = np.hypot(*(design @ x - side).reshape(2, m))
         limit = _CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
         tie_weight = 1.0 / ties.sd_m**2 / (1.0 + (length / limit) ** 2)
     scale, turn, east, north = x.reshape(n, 4).T
     return shape * np.exp(np.clip(scale, -0.5, 0.5) + 1j * turn), east + 1j * north
 
 
-def _thinned(places_m: Floats) -> Floats:
-    """At most _MOST_TIES of a pair's, evenly by number."""
-    return places_m[np.linspace(0, len(places_m) - 1, min(len(places_m), _MOST_TIES)).astype(np.intp)]
-
-
-def _ties(
-    pairs: list[tuple[int, int]],
-    left: list[Complexes],
-    right: list[Complexes],
-    miss_m: Floats,
-    frames: list[int],
-) -> _Ties:
-    """Those of some pairs; frames counted in their part."""
-    number = {frame: k for k, frame in enumerate(frames)}
-    a, b, z_a, z_b, sd = [], [], [], [], []
-    for (first, second), z, w, miss in zip(pairs, left, right, miss_m, strict=True):
-        a.append(np.full(len(z), number[first], dtype=np.intp))
-        b.append(np.full(len(z), number[second], dtype=np.intp))
-        z_a.append(z)
-        z_b.append(w)
-        sd.append(np.full(len(z), miss * np.sqrt(max(len(z) / _OF_A_PAIR, 1.0))))
-    return _Ties(*(np.concatenate(part) for part in (a, b, z_a, z_b, sd)))
+def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> _Ties:
+    """Tie points of a part, at most _MOST_TIES a pair, frames renumbered; miss_m (m,): a pair's residual."""
+    number = {frame: k for k, frame in enumerate(part)}
+    pairs = []
+    for (a, b), left, right, miss in zip(net.edges, net.left_m, net.right_m, miss_m, strict=True):
+        if a in number:
+            some = np.linspace(0, len(left) - 1, min(len(left), _MOST_TIES)).astype(np.intp)
+            sd_m = np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0)))
+            ends = np.full(len(some), number[a]), np.full(len(some), number[b])
+            pairs.append((*ends, left[some] @ [1, 1j] - nadir[a], right[some] @ [1, 1j] - nadir[b], sd_m))
+    return _Ties(*(np.concatenate(column) for column in zip(*pairs, strict=True)))

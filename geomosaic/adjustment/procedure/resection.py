@@ -1,7 +1,7 @@
-"""A frame's pose from ground points that others have found: a way out where a solution has begun wrongly.
+"""Resection of frames with wrong poses, from ground points of other frames.
 
-Flat ground seen aslant has two poses that look alike. A frame of which nothing is known begins by looking
-down, and may end at the wrong one, with most of its tie points put aside.
+An oblique view of flat ground has two similar poses. A frame without a known attitude starts with a nadir
+view and may converge to the wrong one, with most of its tie points down-weighted.
 """
 
 from __future__ import annotations
@@ -21,59 +21,34 @@ from geomosaic.constants import sourced, tuned
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-UNHEARD = sourced(
-    0.5,
-    "share of a frame's image observations",
-    "with more than half of their weight: of frames that fit, three quarters have it; of those that lie "
-    "wrongly, and of blurred ones, a tenth to not half",
-    "60 simulated surveys: least share of 0.62 among sharp frames at their places, but one",
-)
-_HEARD = tuned(0.5, "share of a full weight", "what counts more isn't put aside")
-_OTHERS = sourced(
-    2,
-    "frames",
-    "whose observations of a point are heard, beside the frame's own: fewer don't find a point",
-    "rays meet from two on",
-)
-_LEAST_POINTS = tuned(
-    12,
-    "points",
-    "that agree on a pose: four determine one, and so many hardly agree by chance",
-)
-_WITHIN_PX = tuned(
-    8.0,
-    "px",
-    "that a point may miss by: rows that are read one after the other miss by some; the bundle that "
-    "follows finds the rest",
-)
-_BETTER = tuned(0.5, "of the median miss", "that the new pose may leave: less sure ones stay where they are")
-_TRIALS = sourced(
-    1000,
-    "samples",
-    "of five points: with a third of them right, one sample in 243 is; with so many few are missed",
-    "Fischler and Bolles 1981: 1 - (1 - 1/243)^1000 = 0.984",
-)
-_SURE = sourced(0.984, "probability", "that a sample was right, when fewer will do", "as of _TRIALS")
+UNHEARD = sourced(0.5, "share of observations", "with weight; wrong and blurred frames: less", "60 surveys")
+_COUNTS = tuned(0.5, "share of a full weight", "more is no blunder")
+_OTHERS = sourced(2, "frames", "with weight for a point, without the frame itself", "rays meet from two on")
+_LEAST_POINTS = tuned(12, "points", "that agree on a pose; four determine one, so many hardly by chance")
+_WITHIN_PX = tuned(8.0, "px", "residual of a point that agrees; rolling shutters take some")
+_BETTER = tuned(0.5, "of the median residual", "most of the new pose; less sure ones are not taken")
+_TRIALS = sourced(1000, "samples of five", "with 1/3 of good points", "Fischler 1981: 1 - (1 - 3^-5)^1000")
+_SURE = sourced(0.984, "probability", "of a good sample, when fewer will do", "as of _TRIALS")
 _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
-"""From camera axes with z backwards to those of OpenCV, with z forwards."""
+"""From camera axes with z backwards to OpenCV's with z forwards."""
 
 
 def heard_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
-    """Of each frame's observations those that count, (n,); NaN without any."""
-    heard = np.bincount(tracks.frame, bundle.weight[: len(tracks.frame)] > _HEARD, minlength=frames)
+    """Share of each frame's observations that count, (n,); NaN without any."""
+    counts = np.bincount(tracks.frame, bundle.weight[: len(tracks.frame)] > _COUNTS, minlength=frames)
     with np.errstate(invalid="ignore"):
-        return np.asarray(heard / np.bincount(tracks.frame, minlength=frames))
+        return np.asarray(counts / np.bincount(tracks.frame, minlength=frames))
 
 
 def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong: Bools) -> Poses | None:
-    """The bundle's poses with those of some frames found anew, by the points that two other frames and more
-    agree on; None where none is better than it was. wrong (n,): which to look at; cameras: of each frame.
+    """The bundle's poses with frames resected from points of at least two other frames; None where none is
+    better than before. wrong (n,): frames to resect; cameras: of each frame.
 
-    Samples of five points, then a quadratic programme of all that agree (Terzakis and Lourakis 2020, SQPnP;
-    of those in `cv2.solvePnPRansac` it finds the better of two poses over a plane).
+    Random samples, then a quadratic programme of all points that agree (SQPnP, Terzakis and Lourakis 2020),
+    which finds the better of two poses over a plane.
     """
-    heard = (bundle.weight > _HEARD) & ~wrong[tracks.frame]
-    sure = np.bincount(tracks.point, heard, minlength=tracks.points) >= _OTHERS
+    counts = (bundle.weight > _COUNTS) & ~wrong[tracks.frame]
+    sure = np.bincount(tracks.point, counts, minlength=tracks.points) >= _OTHERS
     positions, rotations, found = bundle.poses.positions_m.copy(), bundle.poses.rotations.copy(), False
     for i in np.flatnonzero(wrong).tolist():
         mine = np.flatnonzero((tracks.frame == i) & sure[tracks.point])
@@ -84,27 +59,23 @@ def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong:
         if pose is None:
             continue
         off_px = cameras[i].image_from_camera((ground_m - pose[0]) @ pose[1]) - image_px
-        now, before = (_median_px(off) for off in (off_px, bundle.residual_px[mine]))
+        now, before = (np.linalg.norm(off, axis=1) for off in (off_px, bundle.residual_px[mine]))
+        now, before = (np.median(np.nan_to_num(length, nan=np.inf)) for length in (now, before))
         if now < _BETTER * before:
             positions[i], rotations[i], found = *pose, True
     return replace(bundle.poses, positions_m=positions, rotations=rotations) if found else None
 
 
-def _median_px(off_px: Floats) -> float:
-    return float(np.median(np.nan_to_num(np.linalg.norm(off_px, axis=1), nan=np.inf)))
-
-
 def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, Floats] | None:
-    """Position and rotation, if enough points agree with them."""
+    """Position (3,) in m and rotation (3, 3), if enough points agree with them."""
     ray = camera.ray_from_image(image_px) @ _DOWNWARDS
-    middle = ground_m.mean(axis=0)
-    seen = np.isfinite(ray).all(axis=1)
-    if seen.sum() < _LEAST_POINTS:
+    middle, hit = ground_m.mean(axis=0), np.isfinite(ray).all(axis=1)
+    if hit.sum() < _LEAST_POINTS:
         return None
     try:
         done, turn, shift, agree = cv2.solvePnPRansac(
-            ground_m[seen] - middle,
-            ray[seen, :2],
+            ground_m[hit] - middle,
+            ray[hit, :2],
             np.eye(3),
             None,
             iterationsCount=_TRIALS,
@@ -117,5 +88,4 @@ def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, F
     if not done or agree is None or len(agree) < _LEAST_POINTS:
         return None
     from_ground = np.array(cv2.Rodrigues(turn)[0], dtype=np.float64)
-    shift_m = np.array(shift, dtype=np.float64).ravel()
-    return middle - from_ground.T @ shift_m, from_ground.T @ _DOWNWARDS
+    return middle - from_ground.T @ np.array(shift, dtype=np.float64).ravel(), from_ground.T @ _DOWNWARDS

@@ -1,10 +1,10 @@
-"""How the cameras of a rig stand to one another: bands show the same edges, if not the same greys."""
+"""Registration of the cameras of a rig: the relative rotation and focal length of every other band."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -25,70 +25,27 @@ from geomosaic.survey.model import Band, Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
+Matches = tuple[int, Floats, Floats]
+"""A frame, ground points (n, 3) and their image coordinates (n, 2) in the band."""
 
-MOST_CAPTURES = tuned(
-    12,
-    "captures",
-    "looked at, spread over the flight: each gives a hundred places and more, and three angles and a "
-    "focal length are all that is asked; more take time and show nothing new",
-)
-_PATCH_PX = tuned(
-    96,
-    "ground px",
-    "side of a patch in which edges are compared: a smaller one holds too few edges that both bands "
-    "show, a larger one relief that shifts them apart",
-)
-_LEAST_STEP_PX = tuned(
-    16,
-    "ground px",
-    "from patch to patch at least: closer ones share nearly all of their pixels and show the same",
-)
-_PLACES = tuned(
-    120,
-    "patches a capture",
-    "compared, about: many, since of some bands few correlate; more take time alone",
-)
-_SEARCH_PX: tuple[int, int] = tuned(
-    (96, 8),
-    "ground px",
-    "how far off a band is looked for in the first round and in the second: cameras of a rig stand up "
-    "to some 3 degrees apart, a tenth of a frame's width (of 960 px); then what is left, since a wider "
-    "search finds wrong edges",
-)
-_LEAST_CORRELATION = tuned(
-    0.3,
-    "correlation coefficient",
-    "of edges in two bands, half of what one band's greys show: below it patches meet by chance, above "
-    "it few of red and infrared are left",
-)
-_MOST_SD_PX = tuned(
-    0.3,
-    "px",
-    "stated deviation of a place by least-squares matching: patches that are less sure have next to no "
-    "edges, or edges one way only",
-)
-_LEAST_PLACES = tuned(
-    12,
-    "places in all captures",
-    "three for each of the four unknowns, so that wrong ones can be found; of fewer, what the tags say "
-    "stands",
-)
-_EDGE_SIGMA_PX = tuned(
-    1.0,
-    "ground px",
-    "smoothing before gradients are taken: with less, noise of single pixels counts as edges; with "
-    "more, fine edges run together",
-)
+_MOST_CAPTURES = tuned(12, "captures", "spread over the flight; each shows a hundred patches for 4 unknowns")
+_PATCH_PX = tuned(96, "ground px", "side; smaller: too few common edges; larger: relief shifts them apart")
+_LEAST_STEP_PX = tuned(16, "ground px", "between patches; closer ones share nearly all their pixels")
+_PATCHES = tuned(120, "patches a capture", "about; of some bands few correlate; more take time alone")
+_SEARCH_PX: tuple[int, int] = tuned((96, 8), "ground px", "of two rounds: 3 degrees in 960 px, then the rest")
+_LEAST_CORRELATION = tuned(0.3, "correlation of edges", "less: chance; more: few in red and infrared remain")
+_MOST_SD_PX = tuned(0.3, "px", "of a match; patches with more have no edges, or edges one way only")
+_LEAST_MATCHES = tuned(12, "patches in all captures", "three an unknown; of fewer the reported pose stays")
+_EDGE_SIGMA_PX = tuned(1.0, "ground px", "before gradients; less: noise counts; more: fine edges merge")
 
 
 @dataclass(frozen=True)
 class BandPose:
-    """A band's camera and how it is turned.
+    """A band's camera and its relative rotation.
 
-    own_from_band: (3, 3), from directions in the band's camera axes to those of the camera that took the
-    survey's frames. places: where it was measured; before_px, after_px: median distance of the bands there,
-    in the band's pixels; NaN where too few places were found, and what the tags say stands.
+    own_from_band: (3, 3), from the band's camera axes to those of the survey's frames. places: number of
+    matches; before_px, after_px: their median residual in the band's pixels. NaN where matches were too few
+    and the reported values stay.
     """
 
     name: str
@@ -101,23 +58,9 @@ class BandPose:
 
 @dataclass(frozen=True)
 class RigPoses:
-    """All other bands of a survey; none for a survey that isn't a rig's."""
+    """All other bands of a survey; none without a rig."""
 
     bands: tuple[BandPose, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Places:
-    """Ground points (n, 3) and where the band shows them, cols and rows (n, 2), by frame (n,)."""
-
-    frame: NDArray[np.intp]
-    ground_m: Floats
-    image_px: Floats
-
-    @classmethod
-    def joined(cls, each: Sequence[_Places]) -> _Places:
-        """Those of several captures."""
-        return cls(*(np.concatenate([getattr(e, f.name) for e in each]) for f in fields(cls)))
 
 
 def register_bands(
@@ -130,26 +73,25 @@ def register_bands(
     threads: int = 2,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> RigPoses:
-    """One turn for each band against the frames' own camera, and its focal length, from all captures at once.
+    """One rotation and focal length for each band, from all captures at once.
 
-    Both images of a capture are laid on the ground by what is known; edges (the length of the gradient of
-    the greys' logarithm: plants, dark in red and bright in infrared, show the same) are correlated patch by
-    patch; the turn and the focal length that explain most places follow by least squares with Cauchy's loss.
-    Twice, since the first round may be far off. The lenses stand centimetres apart, which level ground can't
-    distinguish from a turn.
+    Both images of a capture are projected to the ground; edges (the gradient of log grey values, which red
+    and infrared share) are correlated in patches; least squares with Cauchy's loss follow. A second round
+    searches nearby. The offset of the lenses, some centimetres, acts as a rotation over level ground.
     """
     out = []
+    rig = _Rig(survey, poses, cameras, ground)
     for k, band in enumerate(survey.other_bands):
         there = [i for i, f in enumerate(band.frames) if f is not None and used[i]]
-        some = np.unique(np.linspace(0, len(there) - 1, min(MOST_CAPTURES, len(there))).astype(int))
+        some = np.unique(np.linspace(0, len(there) - 1, min(_MOST_CAPTURES, len(there))).astype(int))
         found = BandPose(band.name, band.camera, np.eye(3), 0, float("nan"), float("nan"))
         for search_px in _SEARCH_PX:
-            look = partial(_seen, survey, poses, cameras, ground, band, found, search_px)
             with ThreadPoolExecutor(threads) as pool:
-                each = list(pool.map(look, (there[j] for j in some)))
-            if sum(len(e.frame) for e in each) < _LEAST_PLACES:
+                search = partial(rig.matches, band, found, search_px)
+                each = list(pool.map(search, (there[j] for j in some)))
+            if sum(len(ground_m) for _, ground_m, _ in each) < _LEAST_MATCHES:
                 break
-            found = _turned(found, band, _Places.joined(each), poses)
+            found = _refined(found, band, [e for e in each if len(e[1])], poses)
         out.append(found)
         if progress is not None:
             progress(k + 1, len(survey.other_bands), "bands")
@@ -157,60 +99,57 @@ def register_bands(
 
 
 def band_poses(poses: Poses, band: BandPose) -> Poses:
-    """Where a band's camera stood and looked while the captures' own camera had `poses`."""
+    """Poses of a band's camera from those of the captures' own camera."""
     return replace(poses, rotations=poses.rotations @ band.own_from_band)
 
 
-def _seen(
-    survey: Survey,
-    poses: Poses,
-    cameras: Sequence[Camera],
-    ground: GroundSurface,
-    band: Band,
-    so_far: BandPose,
-    search_px: int,
-    i: int,
-) -> _Places:
-    """Where the band shows the ground of one capture."""
-    window = _window_of(survey, poses[i], cameras[i], ground)
-    theirs = band_poses(poses, so_far)[i]
-    own, own_valid = _edges(window, poses[i], cameras[i], survey.frames[i])
-    their, their_valid = _edges(window, theirs, so_far.camera, band.frames[i])
-    found = measure_displacements(
-        their,
-        own,
-        their_valid,
-        own_valid,
-        patch_corners(own.shape, _PATCH_PX, max(_LEAST_STEP_PX, int(np.sqrt(own.size / _PLACES)))),
-        patch_px=_PATCH_PX,
-        search_px=search_px,
-        min_correlation=_LEAST_CORRELATION,
-        max_sd_px=_MOST_SD_PX,
-    )
-    points = window.points_m()
-    there = found.centres_px + found.displacement_px
-    shown = theirs.image_from_ground(so_far.camera, _at(points, there))
-    good = np.isfinite(shown).all(axis=1)
-    at = _at(points, found.centres_px)[good]
-    return _Places(np.full(good.sum(), i, dtype=np.intp), at, shown[good])
+@dataclass(frozen=True)
+class _Rig:
+    survey: Survey
+    poses: Poses
+    cameras: Sequence[Camera]
+    ground: GroundSurface
 
+    def matches(self, band: Band, so_far: BandPose, search_px: int, i: int) -> Matches:
+        """Matches of a band with frame i."""
+        window, pose = self._window(i), band_poses(self.poses, so_far)[i]
+        own, own_valid = _edges(window, self.poses[i], self.cameras[i], self.survey.frames[i])
+        other, other_valid = _edges(window, pose, so_far.camera, band.frames[i])
+        step_px = max(_LEAST_STEP_PX, int(np.sqrt(own.size / _PATCHES)))
+        found = measure_displacements(
+            other,
+            own,
+            other_valid,
+            own_valid,
+            patch_corners(own.shape, _PATCH_PX, step_px),
+            patch_px=_PATCH_PX,
+            search_px=search_px,
+            min_correlation=_LEAST_CORRELATION,
+            max_sd_px=_MOST_SD_PX,
+        )
+        points = window.points_m()
+        there_m = _bilinear(points, found.centres_px + found.displacement_px)
+        image_px = pose.image_from_ground(so_far.camera, there_m)
+        good = np.isfinite(image_px).all(axis=1)
+        return i, _bilinear(points, found.centres_px)[good], image_px[good]
 
-def _window_of(survey: Survey, pose: Pose, camera: Camera, ground: GroundSurface) -> GroundWindow:
-    """The map window that a frame sees, at its own ground sampling distance."""
-    seen = ground_from_image(pose, camera, ground, camera.border_px())
-    geodetic = survey.work_frame.geodetic_from_enu(seen[np.isfinite(seen).all(axis=1)])
-    on_map = MapProjection(survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
-    gsd_m = ground_sampling_distance_m(pose, camera, ground)
-    west, south = on_map.min(axis=0)
-    east, north = on_map.max(axis=0)
-    width, height = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
-    return ground_window(survey.map_crs, survey.work_frame, ground, west, north, gsd_m, width, height)
+    def _window(self, i: int) -> GroundWindow:
+        """The map window of frame i at its ground sampling distance."""
+        survey, pose, camera = self.survey, self.poses[i], self.cameras[i]
+        border = ground_from_image(pose, camera, self.ground, camera.border_px())
+        geodetic = survey.work_frame.geodetic_from_enu(border[np.isfinite(border).all(axis=1)])
+        on_map = MapProjection(survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
+        gsd_m = ground_sampling_distance_m(pose, camera, self.ground)
+        west, south = on_map.min(axis=0)
+        east, north = on_map.max(axis=0)
+        size = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
+        return ground_window(survey.map_crs, survey.work_frame, self.ground, west, north, gsd_m, *size)
 
 
 def _edges(
     window: GroundWindow, pose: Pose, camera: Camera, frame: Frame | None
-) -> tuple[Floats32, NDArray[np.bool_]]:
-    """Length of the gradient of the logarithm of a frame's greys on the window, and where it is valid."""
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Gradient magnitude of a frame's log grey values on the window, and where it is valid."""
     if frame is None:
         raise ValueError("a capture without this band")
     pixels, mask = read_pixels(frame)
@@ -221,49 +160,47 @@ def _edges(
     return np.where(valid, edges * 100.0, np.float32(0.0)).astype(np.float32), valid
 
 
-def _at(points: Floats, pixel: Floats) -> Floats:
-    """Points of a window's pixel centres (rows, cols, 3) between them, at cols and rows (n, 2)."""
+def _bilinear(points: Floats, pixel: Floats) -> Floats:
+    """Points of a window's pixel centres (rows, cols, 3) interpolated at cols and rows (n, 2)."""
     x = np.clip(pixel - 0.5, 0.0, np.array(points.shape[1::-1]) - 1.001)
-    whole = x.astype(np.intp)
-    part = x - whole
-    c, r = whole.T
-    u, v = part[:, :1], part[:, 1:]
+    c, r = x.astype(np.intp).T
+    u, v = np.hsplit(x - x.astype(np.intp), 2)
     top = points[r, c] * (1.0 - u) + points[r, c + 1] * u
     low = points[r + 1, c] * (1.0 - u) + points[r + 1, c + 1] * u
     return np.asarray(top * (1.0 - v) + low * v)
 
 
-def _turned(so_far: BandPose, band: Band, places: _Places, poses: Poses) -> BandPose:
-    """The turn and focal length that bring the band's places to where the frames' camera puts them."""
+def _refined(so_far: BandPose, band: Band, matches: Sequence[Matches], poses: Poses) -> BandPose:
+    """The rotation and focal length with the least residuals of the matches."""
     from scipy.optimize import least_squares
 
-    frames = np.unique(places.frame)
-    focal_sd = max(band.camera.focal_length_sd_px, 1e-3 * band.camera.focal_length_px)
+    given = band.camera
+    focal_sd = max(given.focal_length_sd_px, 1e-3 * given.focal_length_px)
 
-    def with_step(step: Floats) -> tuple[Camera, Floats]:
-        camera = replace(band.camera, focal_length_px=band.camera.focal_length_px * (1.0 + step[3]))
+    def stepped(step: Floats) -> tuple[Camera, Floats]:
+        camera = replace(given, focal_length_px=given.focal_length_px * (1.0 + step[3]))
         return camera, np.asarray(so_far.own_from_band @ exp_turn(step[None, :3])[0])
 
-    def missed(step: Floats) -> Floats:
-        camera, own_from_band = with_step(step)
-        off = np.empty_like(places.image_px)
-        for i in frames:
-            mine = places.frame == i
-            pose = replace(poses[int(i)], rotation=Rotation(poses.rotations[i] @ own_from_band))
-            off[mine] = pose.image_from_ground(camera, places.ground_m[mine]) - places.image_px[mine]
-        return np.nan_to_num(off, nan=1e3)
+    def off_px(step: Floats) -> Floats:
+        camera, own_from_band = stepped(step)
+        off = []
+        for i, ground_m, image_px in matches:
+            pose = replace(poses[i], rotation=Rotation(poses.rotations[i] @ own_from_band))
+            off.append(pose.image_from_ground(camera, ground_m) - image_px)
+        return np.nan_to_num(np.concatenate(off), nan=1e3)
 
     def residual(step: Floats) -> Floats:
-        prior = step[3] * band.camera.focal_length_px / focal_sd
-        return np.append(missed(step).ravel() / scale, prior)
+        return np.append(off_px(step).ravel() / scale, step[3] * given.focal_length_px / focal_sd)
 
-    start = np.array([0.0, 0.0, 0.0, so_far.camera.focal_length_px / band.camera.focal_length_px - 1.0])
-    before = float(np.median(np.linalg.norm(missed(start), axis=1)))
+    def median_px(step: Floats) -> float:
+        return float(np.median(np.linalg.norm(off_px(step), axis=1)))
+
+    step = np.array([0.0, 0.0, 0.0, so_far.camera.focal_length_px / given.focal_length_px - 1.0])
+    before = median_px(step)
     scale = max(before, 0.1)
     for _ in range(3):
-        start = least_squares(residual, start, loss="cauchy", x_scale=[1e-3, 1e-3, 1e-3, 1e-3]).x
-        after = float(np.median(np.linalg.norm(missed(start), axis=1)))
+        step = least_squares(residual, step, loss="cauchy", x_scale=1e-3).x
+        after = median_px(step)
         scale = max(after / MEDIAN_LENGTH, 0.05)
-    camera, own_from_band = with_step(start)
     first = so_far.before_px if np.isfinite(so_far.before_px) else before
-    return BandPose(band.name, camera, own_from_band, len(places.frame), first, after)
+    return BandPose(band.name, *stepped(step), sum(len(m[1]) for m in matches), first, after)
