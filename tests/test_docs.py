@@ -261,7 +261,7 @@ def test_the_equations_name_modules_and_functions_that_are_there() -> None:
     for name, module in (
         ("shown", "adjustment/terms/image_observations"), ("lie_weight", "estimation/robust"),
         ("stepped", "adjustment/problem/estimate"),
-        ("common_error", "adjustment/procedure/common_offsets"), ("Readout", "adjustment/terms/collinearity"),
+        ("common_error", "adjustment/procedure/common_offsets"), ("Readout", "adjustment/kernels/collinearity"),
     ):  # fmt: skip
         assert f"`{name}`" in text
         assert re.search(rf"^ *(?:def|class) {name}\b", (ROOT / f"geomosaic/{module}.py").read_text(), re.M)

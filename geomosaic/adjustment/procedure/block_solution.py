@@ -189,8 +189,7 @@ def _with_control(
     again: Start | None = None
     if free is not None:
         if not datum.any():
-            alone = replace(block, control=())
-            offset_sd_m = np.sqrt(common_error(alone, free.poses, block.ground, free.components))
+            offset_sd_m = np.sqrt(common_error(block, free.poses, block.ground, free.components))
         points = np.concatenate([free.points_m + shift, problem.points.given_m[len(free.points_m) :]])
         level = free.estimate.layout.level
         shared = free.estimate.shared + np.eye(free.estimate.layout.size)[level] * shift[2]

@@ -88,7 +88,8 @@ def bundle_outcome(work: Work) -> Adjusted:
     block, given, found = work.block, work.given, work.found
     solution, components = found.of_ties, found.solution.components
     observed = np.unique(found.problem.tracks.frame)
-    common_m2 = common_error(block, solution.poses, found.ground, components, moved=found.offset)
+    common_m2 = common_error(block, solution.poses, found.ground, components)
+    common_m2 = np.where(found.offset, 0.0, common_m2)  # in the covariance
     moves = (solution.poses.positions_m - given.poses.positions_m)[:, :2]
     shared = solution.shared_unknowns()
     heard = heard_shares(found.ties, solution, len(block.names))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.adjustment.model import Block, HeightReference
-from geomosaic.adjustment.terms.control_precision import control_factors
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
@@ -63,41 +62,19 @@ def _undulation_m(lon_deg: float, lat_deg: float) -> float:
 
 
 def common_error(
-    block: Block,
-    poses: Poses,
-    ground: GroundSurface,
-    components: Components | None = None,
-    *,
-    moved: Bools | bool = False,
+    block: Block, poses: Poses, ground: GroundSurface, components: Components | None = None
 ) -> Floats:
-    """Variances (3,), east, north and up in m², of what all positions may be off by in common, besides what
-    the solution's covariance says.
+    """Variances (3,), east, north and up in m², of an error that all reported positions may have in common,
+    which their residuals do not show.
 
-    Args: poses, ground: as found. components: the variance components, of methods that estimate them and use
-        control points; without them the deviations in plan are taken to hold all. moved (3,): along
-        which axes positions were shifted onto control, so that it alone says where the block lies.
+    Args: poses, ground: as found. components: of methods that estimate them; without them the deviations in
+        plan are taken to contain all.
     """
     in_height = _in_height(block, poses, ground)
     if components is None:
         return np.array([0.0, 0.0, in_height])
-    of_positions = np.append(_in_plan(block.poses, components[HORIZONTAL]), in_height)
-    of_control = _of_control(block, components)
     anywhere = POSITION["none"].sd_horizontal_m ** 2
-    both = np.clip([np.where(moved, anywhere, of_positions), of_control], 0.0, anywhere)
-    together = 1.0 / (1.0 / np.maximum(both, 1e-12)).sum(axis=0)
-    return np.asarray(np.minimum.reduce([*both, together]))
-
-
-def _of_control(block: Block, components: Components) -> Floats:
-    """Of the median of the control points used, as far as their precision is worse than stated: the rest is
-    in the solution's covariance. Infinite where no point holds an axis."""
-    out = np.full(3, np.inf)
-    used = np.array([c.sd_m for c in block.control if not c.check and c.observations]).reshape(-1, 3)
-    for axis, factor in enumerate(control_factors(components)):
-        sd_m = used[used[:, axis] < POSITION["none"].sd_vertical_m, axis]
-        if sd_m.size:
-            out[axis] = np.pi / 2.0 * (factor**2 - 1.0) * float(np.mean(sd_m**2)) / len(sd_m)
-    return out
+    return np.clip(np.append(_in_plan(block.poses, components[HORIZONTAL]), in_height), 0.0, anywhere)
 
 
 def _in_plan(given: Poses, horizontal: float) -> Floats:

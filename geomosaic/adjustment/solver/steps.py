@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced, reduce_normals
+from geomosaic.adjustment.kernels.normal_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.solver.clearance import too_near
@@ -55,10 +55,6 @@ _ROUNDS = tuned(12, "rounds", "of variance components: those that converge take 
 _DAMPING = tuned(1e-9, "share of the diagonal", "more: it holds up place, turn and scale of the whole block")
 _MOST_DAMPING = tuned(1e6, "share of the diagonal", "steps are next to none: the system is broken")
 _SHARES = tuned((1.0, 0.5, 0.25, 0.1), "of a step", "tried before damping where the whole raises the cost")
-
-
-_TIMES = tuned(1.5, "times a step", "less: a longer one gains too little to be tried")
-_MOST_TIMES = tuned(8.0, "times a step", "more: the cost is no parabola as far")
 
 
 @dataclass(frozen=True)
@@ -157,10 +153,6 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
                 trial_cost = problem.cost(trial, components)
                 if trial_cost < cost:
                     break
-            if whole and share == 1.0 and trial_cost < cost:
-                longer = _longer(problem, (at, step), components, normals, (cost, trial_cost))
-                if longer is not None:
-                    trial, trial_cost = longer
             if trial_cost < cost or damping > _MOST_DAMPING or _share_moved(step, sd_m) < stop.move:
                 break
             damping = max(10.0 * damping, _DAMPING)
@@ -174,34 +166,8 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
         if len(steps) >= most or (little and moved <= stop.move):
             progress = replace(progress, at=at, steps=(*progress.steps, *steps))
             return progress, reduced if damping == 0.0 else reduce_normals(normals)
-        damping = damping / 100.0 if damping > 100.0 * _DAMPING else 0.0
+        damping = damping / 10.0 if damping > 10.0 * _DAMPING else 0.0
         del normals, reduced  # the next ones take as much
-
-
-def _longer(
-    problem: BlockProblem,
-    begun: tuple[Estimate, Step],
-    components: Components,
-    normals: Normals,
-    costs: tuple[float, float],
-) -> tuple[Estimate, float] | None:
-    """The estimate after a multiple of a step, and its cost, where that is less than after the step.
-
-    Expected curvatures are larger than those of robust costs, so that steps can be many times too short, one
-    after the other. The cost after one step shows the curvature along it, and so the best multiple. Args:
-    begun: estimate and step; costs: before and after the whole step.
-    """
-    at, step = begun
-    slope = float((normals.pose_side * step.pose).sum() + (normals.point_side * step.points).sum())
-    shared = (normals.interior_side.ravel(), np.array([normals.level_side]), normals.mounting_side)
-    slope += float(np.concatenate(shared) @ step.shared)
-    curvature = 2.0 * slope - (costs[0] - costs[1])
-    share = min(slope / max(curvature, 1e-300), _MOST_TIMES)
-    if not share > _TIMES:
-        return None
-    trial = _cleared(problem, at, at.stepped(step, share))
-    cost = problem.cost(trial, components)
-    return (trial, cost) if cost < costs[1] else None
 
 
 def _step_of(reduced: Reduced, known: Bools | None = None) -> Step:
