@@ -97,6 +97,10 @@ def test_control_corrects_heights_without_datum_that_are_off_in_common(seed: int
     adjusted = solved(replace(flown, block=block), surveyed(flown, 0.03, points=10, at_m=one_end))
     away_m = np.abs((adjusted.poses.positions_m - true_m).mean(axis=0))
     assert away_m[2] < 1.5 and away_m[:2].max() < 0.7, away_m
+    assert adjusted.figures["common_height_sd_m"] == 0.0  # the covariance of the poses contains it
+    assert adjusted.shared is not None
+    k = adjusted.shared.names.index("offset_up_m")
+    assert abs(adjusted.shared.found[k] - 6.0) < 3.0 * adjusted.shared.sd[k] < 6.0
 
 
 def test_precise_positions_keep_their_accuracy_beside_coarse_control() -> None:

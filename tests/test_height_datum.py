@@ -64,7 +64,7 @@ def test_a_survey_has_no_deviation_that_is_no_number(survey: Survey) -> None:
             replace(survey, frames=(wrong, *others))
 
 
-def block_of(survey: Survey, control: tuple[GroundControl, ...] = ()) -> Block:
+def block_of(survey: Survey) -> Block:
     n = len(survey.frames)
     lonlat = np.array([[f.position.lon_deg, f.position.lat_deg] for f in survey.frames])
     heights = np.array([f.position.height_ellipsoidal_m for f in survey.frames], dtype=float)
@@ -76,15 +76,13 @@ def block_of(survey: Survey, control: tuple[GroundControl, ...] = ()) -> Block:
     names, cameras = tuple(f.name for f in survey.frames), tuple(survey.camera_of(i) for i in range(n))
     return Block(
         names, cameras, poses, flat, TiePoints(()), tuple(range(n)), (0,) * n, 0.1,
-        control=control, heights=height_reference(survey),
+        heights=height_reference(survey),
     )  # fmt: skip
 
 
-def common_height_sd_m(
-    survey: Survey, off_m: np.ndarray, control: tuple[GroundControl, ...] = (), above_m: float | None = None
-) -> float:
+def common_height_sd_m(survey: Survey, off_m: np.ndarray, above_m: float | None = None) -> float:
     """Of frames found so much below the heights they were given, so high above the ground."""
-    block = block_of(survey, control)
+    block = block_of(survey)
     poses, ground = block.poses, block.ground
     poses = replace(poses, positions_m=poses.positions_m - np.column_stack([np.zeros((6, 2)), off_m]))
     if above_m is not None:
@@ -148,16 +146,11 @@ def test_heights_that_may_count_from_the_take_off_tell_no_datum(
     assert found_m == pytest.approx(np.hypot(15.0, stated_m), rel=1e-4)
 
 
-def test_a_drift_is_shared_too_and_control_holds_all(survey: Survey) -> None:
+def test_a_drift_is_shared_too(survey: Survey) -> None:
     drift = np.arange(6) * 20.0
     assert common_height_sd_m(survey, drift) == pytest.approx(
         np.hypot(np.hypot(15.0, 30.0), 1.4826 * 30.0), rel=0.01
     )
-    sd_m = np.array([0.03, 0.03, 0.05])
-    point = GroundControl("A", np.zeros(3), sd_m, False, ((0, 10.0, 10.0),))
-    assert common_height_sd_m(survey, drift, (point,)) == 0.0
-    in_plan = replace(point, sd_m=np.array([0.03, 0.03, 1e5]))
-    assert common_height_sd_m(survey, drift, (in_plan,)) > 30.0
     pos = of_pos(survey, 3.0, datum_stated=True)
     assert common_height_sd_m(pos, np.arange(6) * 1.0) == 0.0
     assert common_height_sd_m(pos, drift) == pytest.approx(1.4826 * 30.0, rel=0.01)

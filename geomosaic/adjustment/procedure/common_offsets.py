@@ -74,7 +74,8 @@ def common_error(
     if components is None:
         return np.array([0.0, 0.0, in_height])
     anywhere = POSITION["none"].sd_horizontal_m ** 2
-    return np.clip(np.append(_in_plan(block.poses, components[HORIZONTAL]), in_height), 0.0, anywhere)
+    of_positions = np.append(_in_plan(block.poses, components[HORIZONTAL]), in_height)
+    return np.asarray(np.clip(of_positions, 0.0, anywhere))
 
 
 def _in_plan(given: Poses, horizontal: float) -> Floats:
