@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from geomosaic.adjustment.kernels import collinearity
 from geomosaic.adjustment.kernels.collinearity import (
+    Projections,
+    Rows,
     image_from_ground,
     kinds_of,
     project,
@@ -59,8 +61,8 @@ def test_project_is_the_pose_and_camera() -> None:
     two = [7, 2]
     seen = flown.truth.positions_m[two], flown.truth.rotations[two], np.tile(interior, (2, 1)), at
     kinds = kinds_of(cameras)
-    image, *_ = project(*seen, kinds=kinds)
-    assert image_from_ground(*seen, kinds=kinds) == pytest.approx(image, abs=1e-9)
+    image, *_ = project(Projections(*seen, kinds=kinds))
+    assert image_from_ground(Projections(*seen, kinds=kinds)) == pytest.approx(image, abs=1e-9)
     for k, i in enumerate(two):
         assert image[k] == pytest.approx(flown.truth[i].image_from_ground(cameras[k], at[k]), abs=1e-9)
 
@@ -68,7 +70,10 @@ def test_project_is_the_pose_and_camera() -> None:
 @pytest.mark.parametrize("kinds", [None, np.arange(40) % 2], ids=["brown", "brown and fisheye"])
 def test_derivatives_against_differences(kinds: np.ndarray | None) -> None:
     positions, rotations, interior, points = _observations(40, 3)
-    project = partial(collinearity.project, kinds=kinds)
+
+    def project(*at: np.ndarray) -> tuple[np.ndarray, ...]:
+        return collinearity.project(Projections(*at, kinds=kinds))
+
     _, by_pose, by_interior, by_point = project(positions, rotations, interior, points)
 
     def slope(plus: np.ndarray, minus: np.ndarray, step: float) -> np.ndarray:
@@ -120,11 +125,14 @@ def test_derivatives_of_frames_that_turn_against_differences() -> None:
 
     def seen(readout_s: float, swing: np.ndarray, more_m: Any = 0.0) -> tuple[np.ndarray, ...]:
         read = readout_of(
-            *(poses, rotations, swing, drift_m + more_m),
-            *(np.arange(m), rows, heights, np.full(m, readout_s)),
+            poses,
+            rotations,
+            Rows(np.arange(m), rows, heights, np.full(m, readout_s)),
+            swing,
+            drift_m + more_m,
         )
         numbers = np.column_stack([interior, np.full(m, readout_s)])
-        return project(positions, read.rotations, numbers, points, read)
+        return project(Projections(positions, read.rotations, numbers, points, read))
 
     for _ in range(4):
         image, by_pose, by_interior, _ = seen(0.15, swing)
@@ -146,9 +154,9 @@ def test_derivatives_of_frames_that_turn_against_differences() -> None:
         assert by_pose[shown, :, 18 + k] == pytest.approx(by_drift[shown], rel=2e-3, abs=0.05)
     whole = with_drift(with_swing(poses, swing, np.full(m, 0.15)), drift_m, np.full(m, 0.15))
     off_rows = rows + rng.choice([-2.0, 2.0], m)
-    read = readout_of(whole, rotations, None, None, np.arange(m), off_rows, heights, np.full(m, 0.15))
+    read = readout_of(whole, rotations, Rows(np.arange(m), off_rows, heights, np.full(m, 0.15)))
     numbers = np.column_stack([interior, np.full(m, 0.15)])
-    again = image_from_ground(positions, read.rotations, numbers, points, read)
+    again = image_from_ground(Projections(positions, read.rotations, numbers, points, read))
     assert again[shown] == pytest.approx(image[shown], abs=0.1)
     for i in np.flatnonzero(shown):
         camera = Camera("c", 800, 600, *interior[i, :3], *interior[i, 3:8], readout_s=0.15)
@@ -180,7 +188,7 @@ def test_errors_of_keypoints_do_not_stretch_frames() -> None:
             left_out=np.zeros(1, bool),
             local=np.ones(m),
         )
-        return project(*image.arguments_in_own_rows(at, image.computed_px(at)))
+        return project(image.projections_in_own_rows(at, image.computed_px(at)))
 
     image, *derivatives = seen(exact + errors)
     assert (exact > 0.0).all() and (exact < [800.0, 600.0]).all()
@@ -377,7 +385,9 @@ def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: t
     f, n = np.arange(frames).repeat(400), np.tile(np.arange(400), frames)
 
     def seen(s: Estimate) -> np.ndarray:
-        return image_from_ground(s.positions_m[f], s.rotations[f], s.interior[f * 0], s.points_m[n])
+        return image_from_ground(
+            Projections(s.positions_m[f], s.rotations[f], s.interior[f * 0], s.points_m[n])
+        )
 
     turn, middle, principal_px = np.radians(turn_deg), points.mean(axis=0), 20.0 if scale else 0.0
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.kernels.collinearity import INTERIOR, project
+from geomosaic.adjustment.kernels.collinearity import INTERIOR, Projections, project
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 
@@ -101,7 +101,7 @@ def test_bound_and_bundle_have_the_same_derivatives():
     interior = np.append(lens_of(camera), np.zeros(len(INTERIOR) - len(LENS)))
     pose = d.poses[4]
     _, by_pose, by_interior, by_point, *_ = project(
-        many * pose.position_m, many[:, None] * pose.rotation.matrix, many * interior, points
+        Projections(many * pose.position_m, many[:, None] * pose.rotation.matrix, many * interior, points)
     )
     own = derivatives(pose, camera, points)
     for mine, theirs in zip(own, (by_pose, by_interior[:, :, : len(LENS)], by_point), strict=True):

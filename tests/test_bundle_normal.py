@@ -6,7 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.kernels.collinearity import image_from_ground, project, readout_of
+from geomosaic.adjustment.kernels.collinearity import (
+    Projections,
+    Rows,
+    image_from_ground,
+    project,
+    readout_of,
+)
 from geomosaic.adjustment.kernels.normal_equations import Normals, build_normals, reduce_normals
 from geomosaic.adjustment.kernels.observation_groups import Sightings
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
@@ -147,17 +153,12 @@ def test_image_coordinates_without_derivatives_are_the_same() -> None:
     read = readout_of(
         poses,
         turned,
-        None,
-        None,
-        np.arange(50),
-        rng.uniform(0.0, 600.0, 50),
-        np.full(50, 600.0),
-        interior[:, 8],
+        Rows(np.arange(50), rng.uniform(0.0, 600.0, 50), np.full(50, 600.0), interior[:, 8]),
     )
     for rolling in (None, read):
-        seen = positions, turned, interior, points, rolling
-        image = image_from_ground(*seen)
-        np.testing.assert_allclose(image, project(*seen)[0], rtol=1e-13)
+        seen = Projections(positions, turned, interior, points, rolling)
+        image = image_from_ground(seen)
+        np.testing.assert_allclose(image, project(seen)[0], rtol=1e-13)
         assert np.flatnonzero(np.isnan(image).any(axis=1)).tolist() == [7]
 
 

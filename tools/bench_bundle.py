@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.adjustment.kernels.collinearity import project
+from geomosaic.adjustment.kernels.collinearity import Projections, project
 from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
@@ -103,10 +103,12 @@ def _seen(
     near = np.flatnonzero((east < 60.0) & (north < 50.0))
     m = len(near)
     image_px, *_ = project(
-        np.broadcast_to(truth.positions_m[i], (m, 3)),
-        np.broadcast_to(truth.rotations[i], (m, 3, 3)),
-        np.broadcast_to(interior_of(camera), (m, len(interior_of(camera)))),
-        land[near],
+        Projections(
+            np.broadcast_to(truth.positions_m[i], (m, 3)),
+            np.broadcast_to(truth.rotations[i], (m, 3, 3)),
+            np.broadcast_to(interior_of(camera), (m, len(interior_of(camera)))),
+            land[near],
+        )
     )
     inside = np.all((image_px > 5.0) & (image_px < [camera.width_px - 5.0, camera.height_px - 5.0]), axis=1)
     return near[inside], image_px[inside] + rng.normal(0, 0.5, (int(inside.sum()), 2))

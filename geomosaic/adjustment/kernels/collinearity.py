@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,23 +75,43 @@ def _of_frames(values: Floats, frame: Ints) -> Floats:
     return by_component(values).take(frame, axis=-1)
 
 
+@dataclass(frozen=True)
+class Rows:
+    """Rows of m observations: frame number, row, height of the image in px and readout time, (m,) each."""
+
+    frame: Ints
+    rows_px: Floats
+    heights_px: Floats
+    readouts_s: Floats
+
+
+@dataclass(frozen=True)
+class Projections:
+    """m points and the frames that see them.
+
+    positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR, points_m (m, 3). read:
+    of rolling shutters, whose rotations are to be given with it; a point is then seen in the row that is read
+    while it is seen there, to first order about the rows of `read`. kinds (m,): of lenses, see `kinds_of`.
+    """
+
+    positions_m: Floats
+    rotations: Floats
+    interior: Floats
+    points_m: Floats
+    read: Readout | None = None
+    kinds: Ints | None = None
+
+
 def readout_of(
-    poses: Poses,
-    rotations: Floats,
-    swing: Floats | None,
-    drift_m: Floats | None,
-    frame: Ints,
-    rows_px: Floats,
-    heights_px: Floats,
-    readouts_s: Floats,
+    poses: Poses, rotations: Floats, rows: Rows, swing: Floats | None = None, drift_m: Floats | None = None
 ) -> Readout:
-    """Of observations (m,) in frames with present rotations (f, 3, 3), by their rows, heights of their
-    images and readout times, (m,) each.
+    """Of observations in frames with present rotations (f, 3, 3).
 
     swing (f, t, 3): factors of the functions of the row about the work frame's axes, on top of the poses' own
     turns: `R(row) = exp(swing(row)) R exp(turn(row))`. drift_m (f, 3): over a whole height of the image,
-    beside the velocities.
+    besides the velocities.
     """
+    frame, rows_px, heights_px, readouts_s = rows.frame, rows.rows_px, rows.heights_px, rows.readouts_s
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
     at_row, rates, terms, swinging = _of_frames(rotations, frame), none.T, None, none.T
     velocities = none if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frame]
@@ -128,72 +149,47 @@ def _turned(turn_rad: Floats) -> Floats:
     return out
 
 
-def image_from_ground(
-    positions_m: Floats,
-    rotations: Floats,
-    interior: Floats,
-    points_m: Floats,
-    read: Readout | None = None,
-    kinds: Ints | None = None,
-) -> Floats:
+def image_from_ground(of: Projections) -> Floats:
     """Image coordinates (m, 2) as `project` gives them, without derivatives."""
-    turned, numbers = by_component(rotations), by_component(interior)
-    d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
-    bent, slopes = _bends(u, v, numbers, kinds, slopes=read is not None)
+    turned, numbers, read = by_component(of.rotations), by_component(of.interior), of.read
+    directions = _directions(of, turned, numbers)
+    bent, slopes = _bends(directions, numbers, of.kinds, slopes=read is not None)
     image = bent * numbers[0] + numbers[1:3]
     if read is not None:
-        image = read.seen_px(image, _by_row(read, turned, numbers, d, u, v, z, slopes))
+        image = read.seen_px(image, _by_row(read, turned, numbers, directions, slopes))
     return _by_number(image)
 
 
-def project(
-    positions_m: Floats,
-    rotations: Floats,
-    interior: Floats,
-    points_m: Floats,
-    read: Readout | None = None,
-    kinds: Ints | None = None,
-) -> tuple[Floats, Floats, Floats, Floats]:
+def project(of: Projections) -> tuple[Floats, Floats, Floats, Floats]:
     """Image coordinates and their derivatives, one row an observation.
 
     See `Camera` and `Rotation` for the equations. A rotation's update is a small turn about the work
     frame's axes from the left, R = exp([t]) R0.
 
-    Args: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR,
-        points_m (m, 3). read: of rolling shutters, whose rotations are to be given with it; a point is then
-        seen in the row that is read while it is seen there, to first order about the rows of `read`.
-        kinds (m,): of lenses, see `kinds_of`.
     Returns: image_px (m, 2); by_pose (m, 2, d): position, turn in rad, the frame's swing and drift;
         by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
     """
-    seen = project_by_levers(positions_m, rotations, interior, points_m, read, kinds)
-    image, levers, by_interior, by_point = seen
+    image, levers, by_interior, by_point = project_by_levers(of)
     return (
         _by_number(image), _by_number(levers.by_pose(by_point)), _by_number(by_interior), _by_number(by_point)
     )  # fmt: skip
 
 
-def project_by_levers(
-    positions_m: Floats,
-    rotations: Floats,
-    interior: Floats,
-    points_m: Floats,
-    read: Readout | None = None,
-    kinds: Ints | None = None,
-) -> tuple[Floats, Levers, Floats, Floats]:
+def project_by_levers(of: Projections) -> tuple[Floats, Levers, Floats, Floats]:
     """As `project`, one column an observation, (..., m), and without derivatives by the poses: these follow
     from the points' by `Levers`."""
-    turned, numbers = by_component(rotations), by_component(interior)
-    d, u, v, z = _directions(positions_m, turned, numbers, points_m, read)
+    turned, numbers, read = by_component(of.rotations), by_component(of.interior), of.read
+    directions = _directions(of, turned, numbers)
+    d, u, v, z = directions
     f, terms = numbers[0], None if read is None else read.terms
     rigid = np.zeros((0, len(u)))
     levers = Levers(d, rigid, rigid)
     if read is not None and terms is not None:
         levers = Levers(d, by_component(terms), read.shares[None])
-    bent, slopes = _bends(u, v, numbers, kinds, slopes=True)
+    bent, slopes = _bends(directions, numbers, of.kinds, slopes=True)
     image = bent * f + numbers[1:3]
     by_interior = np.zeros((2, len(INTERIOR), len(u)))
-    for lens, which in _lenses(kinds):
+    for lens, which in _lenses(of.kinds):
         x, y = u[which], v[which]
         for column, both in enumerate(lens.by_terms(x, y, x * x + y * y), 3):
             for axis in range(2):
@@ -206,33 +202,38 @@ def project_by_levers(
     if read is not None:
         shown = np.concatenate([read.velocities_m_per_s, read.rates_rad_per_s], axis=1).T * read.shares
         by_interior[:, 8] = multiply_each(by_point, Levers(d, rigid, rigid).as_points_m(shown))
-        by_row = _by_row(read, turned, numbers, d, u, v, z, slopes)
+        by_row = _by_row(read, turned, numbers, directions, slopes)
         for derivatives in (by_interior, by_point):
             _in_own_row(derivatives, by_row)
         image = read.seen_px(image, by_row)
     return image, levers, by_interior, by_point
 
 
-def _directions(
-    positions_m: Floats, rotations: Floats, interior: Floats, points_m: Floats, read: Readout | None
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Point minus projection centre (3, m); to the right and down in the image over the distance along the
-    view, without distortion, (m,) each; and the camera's own z (m,), NaN behind the camera.
+class _Directions(NamedTuple):
+    """Point minus projection centre d (3, m); to the right and down in the image over the distance along the
+    view, without distortion, u and v (m,); and the camera's own z (m,), NaN behind the camera."""
 
-    Args: rotations (3, 3, m), interior (9, m).
-    """
-    d = by_component(points_m - positions_m)
+    d: Floats
+    u: Floats
+    v: Floats
+    z: Floats
+
+
+def _directions(of: Projections, rotations: Floats, interior: Floats) -> _Directions:
+    """Of points; rotations (3, 3, m), interior (9, m)."""
+    d, read = by_component(of.points_m - of.positions_m), of.read
     if read is not None:
         d -= (read.velocities_m_per_s.T * interior[8] + read.drifting_m.T) * read.shares
     x, y, z = multiply_each(np.swapaxes(rotations, 0, 1), d)
     z = np.where(z < 0.0, z, np.nan)
-    return d, -x / z, y / z, z
+    return _Directions(d, -x / z, y / z, z)
 
 
 def _bends(
-    u: Floats, v: Floats, interior: Floats, kinds: Ints | None, *, slopes: bool
+    directions: _Directions, interior: Floats, kinds: Ints | None, *, slopes: bool
 ) -> tuple[Floats, Floats]:
     """Directions as the lenses bend them (2, m), and the slopes of that (3, m) if asked for."""
+    _, u, v, _ = directions
     bent, slope = np.empty((2, len(u))), np.empty((3, len(u) if slopes else 0))
     for lens, which in _lenses(kinds):
         x, y = u[which], v[which]
@@ -244,16 +245,10 @@ def _bends(
 
 
 def _by_row(
-    read: Readout,
-    rotations: Floats,
-    interior: Floats,
-    d: Floats,
-    u: Floats,
-    v: Floats,
-    z: Floats,
-    slopes: Floats,
+    read: Readout, rotations: Floats, interior: Floats, directions: _Directions, slopes: Floats
 ) -> Floats:
     """By how much points' images move while one row after the other is read, (2, m) px a row."""
+    d, u, v, z = directions
     readout_s = interior[8]
     turning = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
     moving = -readout_s * read.velocities_m_per_s.T - read.drifting_m.T

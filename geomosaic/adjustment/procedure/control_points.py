@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.collinearity import kinds_of, project, readout_of
+from geomosaic.adjustment.kernels.collinearity import Projections, Rows, kinds_of, project, readout_of
 from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.solver.solution import Solution
@@ -157,7 +157,7 @@ def _place(
         at_m = intersection_of_rays(poses, cameras, frames, image_px)
     interior = np.stack([interior_of(cameras[i]) for i in frames])
     heights = np.array([cameras[i].height_px for i in frames])
-    read = readout_of(poses, poses.rotations, None, None, frames, image_px[:, 1], heights, interior[:, -1])
+    read = readout_of(poses, poses.rotations, Rows(frames, image_px[:, 1], heights, interior[:, -1]))
     kinds = kinds_of([cameras[i] for i in frames])
     level = np.zeros((3, 3))
     if single:
@@ -167,7 +167,7 @@ def _place(
             return None
         many = np.broadcast_to(at_m, (len(frames), 3))
         image, by_pose, by_interior, by_point = project(
-            poses.positions_m[frames], read.rotations, interior, many, read, kinds
+            Projections(poses.positions_m[frames], read.rotations, interior, many, read, kinds)
         )
         if not np.isfinite(image).all():
             return None

@@ -93,7 +93,7 @@ class _Own:
         points = self._at.points_m.copy()
         points[self._which] = points_m
         computed, _, _, by_point = project_by_levers(
-            *self._image.arguments(replace(self._at, points_m=points))
+            self._image.projections(replace(self._at, points_m=points))
         )
         residual = self._image.tracks.image_px.T - computed
         before = np.isfinite(residual).all(axis=0)

@@ -149,8 +149,8 @@ def intersection_residuals(
     points, scale_px = at.points_m.copy(), np.inf
     for _ in range(_ROUNDS):
         here = replace(at, points_m=points)
-        rows = some.arguments_in_own_rows(here, some.computed_px(here))
-        computed, _, _, by_point = project_by_levers(*rows)
+        rows = some.projections_in_own_rows(here, some.computed_px(here))
+        computed, _, _, by_point = project_by_levers(rows)
         residual = some.tracks.image_px.T - computed
         length = np.hypot(*residual)
         weight = np.where(np.isfinite(length), student_weight(length / scale_px), 0.0)

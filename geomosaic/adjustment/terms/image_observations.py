@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import (
+    Projections,
+    Rows,
     image_from_ground,
     kinds_of,
     project_by_levers,
@@ -101,7 +103,7 @@ class ImageObservations:
         if kept is not None and kept[0] is self.tracks:
             return kept[1]
         parts = np.array_split(np.arange(len(self.tracks.frame)), max(len(self.tracks.frame) // AT_ONCE, 1))
-        out = np.concatenate([image_from_ground(*self.of(i).arguments(at)) for i in parts])
+        out = np.concatenate([image_from_ground(self.of(i).projections(at)) for i in parts])
         at.memo[id(self.tracks)] = self.tracks, out
         return out
 
@@ -127,7 +129,7 @@ class ImageObservations:
         def linearised(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
             some = self.of(which)
             image, levers, by_interior, by_point = project_by_levers(
-                *some.arguments_in_own_rows(at, computed[which])
+                some.projections_in_own_rows(at, computed[which])
             )
             residual, sd = some.tracks.image_px.T - image, sd_px[which]
             counts = np.isfinite(residual).all(axis=0) & self.used[which]
@@ -150,31 +152,28 @@ class ImageObservations:
             mounting_side=np.zeros(q),
         )
 
-    def arguments(self, at: Estimate, rows_px: Floats | None = None) -> tuple[Any, ...]:
-        """What `project` and `image_from_ground` take, a row an observation; rolling shutters at rows_px
-        (m,), or the measured rows."""
+    def projections(self, at: Estimate, rows_px: Floats | None = None) -> Projections:
+        """The points in the frames that see them; rolling shutters at rows_px (m,), or the measured rows."""
         frame = self.tracks.frame
         camera = self.camera_of[frame]
         interior, kinds = at.interior[camera], kinds_of(self.cameras)
-        first = at.positions_m[frame], at.rotations[frame], interior, at.points_m[self.tracks.point]
         kind = None if kinds is None else kinds[camera]
+        points_m = at.points_m[self.tracks.point]
         if not self._reads_rows(at):
-            return *first, None, kind
-        rows = self.tracks.image_px[:, 1] if rows_px is None else rows_px
-        swings = bool(at.swing_rad.shape[1])
-        read = readout_of(
-            *(self.reported, at.rotations, at.swing_rad if swings else None, at.drift_m if swings else None),
-            *(frame, rows, self._heights_px[camera], interior[:, READOUT]),
-        )
-        return first[0], read.rotations, *first[2:], read, kind
+            return Projections(at.positions_m[frame], at.rotations[frame], interior, points_m, None, kind)
+        measured = self.tracks.image_px[:, 1] if rows_px is None else rows_px
+        rows = Rows(frame, measured, self._heights_px[camera], interior[:, READOUT])
+        motion = (at.swing_rad, at.drift_m) if at.swing_rad.shape[1] else (None, None)
+        read = readout_of(self.reported, at.rotations, rows, *motion)
+        return Projections(at.positions_m[frame], read.rotations, interior, points_m, read, kind)
 
-    def arguments_in_own_rows(self, at: Estimate, computed_px: Floats) -> tuple[Any, ...]:
+    def projections_in_own_rows(self, at: Estimate, computed_px: Floats) -> Projections:
         """The same with rolling shutters at the points' own rows, see `Readout`; computed_px (m, 2): see the
         method of that name."""
         if not self._reads_rows(at):
-            return self.arguments(at)
+            return self.projections(at)
         rows = np.clip(computed_px[:, 1], 0.0, self._heights_px[self.camera_of[self.tracks.frame]])
-        return self.arguments(at, np.where(np.isnan(rows), self.tracks.image_px[:, 1], rows))
+        return self.projections(at, np.where(np.isnan(rows), self.tracks.image_px[:, 1], rows))
 
     @cached_property
     def _heights_px(self) -> Floats:
