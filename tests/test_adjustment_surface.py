@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat
 from geomosaic.adjustment.ground.tie_surface import tie_surface
+from geomosaic.adjustment.ground.trial_surface import Heights
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
@@ -52,7 +53,7 @@ def off_m(surface: GroundSurface, beyond_m: float) -> float:
 def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
     """The edge held level would be off by 2 m at 10 m and by 5 m at 25 m; the true slope straight on by 0.2
     and 1.2 m, and slopes of noisy points by more."""
-    surface = tie_surface(*points(1), LOW, HIGH, 100.0)
+    surface = tie_surface(Heights(*points(1), LOW, HIGH, 100.0))
     assert surface.kind == "tie_surface"
     assert (surface.east_0_m, surface.north_0_m) == (-130.0, -110.0)
     assert surface.up_at(20.0, -30.0) == pytest.approx(322.0, abs=0.02)
@@ -67,7 +68,7 @@ def test_trees_do_not_lift_the_ground() -> None:
     for middle, reach in zip(rng.uniform(-90, 90, (40, 2)), rng.uniform(2.0, 7.0, 40), strict=True):
         crown = np.linalg.norm(at[:, :2] - middle, axis=1) < reach
         at[crown, 2] += rng.uniform(3.0, 10.0, crown.sum())
-    surface = tie_surface(at, sd, LOW, HIGH, 100.0)
+    surface = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
     e, n = np.meshgrid(np.linspace(-80.0, 80.0, 60), np.linspace(-60.0, 60.0, 50))
     assert np.abs(surface.up_at(e, n) - dome(e, n)).max() < 0.3
     assert np.mean(at[:, 2] - dome(*at[:, :2].T) > 1.0) > 0.05
@@ -75,7 +76,7 @@ def test_trees_do_not_lift_the_ground() -> None:
 
 def test_a_finer_grid_gives_the_same_surface() -> None:
     at, sd = points(4, 8000)
-    fine, coarse = (tie_surface(at[::k], sd[::k], LOW, HIGH, 100.0) for k in (1, 4))
+    fine, coarse = (tie_surface(Heights(at[::k], sd[::k], LOW, HIGH, 100.0)) for k in (1, 4))
     assert coarse.spacing_m == pytest.approx(2.0 * fine.spacing_m, rel=0.05)
     for reach_m, most_m in ((-5.0, 0.06), (10.0, 0.5)):
         east, north = 100.0 + reach_m, 80.0 + reach_m
@@ -87,7 +88,7 @@ def test_rough_ground_gets_a_softer_surface_than_smooth_ground() -> None:
     """Hills of 6 m and 60 m from top to top: one stiffness for both would cut them by metres."""
     at, sd = points(5, 3000)
     at[:, 2] = 3.0 * np.sin(at[:, 0] / 9.5) * np.cos(at[:, 1] / 9.5)
-    surface = tie_surface(at, sd, LOW, HIGH, 100.0)
+    surface = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
     e, n = np.meshgrid(np.linspace(-90.0, 90.0, 60), np.linspace(-70.0, 70.0, 50))
     off = surface.up_at(e, n) - 3.0 * np.sin(e / 9.5) * np.cos(n / 9.5)
     assert np.sqrt(np.mean(off**2)) < 0.15
@@ -97,8 +98,8 @@ def test_rough_ground_gets_a_softer_surface_than_smooth_ground() -> None:
 @examples(max_examples=8, deadline=None)
 def test_a_block_of_another_size_gets_the_surface_of_that_size(factor: float, seed: int) -> None:
     at, sd = points(seed, 300)
-    one = tie_surface(at, sd, LOW, HIGH, 100.0)
-    other = tie_surface(factor * at, factor * sd, factor * LOW, factor * HIGH, factor * 100.0)
+    one = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
+    other = tie_surface(Heights(factor * at, factor * sd, factor * LOW, factor * HIGH, factor * 100.0))
     assert other.spacing_m == pytest.approx(factor * one.spacing_m)
     assert other.up_m / factor == pytest.approx(one.up_m, rel=1e-5)
 
@@ -122,7 +123,7 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
     for seed in range(40, 48):
         land, (at, sd) = rolling_land(seed), points(seed, 2500)
         at[:, 2] = land(at[:, 0], at[:, 1]) + at[:, 2] - dome(at[:, 0], at[:, 1])
-        found = tie_surface(at, sd, LOW, HIGH, 100.0)
+        found = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
         assert found.sd_at(0.0, 0.0) < 0.3
         assert found.sd_at(128.0, 0.0) > 2.0 * found.sd_at(110.0, 0.0)
         n = np.linspace(-75.0, 75.0, 31)
@@ -136,9 +137,9 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
 def test_level_land_goes_on_level_and_says_so() -> None:
     at, sd = points(9, 2500)
     at[:, 2] += 300.0 - dome(at[:, 0], at[:, 1])
-    found = tie_surface(at, sd, LOW, HIGH, 100.0)
+    found = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
     assert found.sd_at(125.0, 0.0) < 0.15
-    assert tie_surface(at, sd, LOW, HIGH, 100.0, rough=True).sd_m is None
+    assert tie_surface(Heights(at, sd, LOW, HIGH, 100.0), rough=True).sd_m is None
 
 
 def line(seed: int, base_m: float, relief=level, frames: int = 8) -> Block:  # type: ignore[no-untyped-def]
@@ -247,11 +248,11 @@ def test_beyond_a_wood_lies_the_ground_it_stands_on() -> None:
     slope = 0.03 * at[:, 0]
     up = slope + np.where(wood, 9.0 + rng.normal(0.0, 1.0, 9000), 0.0) + rng.normal(0.0, 0.1, 9000)
     low, high = np.zeros(2), np.array([300.0, 275.0])
-    found = tie_surface(np.column_stack([at, up]), np.full(9000, 0.2), low, high, 90.0)
+    found = tie_surface(Heights(np.column_stack([at, up]), np.full(9000, 0.2), low, high, 90.0))
     north = np.linspace(20.0, 255.0, 40)
     beyond = found.up_at(np.full(40, 297.0), north) - 0.03 * 297.0
     assert np.abs(beyond).mean() < 3.0, "not the crowns' 9 m"
     hills = 12.0 * np.sin(at[:, 0] / 60.0) + 9.0 * np.cos(at[:, 1] / 70.0) + rng.normal(0.0, 0.1, 9000)
-    found = tie_surface(np.column_stack([at, hills]), np.full(9000, 0.2), low, high, 90.0)
+    found = tie_surface(Heights(np.column_stack([at, hills]), np.full(9000, 0.2), low, high, 90.0))
     true = 12.0 * np.sin(285.0 / 60.0) + 9.0 * np.cos(north / 70.0)
     assert np.abs(found.up_at(np.full(40, 285.0), north) - true).max() < 1.0

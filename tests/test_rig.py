@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation as Turn
 from small_surveys import geomosaic, mosaic, small_survey, summary
 from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
-from geomosaic.adjustment.procedure.rig import RigPoses, band_poses, register_bands
+from geomosaic.adjustment.procedure.rig import Captures, RigPoses, band_poses, register_bands
 from geomosaic.mosaic.bands import stack_bands
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.pipeline.finished import load_artefact
@@ -97,7 +97,7 @@ def test_a_band_that_shows_nothing_is_left_as_told(tmp_path: Path) -> None:
         write_frame(tmp_path / f"{i}.tif", np.full((180, 240, 1), 7.0), "uint8")
         frames.append(replace(frame, path=str(tmp_path / f"{i}.tif")))
     rigged = replace(survey, other_bands=(Band("dark", None, CAMERA, tuple(frames)),))
-    (found,) = register_bands(rigged, poses, [CAMERA] * 2, [True] * 2, ground).bands
+    (found,) = register_bands(Captures(rigged, poses, [CAMERA] * 2, [True] * 2, ground)).bands
     assert np.array_equal(found.own_from_band, np.eye(3)) and np.isnan(found.after_px)
     turned = band_poses(poses, replace(found, own_from_band=Turn.from_rotvec(TURN).as_matrix()))
     assert turned.rotations[1] == pytest.approx(poses.rotations[1] @ Turn.from_rotvec(TURN).as_matrix())

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.procedure.rig import RigPoses, register_bands
+from geomosaic.adjustment.procedure.rig import Captures, RigPoses, register_bands
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.survey.model import Survey
 
@@ -34,15 +34,9 @@ class AdjustmentRig(Stage):
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Registers, and reports how far apart the bands were and are."""
         adjusted: Adjusted = inputs["adjusted"]
-        rig = register_bands(
-            inputs["survey"],
-            adjusted.poses,
-            adjusted.cameras,
-            [s != "rejected" for s in adjusted.status],
-            adjusted.ground,
-            threads=params.threads,
-            progress=context.progress,
-        )
+        used = [status != "rejected" for status in adjusted.status]
+        captures = Captures(inputs["survey"], adjusted.poses, adjusted.cameras, used, adjusted.ground)
+        rig = register_bands(captures, params.threads, context.progress)
         for band in rig.bands:
             figures = {"places": band.places, "before_px": band.before_px, "after_px": band.after_px}
             context.metric(f"bands.{band.name.replace('.', '_')}", figures)

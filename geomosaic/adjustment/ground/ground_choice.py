@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.tie_surface import tie_surface
+from geomosaic.adjustment.ground.trial_surface import Heights
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
@@ -146,7 +147,8 @@ def surface_of(
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
     sd_up_m = bundle.points_sd_m[:, 2]
-    return tie_surface(bundle.points_m, sd_up_m, low_m, high_m, height_m, rough=rough, spread=spread)
+    heights = Heights(bundle.points_m, sd_up_m, low_m, high_m, height_m)
+    return tie_surface(heights, rough=rough, spread=spread)
 
 
 def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:

@@ -41,16 +41,7 @@ _USUAL_BEYOND = tuned(0.03, "m per m", "error beyond the points of small blocks,
 _FOLLOWED = tuned(4.5, "median residuals", "three deviations; the surface does not follow points farther off")
 
 
-def tie_surface(
-    points_m: Floats,
-    sd_up_m: Floats,
-    low_m: Floats,
-    high_m: Floats,
-    height_m: float,
-    *,
-    rough: bool = False,
-    spread: Spread | None = None,
-) -> GroundSurface:
+def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None = None) -> GroundSurface:
     """Robust smoothing surface through tie points, a spline with tension (Mitášová and Mitáš 1993).
 
     Minimises sum rho((up - surface) / sd) over the points plus squared slopes and third derivatives over
@@ -60,19 +51,19 @@ def tie_surface(
     or paraboloid below the points holds the surface. Standard deviations grow with the distance from the
     points, as the errors at left-out sides do.
 
-    Args: points_m (p, 3), sd_up_m (p,), low_m and high_m (2,): the rectangle to cover, which may reach
-        beyond the points; height_m: the frames' height above the points. rough: with the usual third
-        derivative about a free plane, without deviations; a twentieth of the work. spread: runs trials.
+    Args: rough: with the usual third derivative about a free plane, without deviations; a twentieth of the
+        work. spread: runs trials.
     """
+    points_m = heights.points_m
     inside = np.ptp(points_m[:, :2], axis=0)
     spacing = float(np.sqrt(np.prod(inside) * _POINTS_PER_NODE / max(len(points_m), 1)))
-    trials = _Trials(Heights(points_m, sd_up_m, low_m, high_m, height_m), spread or AtOnce())
-    trial_m = node_spacing_m(low_m, high_m, spacing, _MOST_TRIAL_NODES)
+    trials = _Trials(heights, spread or AtOnce())
+    trial_m = node_spacing_m(heights.low_m, heights.high_m, spacing, _MOST_TRIAL_NODES)
     if rough:
         return fitted(Trial(trials.heights, trial_m, _USUAL_CURVING, _FREE))
     curving = _best_curving(trials, trial_m)
     standing = _best_standing(trials, trial_m, curving)
-    fine_m = node_spacing_m(low_m, high_m, spacing, _MOST_NODES)
+    fine_m = node_spacing_m(heights.low_m, heights.high_m, spacing, _MOST_NODES)
     last = Trial(trials.heights, fine_m, curving, standing, _ROUNDS)
     sides = [Trial(known, trial_m, curving, standing) for _, known in trials.without_each_side.values()]
     surface, *of_sides = trials.surfaces([last, *sides])
@@ -80,7 +71,7 @@ def tie_surface(
     residual = _residual(points_m, surface)
     followed = points_m[residual <= _FOLLOWED * np.median(residual), :2]
     away_m, _ = KDTree(followed).query(surface.nodes_m().reshape(-1, 2))
-    sd_m = np.hypot(float(np.median(sd_up_m)), factor * away_m**power)
+    sd_m = np.hypot(float(np.median(heights.sd_up_m)), factor * away_m**power)
     return replace(surface, sd_m=sd_m.reshape(surface.up_m.shape))
 
 

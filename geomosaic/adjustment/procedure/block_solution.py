@@ -69,20 +69,25 @@ class BlockSolution:
         return _of_ties(self.solution, self.ties)
 
 
+@dataclass(frozen=True)
+class BlockTask:
+    """A block to solve by some tracks; rough: another solve by more tracks follows."""
+
+    block: Block
+    settings: Settings
+    tracks: Tracks
+    rough: bool = False
+
+
 def block_solution(
-    block: Block,
-    settings: Settings,
-    tracks: Tracks,
-    poses: Poses,
-    start: BlockSolution | Start | None = None,
-    *,
-    rough: bool = False,
+    task: BlockTask, poses: Poses, start: BlockSolution | Start | None = None
 ) -> BlockSolution:
     """Free points first, then with control, then bound to the ground if they lie on one.
 
     Args: poses: to begin from. start: a solution to go on from: of the same tracks and lenses, or a solver's,
-        by the same model and other tracks. rough: another solve by more tracks follows.
+        by the same model and other tracks.
     """
+    block, settings, tracks, rough = task.block, task.settings, task.tracks, task.rough
     options = SolveOptions(rough=rough, self_calibration=settings.self_calibration)
     again: Start | None = None
     if isinstance(start, BlockSolution):

@@ -17,6 +17,7 @@ from geomosaic.adjustment.problem.usable_input import usable
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import (
     BlockSolution,
+    BlockTask,
     block_solution,
     by_all_points,
     points_on_ground,
@@ -120,7 +121,7 @@ def _begun(
         block, _ = flown(block, start)
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     del net  # where every tie point lies, twice
-    found = block_solution(block, settings, few, start, rough=few is not tracks)
+    found = block_solution(BlockTask(block, settings, few, few is not tracks), start)
     return Work(
         *(given, misalignments_m, tracks, few, rolling, block, settings, found, spread),
         notes=tuple(notes),
@@ -151,7 +152,7 @@ def again(work: Work, block: Block, settings: Settings, start: BlockSolution | S
     """The block solved anew with another block or other settings, from the poses found so far, or what a
     solver's solution found."""
     poses = start.poses if isinstance(start, Start) else work.found.solution.poses
-    found = block_solution(block, settings, work.few, poses, start, rough=work.rough)
+    found = block_solution(BlockTask(block, settings, work.few, work.rough), poses, start)
     return replace(work.then(found), block=block, settings=settings)
 
 
@@ -162,7 +163,7 @@ def _wrong_ones_resected(work: Work) -> Work:
     poses = resected(ties, solution, cameras, wrong) if wrong.any() else None
     if poses is None:
         return work
-    found = block_solution(work.block, work.settings, work.few, poses, rough=work.rough)
+    found = block_solution(BlockTask(work.block, work.settings, work.few, work.rough), poses)
     return work.then(found)
 
 

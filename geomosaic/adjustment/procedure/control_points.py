@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,14 @@ _UNKNOWN_SD = tuned(1e3, "m", "of a coordinate that is not given: farther than a
 Spread = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses
 (k, 3, 6) and by their cameras' numbers (k, 3, 9)."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The covariance after a bundle, and the common error of all frames, (3,) in m², see `common_error`."""
+
+    spread: Spread
+    common_m2: Floats
 
 
 def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl, ...]:
@@ -61,8 +70,7 @@ def control_residuals(
     poses: Poses,
     cameras: tuple[Camera, ...],
     ground: GroundSurface,
-    spread: Spread | None = None,
-    common_m2: Floats | float = 0.0,
+    solved: Solved | None = None,
 ) -> tuple[ControlResidual, ...]:
     """Where each point was surveyed minus where the images put it, by the poses as they are.
 
@@ -70,24 +78,24 @@ def control_residuals(
     in the solve or not; a point of one image is projected on the ground. Points that can't be reached
     (rays that don't meet the ground) are left out.
 
-    Args: spread: covariance of poses and cameras after a bundle, which used the points that aren't for
+    Args: solved: the covariance of poses and cameras after a bundle, which used the points that aren't for
         checking. Without it no point was used: all are check points, and the poses' own deviations count,
-        as if they were independent. common_m2 (3,): see `common_error`; a point moves with all frames.
+        as if they were independent.
     """
     out = []
     for c in block.control:
-        frames = np.array([frame for frame, _, _ in c.observations], dtype=np.intp)
-        image_px = np.array([at[1:] for at in c.observations])
-        found = _place(poses, cameras, ground, frames, image_px, c.enu_m)
+        found = _place(poses, cameras, ground, c)
         if found is None:
             continue
+        frames = np.array([frame for frame, _, _ in c.observations], dtype=np.intp)
         at_m, own, by_pose, by_interior = found
         try:
-            moved = (spread or spread_of_poses(poses))(frames, by_pose, by_interior)
+            moved = (solved.spread if solved else spread_of_poses(poses))(frames, by_pose, by_interior)
         except NotSolvableError:
             moved = spread_of_poses(poses)(frames, by_pose, by_interior)
+        common_m2 = solved.common_m2 if solved else 0.0
         sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2 + common_m2)
-        out.append(ControlResidual(c.name, c.check or spread is None, len(frames), c.enu_m - at_m, sd))
+        out.append(ControlResidual(c.name, c.check or solved is None, len(frames), c.enu_m - at_m, sd))
     return tuple(out)
 
 
@@ -137,19 +145,16 @@ def spread_of_poses(poses: Poses) -> Spread:
 
 
 def _place(
-    poses: Poses,
-    cameras: tuple[Camera, ...],
-    ground: GroundSurface,
-    frames: Ints,
-    image_px: Floats,
-    surveyed_m: Floats,
+    poses: Poses, cameras: tuple[Camera, ...], ground: GroundSurface, control: GroundControl
 ) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """A ground point (3,) from its image coordinates (k, 2), by least squares.
+    """A ground point (3,) from its k image coordinates, by least squares.
 
     Returns: the point; its covariance (3, 3) for poses and cameras without error; its derivatives by the
     frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it can't be had. In a single image the
     ground's height is as good as the surveyed point says.
     """
+    frames = np.array([frame for frame, _, _ in control.observations], dtype=np.intp)
+    image_px = np.array([at[1:] for at in control.observations])
     single = len(np.unique(frames)) == 1
     if single:
         at_m = ground_from_image(poses[frames[0]], cameras[frames[0]], ground, image_px.mean(axis=0))
@@ -161,7 +166,7 @@ def _place(
     kinds = kinds_of([cameras[i] for i in frames])
     level = np.zeros((3, 3))
     if single:
-        level[2, 2] = (MEASURED_SD_PX / max(abs(surveyed_m[2] - at_m[2]), 1e-3)) ** 2
+        level[2, 2] = (MEASURED_SD_PX / max(abs(control.enu_m[2] - at_m[2]), 1e-3)) ** 2
     for _ in range(1 if single else 6):
         if not np.isfinite(at_m).all():
             return None

@@ -11,6 +11,7 @@ from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.procedure.control_points import (
+    Solved,
     Spread,
     control_residuals,
     control_warnings,
@@ -102,7 +103,8 @@ def outcome(
         covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), covariance)
     if covariance is not None:
         covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
-    control = control_residuals(block, poses, cameras, ground, spread, common_m2)
+    solved = None if spread is None else Solved(spread, common_m2)
+    control = control_residuals(block, poses, cameras, ground, solved)
     poses = with_common_error(poses, common_m2)
     return Adjusted(
         poses=poses,

@@ -63,15 +63,19 @@ class RigPoses:
     bands: tuple[BandPose, ...] = ()
 
 
+@dataclass(frozen=True)
+class Captures:
+    """A survey's captures with the poses, cameras and ground that were found; used: which poses hold."""
+
+    survey: Survey
+    poses: Poses
+    cameras: Sequence[Camera]
+    used: Sequence[bool]
+    ground: GroundSurface
+
+
 def register_bands(
-    survey: Survey,
-    poses: Poses,
-    cameras: Sequence[Camera],
-    used: Sequence[bool],
-    ground: GroundSurface,
-    *,
-    threads: int = 2,
-    progress: Callable[[int, int, str], None] | None = None,
+    captures: Captures, threads: int = 2, progress: Callable[[int, int, str], None] | None = None
 ) -> RigPoses:
     """One rotation and focal length for each band, from all captures at once.
 
@@ -80,7 +84,8 @@ def register_bands(
     searches nearby. The offset of the lenses, some centimetres, acts as a rotation over level ground.
     """
     out = []
-    rig = _Rig(survey, poses, cameras, ground)
+    survey, poses, used = captures.survey, captures.poses, captures.used
+    rig = _Rig(survey, poses, captures.cameras, captures.ground)
     for k, band in enumerate(survey.other_bands):
         there = [i for i, f in enumerate(band.frames) if f is not None and used[i]]
         some = np.unique(np.linspace(0, len(there) - 1, min(_MOST_CAPTURES, len(there))).astype(int))
