@@ -56,7 +56,7 @@ def test_a_solution_of_a_part_becomes_one_of_the_whole() -> None:
     part = part_of_block(block, frames)
     begun = part_of_solution(whole, frames, np.zeros((3, 3)))
     layout = block_problem(part, Settings(), join_tracks(part.ties), np.zeros((3, 3))).layout
-    assert [u.name for u in layout.cameras] == ["other", one.name]
+    assert [u.owner for u in layout.cameras] == ["other", one.name]
     values, still_held = begun.shared_in(layout)
     assert values[0] == 900.0 and np.flatnonzero(still_held).tolist() == [len(layout.cameras[0].names) + 1]
     moved = replace(begun.poses, positions_m=begun.poses.positions_m + [1.0, 0.0, 2.0])

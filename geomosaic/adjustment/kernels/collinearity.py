@@ -36,7 +36,7 @@ class Readout:
     each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
     given of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames
     swing, swinging_rad (m, 3): by how much these turn over a whole height at the present rate; drifting_m
-    (m, 3): by how much frames go over a whole height beside their velocities.
+    (m, 3): by how much frames go over a whole height besides their velocities.
     """
 
     rows_px: Floats

@@ -13,6 +13,7 @@ from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solve
+from geomosaic.adjustment.terms.interior_orientation import part_of_camera
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
@@ -53,7 +54,7 @@ def _start(model: Model) -> Start:
     lenses = tuple(_begun_lens(by_name.get(c.name, c), c) for c in before.cameras)
     for lens, found in zip(lenses, before.cameras, strict=True):
         if lens.kind != found.kind and model.settings.self_calibration:
-            its = held[before.estimate.layout.slices[lens.name]]
+            its = held[before.estimate.layout.slices[part_of_camera(lens.name)]]
             its[_OF_ALL_LENSES:READOUT] = False
     return replace(before.of_points(before.points_m, lenses), held=held)
 

@@ -51,16 +51,16 @@ class FrameGroup:
         r = min(float((weight - share)[stated].sum()), alone)
         miss = np.where(stated, self.own, 0.0)
         padding = (0, 0), (first, unknowns - first - weight.shape[1])
-        told = np.pad(weight, padding), np.pad(miss, padding)
+        counted = np.pad(weight, padding), np.pad(miss, padding)
         least, most = PRIOR_FACTORS
         if r < LEAST_REDUNDANCY:
-            return Component(self.name, factor, *told, least=least, most=most)
+            return Component(self.name, factor, *counted, least=least, most=most)
         squares = float((weight * (miss / self.sd) ** 2)[stated].sum())
         scatter = factor * float(np.sqrt(squares / r))
         found, above = (credible(f, r) for f in (scatter, _A_LITTLE * scatter))
         follows = float(np.log(above / found) / np.log(_A_LITTLE)) if least < found < most else 0.0
         found = float(np.clip(found, least, most))
-        return Component(self.name, found, *told, squares, r, follows, least, most)
+        return Component(self.name, found, *counted, squares, r, follows, least, most)
 
 
 def robust_weights(

@@ -51,12 +51,19 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     return np.array([focal, principal, principal, *lens, about_s or (_READOUT_SD_S if readout else 0.0)])
 
 
+def part_of_camera(name: str) -> str:
+    """The name of a camera's part of the shared unknowns."""
+    return f"camera {name}"
+
+
 def interior_unknowns(camera: Camera, *, readout: bool = False, free_lens: bool = False) -> Unknowns:
     """A camera's numbers as unknowns; readout: whether it is solved for where nothing reports it; free_lens:
     the maker's distortion counts for nothing but the start."""
     known = replace(camera, distortion_sd=0.0) if free_lens else camera
     sd = interior_deviations(known, readout=readout)
-    return Unknowns(camera.name, camera.name, INTERIOR, interior_of(camera), sd, np.ones(len(INTERIOR)))
+    return Unknowns(
+        part_of_camera(camera.name), camera.name, INTERIOR, interior_of(camera), sd, np.ones(len(INTERIOR))
+    )
 
 
 def implausible_principal_points(at: Estimate, cameras: Sequence[Camera]) -> Bools:

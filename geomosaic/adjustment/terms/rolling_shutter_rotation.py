@@ -83,13 +83,13 @@ class RollingShutterRotation(FrameTerm):
         for k, name in enumerate(self.component_names()):
             factor, its = components[name], sd * (of == k)
             of_term = (its > _STIFF * its.max(axis=1, keepdims=True)).astype(float)
-            told = np.pad(of_term, ((0, 0), (6, 0))), np.pad(-own, ((0, 0), (6, 0)))
+            counted = np.pad(of_term, ((0, 0), (6, 0))), np.pad(-own, ((0, 0), (6, 0)))
             r = float((of_term * redundancy).sum()) - (its.max(axis=0) > 0.0).sum()
             if r <= LEAST_REDUNDANCY:
                 found = float(np.clip(factor, least[k], most[k]))
-                yield Component(name, found, *told, least=least[k], most=most[k])
+                yield Component(name, found, *counted, least=least[k], most=most[k])
                 continue
             squares = float((of_term * (own / sd) ** 2).sum())
             scatter = factor * float(np.sqrt(squares / r))
             follows, found = float(least[k] < scatter < most[k]), float(np.clip(scatter, least[k], most[k]))
-            yield Component(name, found, *told, squares, r, follows, least[k], most[k])
+            yield Component(name, found, *counted, squares, r, follows, least[k], most[k])
