@@ -75,9 +75,6 @@ class Estimate:
         Images do not change by a turn and scale of the whole block, however large. Added to the other
         corrections instead of multiplied, both would miss the images by their products: a principal point
         that moves by 4 px moves the positions, and 5 % of that movement are 0.2 px in every image.
-        Swings stay in the axes of their prior, stiff about the vertical: turned along, they would cost more
-        than the step gains, and steps would be damped to a tenth. In a block that shrinks they turn along:
-        rotation that is not in the model could otherwise shrink it to nothing.
         """
         pose, point, shared = (share * part for part in step)
         frames = len(self.positions_m)
@@ -97,9 +94,7 @@ class Estimate:
         readouts += np.where(readouts == 0.0, 0.0, scale * (readouts - in_step))
         swing, drift_m = self.swing_rad, self.drift_m
         if swing.shape[1]:
-            swing = swing + pose[:, 6:-3].reshape(swing.shape)
-            if scale < 0.0:
-                swing = swing @ turned.T
+            swing = (swing + pose[:, 6:-3].reshape(swing.shape)) @ turned.T
             drift = pose[:, -3:] - np.cross(turn, drift_m) - scale * drift_m
             drift_m = (1.0 + scale) * (drift_m + drift) @ turned.T
         return replace(
