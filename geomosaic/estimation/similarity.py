@@ -78,14 +78,15 @@ class Similarity3D:
         The start is the triple with the least median residual (Rousseeuw 1984); Cauchy's weights about the
         median residual follow. Each fit is Umeyama's (1991, section 4).
         """
-        if len(points) < 3 or _collinear(points) or _collinear(to):
+        triples = (list(t) for t in islice(combinations(range(len(points)), 3), _MOST_TRIPLES))
+        tried = [
+            cls._weighted(points[t], to[t], np.ones(3))
+            for t in triples
+            if not (_collinear(points[t]) or _collinear(to[t]))
+        ]
+        if not tried:
             return None
-        tried = [cls._weighted(points, to, np.ones(len(points)))]
-        for triple in islice(combinations(range(len(points)), 3), _MOST_TRIPLES if len(points) > 3 else 0):
-            some = list(triple)
-            if not _collinear(points[some]):
-                tried.append(cls._weighted(points[some], to[some], np.ones(3)))
-        best = min(tried[1:] or tried, key=lambda t: float(np.median(t._residual(points, to))))
+        best = min(tried, key=lambda t: float(np.median(t._residual(points, to))))
         for _ in range(_ROUNDS):
             best = cls._weighted(points, to, cauchy_about_median(best._residual(points, to), 3.0))
         return best
