@@ -44,7 +44,8 @@ def undetermined(problem: BlockProblem, at: Estimate, components: Components) ->
         return sd > 0.0
     out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
     while left.size:
-        share = np.sqrt(np.diag(inverse(shown[np.ix_(left, left)] + np.eye(left.size))))
+        variance = np.diag(inverse(shown[np.ix_(left, left)] + np.eye(left.size)))
+        share = np.sqrt(np.where(variance < 0.0, np.inf, variance))
         worst = int(share.argmax())
         if share[worst] < _DETERMINED:
             break
