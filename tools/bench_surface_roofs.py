@@ -43,7 +43,7 @@ FAR_PX = sourced(2.0, "px", "by which a corner is off that is listed", "what is 
 _RIM_M = tuned(15.0, "m", "of the mosaic at its border, where less than three frames see")
 _PIECE_M = tuned(2.0, "m", "of an edge that are averaged: longer ones hide what a seam doubles in part")
 _REACH_M = tuned(3.0, "m", "across an edge in which it is looked for: a neighbour's edge is farther away")
-_ABOUT_ROOFS_M = tuned(3.0, "m", "about roofs in which SSIM is told apart")
+_ABOUT_ROOFS_M = tuned(3.0, "m", "about roofs, where SSIM is taken separately")
 _CLEAR = tuned(
     4.0,
     "times what else steps in its profile",
@@ -63,7 +63,7 @@ _MOST_PX = tuned(
     "px",
     "side of the mosaic's middle in which roofs are judged: dozens of houses; more only take time and memory",
 )
-_MOST_PATCHES = tuned(2000, "patches", "by which the mosaic is laid on the true ortho: four numbers")
+_MOST_PATCHES = tuned(2000, "patches", "by which the mosaic is fitted to the true ortho: four numbers")
 
 
 @dataclass(frozen=True)
