@@ -35,7 +35,8 @@ def random_normals(
     camera_of = np.arange(frames) % cameras
     m, fd, ck = len(frame), d * frames, numbers * cameras
     terms = max((d - 9) // 3, 0)
-    levers = Levers(*(rng.normal(0, 1, (k, m)) for k in (3, terms, min(terms, 1))))
+    axes = exp_turn(rng.normal(0, 1, (m if terms else 0, 3))).transpose(1, 2, 0)
+    levers = Levers(*(rng.normal(0, 1, (k, m)) for k in (3, terms, min(terms, 1))), axes)
     by_interior, by_point = rng.normal(0, 1, (2, numbers, m)), rng.normal(0, 1, (2, 3, m))
     by_pose = levers.by_pose(by_point)
     residual, weight = rng.normal(0, 1, (2, m)), rng.uniform(0.5, 2.0, m)
@@ -46,7 +47,10 @@ def random_normals(
         lambda which: (
             residual[:, which],
             weight[which],
-            Levers(*(a[:, which] for a in (levers.arms_m, levers.terms, levers.shares))),
+            Levers(
+                *(a[:, which] for a in (levers.arms_m, levers.terms, levers.shares)),
+                axes[..., which] if terms else axes,
+            ),
             by_interior[..., which],
             by_point[..., which],
         ),
@@ -198,7 +202,7 @@ def test_equations_of_many_sightings_are_held_by_few_numbers_each() -> None:
 
         def linearised(which: np.ndarray) -> tuple[np.ndarray, np.ndarray, Levers, np.ndarray, np.ndarray]:
             n = len(which)
-            levers = Levers(rng.normal(0, 1, (3, n)), np.zeros((0, n)), np.zeros((0, n)))
+            levers = Levers.rigid(rng.normal(0, 1, (3, n)))
             by_interior, by_point = rng.normal(0, 1, (2, k, n)), rng.normal(0, 1, (2, 3, n))
             return rng.normal(0, 1, (2, n)), np.ones(n), levers, by_interior, by_point
 

@@ -256,17 +256,16 @@ def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_la
     assert steady.model is None or steady.model.taken == ()
 
 
-def test_what_stands_for_velocities_turns_about_level_axes_and_by_gusts_alone() -> None:
-    """Frames do turn here, four times as fast as gusts of 1.5 m/s look; as the model is given nobody asks how."""
+def test_what_stands_for_velocities_turns_about_image_axes_and_keeps_the_scale() -> None:
+    """Frames do turn here, four times as fast as gusts of 1.5 m/s look; as the model is given nobody asks how.
+    A tenth of the height would make of every gust the whole turn."""
     flown = fly(2, 3, 6, points=1200, readout_s=0.1, rate_sd_rad_per_s=0.2)
     adjusted = METHODS["bundle"](flown.block, Settings(model="given"))
     assert adjusted.poses.turns is not None
     rates = np.diff(adjusted.poses.turns.rad, axis=1)[:, 0] / adjusted.poses.turns.span_s
-    level, about_sight = np.sqrt((rates**2).mean(axis=0))[[0, 2]]
-    assert 0.005 < level < 0.03 and about_sight < 0.1 * level
-    assert adjusted.poses.positions_m[:, :2].std() == pytest.approx(
-        flown.truth.positions_m[:, :2].std(), rel=0.1
-    )
+    across, about_sight = np.sqrt((rates**2).mean(axis=0))[[0, 2]]
+    assert 0.005 < across < 0.2 and about_sight < 0.1 * across
+    assert 0.6 < adjusted.poses.positions_m[:, :2].std() / flown.truth.positions_m[:, :2].std() < 1.2
 
 
 def test_velocities_that_are_off_are_found() -> None:

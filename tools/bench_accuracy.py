@@ -106,7 +106,7 @@ def run(case: Case, out: Path, seed: int, method: str = "bundle") -> dict[str, A
     if method == "bundle" or method == RIVALS[0]:
         shutil.rmtree(target, ignore_errors=True)
     if method == RIVALS[0] and bundle.exists():
-        shutil.copytree(bundle / "work", target / "work")
+        shutil.copytree(bundle, target)
     options = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json", "--adjust", method]
     options += ["--set", f"adjustment.solve.ground={case.ground}"] if case.ground != "auto" else []
     options += ["--dem", folder / "truth" / "dem.tif", "--dem-offset", "0"] if case.dem else []

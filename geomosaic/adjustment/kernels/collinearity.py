@@ -35,8 +35,9 @@ class Readout:
     rows_px, heights_px (m,): the rows, and heights of the images. rotations (m, 3, 3): as they were when
     each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
     given of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames
-    swing, swinging_rad (m, 3): by how much these turn over a whole height at the present rate; drifting_m
-    (m, 3): by how much frames go over a whole height besides their velocities.
+    swing about their axes (m, 3, 3); swinging_rad (m, 3): by how much these turn over a whole height at the
+    present rate; drift (m, 3): by how much frames go over a whole height besides their velocities, over the
+    depth of what they see, in the work frame.
     """
 
     rows_px: Floats
@@ -45,8 +46,9 @@ class Readout:
     velocities_m_per_s: Floats
     rates_rad_per_s: Floats
     terms: Floats | None
+    axes: Floats
     swinging_rad: Floats
-    drifting_m: Floats
+    drift: Floats
 
     @property
     def shares(self) -> Floats:
@@ -103,17 +105,18 @@ class Projections:
 
 
 def readout_of(
-    poses: Poses, rotations: Floats, rows: Rows, swing: Floats | None = None, drift_m: Floats | None = None
+    poses: Poses, rotations: Floats, rows: Rows, swing: Floats | None = None, drift: Floats | None = None
 ) -> Readout:
     """Of observations in frames with present rotations (f, 3, 3).
 
-    swing (f, t, 3): factors of the functions of the row about the work frame's axes, on top of the poses' own
-    turns: `R(row) = exp(swing(row)) R exp(turn(row))`. drift_m (f, 3): over a whole height of the image,
-    besides the velocities.
+    swing (f, t, 3): factors of the functions of the row about the camera's axes, beside the poses' own turns:
+    `R(row) = R exp(swing(row)) exp(turn(row))`. drift (f, 3): along the camera's axes over a whole height of
+    the image, besides the velocities, over the depth: so images do not change with the scale of the block.
     """
     frame, rows_px, heights_px, readouts_s = rows.frame, rows.rows_px, rows.heights_px, rows.readouts_s
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
-    at_row, rates, terms, swinging = _of_frames(rotations, frame), none.T, None, none.T
+    axes, rates, terms, swinging = _of_frames(rotations, frame), none.T, None, none.T
+    at_row = axes
     velocities = none if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frame]
     if poses.turns is not None:
         turn, rate = poses.turns.at(share * readouts_s, frame)
@@ -123,14 +126,15 @@ def readout_of(
     if swing is not None:
         recorded = recorded_share(poses.turns, frame, readouts_s)
         terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
-        by_term = np.swapaxes(_of_frames(swing, frame), 0, 1)
+        by_term = np.swapaxes(_of_frames(swing @ np.swapaxes(rotations, 1, 2), frame), 0, 1)
         more = _turned(multiply_each(by_term, terms.T))
         swinging = multiply_each(by_term, slopes.T)
         at_row, rates = multiply_each(more, at_row), multiply_each(more, rates)
-    drifting = none if drift_m is None else drift_m[frame]
+    drifting = none if drift is None else np.einsum("fij,fj->fi", rotations, drift)[frame]
     turned = _by_number(at_row)
     return Readout(
-        *(rows_px, heights_px, turned, velocities, _by_number(rates), terms, _by_number(swinging), drifting)
+        *(rows_px, heights_px, turned, velocities, _by_number(rates)),
+        *(terms, _by_number(axes), _by_number(swinging), drifting),
     )
 
 
@@ -182,10 +186,9 @@ def project_by_levers(of: Projections) -> tuple[Floats, Levers, Floats, Floats]:
     directions = _directions(of, turned, numbers)
     d, u, v, z = directions
     f, terms = numbers[0], None if read is None else read.terms
-    rigid = np.zeros((0, len(u)))
-    levers = Levers(d, rigid, rigid)
+    levers = rigid = Levers.rigid(d)
     if read is not None and terms is not None:
-        levers = Levers(d, by_component(terms), read.shares[None])
+        levers = Levers(d, by_component(terms), (-read.shares * z)[None], by_component(read.axes))
     bent, slopes = _bends(directions, numbers, of.kinds, slopes=True)
     image = bent * f + numbers[1:3]
     by_interior = np.zeros((2, len(INTERIOR), len(u)))
@@ -197,11 +200,14 @@ def project_by_levers(of: Projections) -> tuple[Floats, Levers, Floats, Floats]:
     by_u, by_v, scale = slopes[:2], slopes[1:], f / z
     by_camera = np.stack([-by_u, by_v, -(by_u * u + by_v * v)], axis=1) * scale
     by_point = multiply_each(by_camera, np.swapaxes(turned, 0, 1))
+    if read is not None:
+        along_drift = (by_point * read.drift.T).sum(axis=1) * read.shares
+        by_point += along_drift[:, None] * turned[:, 2]
     by_interior[:, 0] = bent
     by_interior[0, 1] = by_interior[1, 2] = 1.0
     if read is not None:
         shown = np.concatenate([read.velocities_m_per_s, read.rates_rad_per_s], axis=1).T * read.shares
-        by_interior[:, 8] = multiply_each(by_point, Levers(d, rigid, rigid).as_points_m(shown))
+        by_interior[:, 8] = multiply_each(by_point, rigid.as_points_m(shown))
         by_row = _by_row(read, turned, numbers, directions, slopes)
         for derivatives in (by_interior, by_point):
             _in_own_row(derivatives, by_row)
@@ -223,8 +229,9 @@ def _directions(of: Projections, rotations: Floats, interior: Floats) -> _Direct
     """Of points; rotations (3, 3, m), interior (9, m)."""
     d, read = by_component(of.points_m - of.positions_m), of.read
     if read is not None:
-        d -= (read.velocities_m_per_s.T * interior[8] + read.drifting_m.T) * read.shares
-    x, y, z = multiply_each(np.swapaxes(rotations, 0, 1), d)
+        d -= read.velocities_m_per_s.T * (interior[8] * read.shares)
+    seen = d if read is None else d + read.drift.T * (read.shares * (rotations[:, 2] * d).sum(axis=0))
+    x, y, z = multiply_each(np.swapaxes(rotations, 0, 1), seen)
     z = np.where(z < 0.0, z, np.nan)
     return _Directions(d, -x / z, y / z, z)
 
@@ -251,7 +258,7 @@ def _by_row(
     d, u, v, z = directions
     readout_s = interior[8]
     turning = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
-    moving = -readout_s * read.velocities_m_per_s.T - read.drifting_m.T
+    moving = read.drift.T * z - readout_s * read.velocities_m_per_s.T
     moving -= cross_each(turning, d)
     x, y, along = multiply_each(np.swapaxes(rotations, 0, 1), moving)
     du, dv = -(x + u * along) / z, (y - v * along) / z

@@ -95,14 +95,15 @@ def build_normals(
         levers, and derivatives by interior (2, k, n) and point (2, 3, n) as `project_by_levers` gives them.
     """
     (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
-    levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)))
+    axes = np.empty((3, 3, m if terms else 0))
+    levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)), axes)
     point_point, d = np.empty((6, m)), levers.numbers
     in_frame = np.zeros((f, d + k + 1, d + k + 1))
     interior_point, points, point_side = np.empty((c, p, k, 3)), np.empty((p, 3, 3)), np.empty((p, 3))
     for group in sightings.groups:
         residual, weight, its, by_interior, by_point = linearised(sightings.order[group.span].astype(np.intp))
-        for name in ("arms_m", "terms", "shares"):
-            getattr(levers, name)[:, group.span] = getattr(its, name)
+        for name in ("arms_m", "terms", "shares", "axes"):
+            getattr(levers, name)[..., group.span] = getattr(its, name)
         rows, root = np.empty((2, d + k + 4, len(weight))), np.sqrt(weight)
         np.multiply(by_point, root, out=rows[:, -3:])
         np.multiply(by_interior, root, out=rows[:, d:-4])

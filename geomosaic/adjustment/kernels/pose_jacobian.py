@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.estimation.linear import multiply_each
+
 Floats = NDArray[np.float64]
 
 
@@ -16,17 +18,25 @@ class Levers:
     pose follow from those by the point, and need not be kept beside them.
 
     arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row by
-    which frames swing; shares (1, n): of the image's height, by which they have drifted; both empty where
+    which frames swing; shares (1, n): of the image's height times the depth, by which they drift; axes
+    (3, 3, n): of the cameras, about which they swing and along which they drift. All three are empty where
     all rows are read at once.
     """
 
     arms_m: Floats
     terms: Floats
     shares: Floats
+    axes: Floats
+
+    @classmethod
+    def rigid(cls, arms_m: Floats) -> Levers:
+        """Where all rows are read at once."""
+        none = np.zeros((0, arms_m.shape[-1]))
+        return cls(arms_m, none, none, np.zeros((3, 3, 0)))
 
     def of(self, span: slice) -> Levers:
         """Some of them."""
-        return Levers(self.arms_m[:, span], self.terms[:, span], self.shares[:, span])
+        return Levers(*(a[..., span] for a in (self.arms_m, self.terms, self.shares, self.axes)))
 
     @property
     def numbers(self) -> int:
@@ -43,20 +53,28 @@ class Levers:
             one, two = (axis + 1) % 3, (axis + 2) % 3
             np.multiply(by_point[..., one, :], self.arms_m[two], out=turn[..., axis, :])
             turn[..., axis, :] -= by_point[..., two, :] * self.arms_m[one]
-        for k, term in enumerate(self.terms):
-            np.multiply(turn, term, out=out[..., 6 + 3 * k : 9 + 3 * k, :])
+        if len(self.terms):
+            about_axes = _along(self.axes, turn)
+            for k, term in enumerate(self.terms):
+                np.multiply(about_axes, term, out=out[..., 6 + 3 * k : 9 + 3 * k, :])
         for share in self.shares:
-            np.multiply(by_point, -share, out=out[..., -3:, :])
+            np.multiply(_along(self.axes, by_point), -share, out=out[..., -3:, :])
         return out
 
     def as_points_m(self, step: Floats) -> Floats:
         """Moves of the points (3, n) to first order that images take for steps of the poses (d, n)."""
         turn = step[3:6]
-        for k, term in enumerate(self.terms):
-            turn = turn + term * step[6 + 3 * k : 9 + 3 * k]
+        if len(self.terms):
+            swing = sum(term * step[6 + 3 * k : 9 + 3 * k] for k, term in enumerate(self.terms))
+            turn = turn + multiply_each(self.axes, np.asarray(swing))
         x, y, z = self.arms_m
         a, b, c = turn
         moved = np.stack([y * c - z * b, z * a - x * c, x * b - y * a]) - step[:3]
         for share in self.shares:
-            moved -= share * step[-3:]
+            moved -= multiply_each(self.axes, share * step[-3:])
         return np.asarray(moved)
+
+
+def _along(axes: Floats, rows: Floats) -> Floats:
+    """Derivatives (..., 3, n) by the work frame's axes as those by other axes (3, 3, n)."""
+    return np.stack([sum(rows[..., i, :] * axes[i, j] for i in range(3)) for j in range(3)], axis=-2)

@@ -22,8 +22,9 @@ _MOST_RECORDED = tuned(0.49, "share of the height from the middle row on", "beyo
 
 
 def with_drift(poses: Poses, drift_m: Floats, readouts_s: Floats) -> Poses:
-    """Poses whose velocities hold the drifts (f, 3) over their readouts (f,) too."""
-    off = np.divide(drift_m.T, readouts_s, out=np.zeros(drift_m.T.shape), where=readouts_s != 0.0)
+    """Poses whose velocities hold the drifts (f, 3) along the cameras' axes over their readouts (f,) too."""
+    way_m = np.einsum("fij,fj->if", poses.rotations, drift_m)
+    off = np.divide(way_m, readouts_s, out=np.zeros(way_m.shape), where=readouts_s != 0.0)
     given = np.zeros((len(poses), 3)) if poses.velocities_m_per_s is None else poses.velocities_m_per_s
     return replace(poses, velocities_m_per_s=given + off.T)
 
@@ -65,8 +66,8 @@ def terms_at(share: Floats, terms: int, recorded: Floats, backwards: Bools) -> t
 
 
 def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
-    """Poses whose turns hold the swing (f, terms, 3) about the work frame's axes too:
-    `R(row) = exp(swing(row)) R exp(turn(row))`.
+    """Poses whose turns hold the swing (f, terms, 3) about the cameras' axes too:
+    `R(row) = R exp(swing(row)) exp(turn(row))`.
 
     Args: readouts_s (f,): of each frame's camera, over which its swing is meant.
     """
@@ -85,6 +86,5 @@ def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
     by_row = np.einsum(
         "nkt,ntj->nkj", terms_at(share, terms, recorded, readouts_s[:, None] < 0.0)[0], swing_rad
     )
-    in_camera = np.einsum("nji,nkj->nki", poses.rotations, by_row)
-    rad = log_turn(exp_turn(in_camera.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
+    rad = log_turn(exp_turn(by_row.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
     return replace(poses, turns=replace(turns, rad=rad.reshape(n, k, 3)))

@@ -29,9 +29,10 @@ class Estimate:
     """Values of the unknowns in the work frame.
 
     positions_m (f, 3), rotations (f, 3, 3), points_m (p, 3). swing_rad (f, t, 3): factors of the t functions
-    of the row by which a frame rotates while it is read, drift_m (f, 3): its movement meanwhile besides its
-    velocity, see `rolling_shutter_rotation`; t is 0 where all rows are read at once. shared (s,): in the
-    order of the layout. memo: quantities derived from the estimate, computed once.
+    of the row by which a frame rotates about its camera's axes while it is read; drift (f, 3): its movement
+    along them meanwhile besides its velocity, over the depth of what it sees; t is 0 where all rows are read
+    at once, see `rolling_shutter_rotation`. shared (s,): in the order of the layout. memo: quantities derived
+    from the estimate, computed once.
     """
 
     layout: UnknownLayout
@@ -40,7 +41,7 @@ class Estimate:
     points_m: Floats
     shared: Floats
     swing_rad: Floats
-    drift_m: Floats
+    drift: Floats
     memo: dict[int, tuple[object, Floats]] = field(init=False, default_factory=dict, compare=False)
 
     def __getstate__(self) -> dict[str, object]:
@@ -67,7 +68,7 @@ class Estimate:
         frames, terms = self.swing_rad.shape[:2]
         if not terms:
             return np.zeros((frames, 0))
-        return np.column_stack([self.swing_rad.reshape(frames, -1), self.drift_m])
+        return np.column_stack([self.swing_rad.reshape(frames, -1), self.drift])
 
     def stepped(self, step: Step, share: float = 1.0) -> Estimate:
         """The estimate after a share of a step. What turns and scales the whole block comes last.
@@ -92,11 +93,9 @@ class Estimate:
         readouts = shared[self.layout.interior].reshape(len(self.layout.cameras), -1)[:, READOUT]
         in_step = scale * self.interior[:, READOUT]
         readouts += np.where(readouts == 0.0, 0.0, scale * (readouts - in_step))
-        swing, drift_m = self.swing_rad, self.drift_m
+        swing, drift = self.swing_rad, self.drift
         if swing.shape[1]:
-            swing = (swing + pose[:, 6:-3].reshape(swing.shape)) @ turned.T
-            drift = pose[:, -3:] - np.cross(turn, drift_m) - scale * drift_m
-            drift_m = (1.0 + scale) * (drift_m + drift) @ turned.T
+            swing, drift = swing + pose[:, 6:-3].reshape(swing.shape), drift + pose[:, -3:]
         return replace(
             self,
             positions_m=places[:frames],
@@ -104,7 +103,7 @@ class Estimate:
             points_m=places[frames:],
             shared=self.shared + shared,
             swing_rad=swing,
-            drift_m=drift_m,
+            drift=drift,
         )
 
 

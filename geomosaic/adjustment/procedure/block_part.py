@@ -90,7 +90,7 @@ def part_of_solution(whole: Start, frames: Ints, points_m: Floats) -> Start:
         positions_m=found.estimate.positions_m[frames],
         rotations=found.estimate.rotations[frames],
         swing_rad=found.estimate.swing_rad[frames],
-        drift_m=found.estimate.drift_m[frames],
+        drift=found.estimate.drift[frames],
     )
     return replace(found, poses=part_of_poses(whole.poses, frames), estimate=estimate)
 
@@ -103,15 +103,15 @@ def solution_of_whole(found: Start, whole: Start, frames: Ints) -> Start:
     positions_m, rotations = whole.poses.positions_m + np.median(away_m, axis=0), whole.poses.rotations.copy()
     positions_m[frames], rotations[frames] = found.poses.positions_m, found.poses.rotations
     terms = found.estimate.swing_rad.shape[1]
-    swing_rad, drift_m = np.zeros((len(rotations), terms, 3)), np.zeros((len(rotations), 3))
-    swing_rad[frames], drift_m[frames] = found.estimate.swing_rad, found.estimate.drift_m
+    swing_rad, drift = np.zeros((len(rotations), terms, 3)), np.zeros((len(rotations), 3))
+    swing_rad[frames], drift[frames] = found.estimate.swing_rad, found.estimate.drift
     estimate = replace(
         found.estimate,
         positions_m=positions_m,
         rotations=rotations,
         points_m=whole.points_m,
         swing_rad=swing_rad,
-        drift_m=drift_m,
+        drift=drift,
     )
     poses = replace(whole.poses, positions_m=positions_m, rotations=rotations)
     return replace(found, poses=poses, estimate=estimate, local=None)

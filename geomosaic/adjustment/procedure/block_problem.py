@@ -20,12 +20,12 @@ from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.interior_orientation import interior_unknowns
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
 from geomosaic.adjustment.terms.rolling_shutter_rotation import (
+    ALONG_VIEW,
     GUST_M_PER_S,
-    LEVEL_AXES,
+    IMAGE_AXES,
     MOST_GUSTS,
     MOST_SWING,
     RATE_SD_RAD_PER_S,
-    UPWARDS,
     RollingShutterRotation,
 )
 from geomosaic.adjustment.terms.terrain import Terrain
@@ -127,19 +127,19 @@ def with_offset(problem: BlockProblem, sd_m: Floats) -> BlockProblem:
 
 
 def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutterRotation | None:
-    swing_sd_rad, drift_sd_m = _swing_sd_rad(block, settings), _drift_sd_m(block, settings)
-    if swing_sd_rad is None or drift_sd_m is None:
+    swing_sd_rad, drift_sd = _swing_sd_rad(block, settings), _drift_sd(block, settings)
+    if swing_sd_rad is None or drift_sd is None:
         return None
     most = MOST_SWING if settings.turning else MOST_GUSTS
     common = settings.turning and _zero_unknown(block, settings)
-    return RollingShutterRotation(swing_sd_rad, drift_sd_m, common, most)
+    return RollingShutterRotation(swing_sd_rad, drift_sd, common, most)
 
 
 def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     """First deviations of the swings, (f, t, 3); None where all rows are read at once.
 
-    Without `turning` a constant rate about level axes stands for errors of the velocities; with a gyroscope
-    whose zero is unknown yet, one about all axes stands for that.
+    Without `turning` a constant rate about the image's axes stands for errors of the velocities; with a
+    gyroscope whose zero is unknown yet, one about all axes stands for that.
     """
     readouts_s = _readouts_s(block, settings)
     if readouts_s is None:
@@ -155,16 +155,20 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     sd = np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
     guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
     sd[known, 1:] = guessed[:, None]
-    return sd[:, :, None] * (np.ones(3) if settings.turning else LEVEL_AXES)
+    return sd[:, :, None] * (np.ones(3) if settings.turning else IMAGE_AXES)
 
 
-def _drift_sd_m(block: Block, settings: Settings) -> Floats | None:
-    """First deviations of the drifts, (f, 3). No rotation stands for vertical errors of velocities; along the
-    ground a rate about a level axis differs too little from a drift where frames do rotate."""
+def _drift_sd(block: Block, settings: Settings) -> Floats | None:
+    """First deviations of the drifts over the flying height, (f, 3).
+
+    No rotation stands for errors of velocities along the view; across it a drift differs too little from a
+    rate about an image axis where frames do rotate.
+    """
     readouts_s = _readouts_s(block, settings)
     if readouts_s is None:
         return None
-    return GUST_M_PER_S * np.abs(readouts_s)[:, None] * (UPWARDS if settings.turning else np.ones(3))
+    gust_per_s = GUST_M_PER_S / flying_height_m(block)
+    return gust_per_s * np.abs(readouts_s)[:, None] * (ALONG_VIEW if settings.turning else np.ones(3))
 
 
 def _readouts_s(block: Block, settings: Settings) -> Floats | None:

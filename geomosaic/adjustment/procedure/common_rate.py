@@ -25,8 +25,6 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
     known = solved.estimate.swing_rad.any(axis=(1, 2)) & (readouts_s > 0.0)
     if known.sum() < _LEAST_FRAMES:
         return block, settings
-    rates = np.einsum("nji,nj->ni", solved.poses.rotations[known], solved.estimate.swing_rad[known, 0])
-    common = np.median(rates / readouts_s[known, None], axis=0)
-    shared = (block.poses.rotations @ common) * readouts_s[:, None]
-    poses = with_swing(block.poses, shared[:, None], readouts_s)
+    common = np.median(solved.estimate.swing_rad[known, 0] / readouts_s[known, None], axis=0)
+    poses = with_swing(block.poses, (readouts_s[:, None] * common)[:, None], readouts_s)
     return replace(block, poses=poses), replace(settings, rate_sd_rad_per_s=_OWN_SD_RAD_PER_S)

@@ -12,6 +12,7 @@ from geomosaic.adjustment.kernels.interior import READOUT, with_interior
 from geomosaic.adjustment.kernels.normal_equations import reduce_normals
 from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.adjustment.solver.clearance import clearances_m
 from geomosaic.adjustment.solver.determinability import undetermined, with_unreported_readouts
 from geomosaic.adjustment.solver.problem import BlockProblem
@@ -142,12 +143,12 @@ def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) ->
     if start is not None:
         (shared, held), points_m = start.shared_in(layout), start.points_m
     terms = next((t.terms for t in problem.frames if isinstance(t, RollingShutterRotation)), 0)
-    swing_rad, drift_m = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
+    swing_rad, drift = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
     if start is not None and terms:
         same = min(terms, start.estimate.swing_rad.shape[1])
-        swing_rad[:, :same], drift_m = start.estimate.swing_rad[:, :same], start.estimate.drift_m
+        swing_rad[:, :same], drift = start.estimate.swing_rad[:, :same], start.estimate.drift
     positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
-    return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift_m), held
+    return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift), held
 
 
 def _first_components(problem: BlockProblem, at: Estimate) -> Components:
@@ -212,4 +213,8 @@ def _with_rows_read(poses: Poses, problem: BlockProblem, at: Estimate) -> Poses:
     if not at.swing_rad.shape[1]:
         return poses
     readouts_s = at.interior[problem.image.camera_of, READOUT]
-    return with_drift(with_swing(poses, at.swing_rad, readouts_s), at.drift_m, readouts_s)
+    drift_m, tracks = np.zeros(at.drift.shape), problem.image.tracks
+    for i, mine in frame_by_frame(tracks.frame):
+        away_m = at.points_m[tracks.point[mine]] - at.positions_m[i]
+        drift_m[i] = -float(np.median(away_m @ at.rotations[i, :, 2])) * at.drift[i]
+    return with_drift(with_swing(poses, at.swing_rad, readouts_s), drift_m, readouts_s)

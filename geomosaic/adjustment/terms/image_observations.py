@@ -163,7 +163,7 @@ class ImageObservations:
             return Projections(at.positions_m[frame], at.rotations[frame], interior, points_m, None, kind)
         measured = self.tracks.image_px[:, 1] if rows_px is None else rows_px
         rows = Rows(frame, measured, self._heights_px[camera], interior[:, READOUT])
-        motion = (at.swing_rad, at.drift_m) if at.swing_rad.shape[1] else (None, None)
+        motion = (at.swing_rad, at.drift) if at.swing_rad.shape[1] else (None, None)
         read = readout_of(self.reported, at.rotations, rows, *motion)
         return Projections(at.positions_m[frame], read.rotations, interior, points_m, read, kind)
 

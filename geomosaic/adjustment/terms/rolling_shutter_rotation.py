@@ -22,23 +22,28 @@ MOST_SWING = tuned(10.0, "times the first deviation", "of swings: ten times as f
 MOST_GUSTS = tuned(3.0, "times GUST_M_PER_S", "nothing flies a survey in stronger gusts")
 MOST_DRIFT = tuned(1.0, "times GUST_M_PER_S", "of drifts; more: climbs and tilts are confused")
 LEAST_SWING = tuned(0.02, "times the first deviation", "less: swings that shrank could not grow again")
-UPWARDS: Floats = tuned(np.array([1e-3, 1e-3, 1.0]), "of a drift's deviation", "where frames rotate: upwards")
-LEVEL_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "level axes, as velocities")
-_STIFF = tuned(0.03, "of the largest axis's deviation", "below it an axis is held, see LEVEL_AXES")
-DRIFTS = "drift along the ground", "drift upwards"
+ALONG_VIEW: Floats = tuned(
+    np.array([1e-3, 1e-3, 1.0]), "of a drift's deviation", "where frames rotate: along the view"
+)
+IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "as velocities do")
+_STIFF = tuned(0.03, "of the largest axis's deviation", "below it an axis is held, see IMAGE_AXES")
+DRIFTS = "drift across the view", "drift along the view"
 
 
 @dataclass(frozen=True)
 class RollingShutterRotation(FrameTerm):
-    """Rotation (swing) and drift of f frames while their rows are read are near zero.
+    """Rotation (swing) and drift of f frames about and along their camera's axes, while their rows are read,
+    are near zero.
 
-    swing_sd_rad (f, t, 3), drift_sd_m (f, 3): first deviations; each function of the row, drifts along the
-    ground and drifts upwards have variance components. common: a part of the swing may be common to all
-    frames, so that it does not shrink. most_swing: limit of its components.
+    swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height. In the
+    camera's axes and over the height, they do not depend on how the block lies or on its scale: a smaller
+    block would be no better explained. Each function of the row, drifts across the view and drifts along it
+    have variance components. common: a part of the swing may be common to all frames, so that it does not
+    shrink. most_swing: limit of its components.
     """
 
     swing_sd_rad: Floats
-    drift_sd_m: Floats
+    drift_sd: Floats
     common: bool
     most_swing: float
 
@@ -46,7 +51,7 @@ class RollingShutterRotation(FrameTerm):
 
     @property
     def weight(self) -> Floats:  # type: ignore[override]
-        return np.ones((len(self.drift_sd_m), 1))
+        return np.ones((len(self.drift_sd), 1))
 
     @property
     def terms(self) -> int:
@@ -64,17 +69,15 @@ class RollingShutterRotation(FrameTerm):
     def sd(self, components: Components) -> Floats:
         *of_swing, along, up = (components[name] for name in self.component_names())
         swing_sd = self.swing_sd_rad * np.reshape(of_swing, (-1, 1))
-        return np.column_stack([swing_sd.reshape(len(swing_sd), -1), self.drift_sd_m * [along, along, up]])
+        return np.column_stack([swing_sd.reshape(len(swing_sd), -1), self.drift_sd * [along, along, up]])
 
     def derivatives(self, at: Estimate) -> tuple[None, list[tuple[str, Floats]]]:
         return None, []
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
-        """By the residuals of all frames, less what all have in common in the camera's axes: that belongs to
-        the readout or the lens."""
-        own = np.concatenate([at.swing_rad, at.drift_m[:, None]], axis=1)
-        own = np.einsum("fji,ftj->fti", at.rotations, own)
-        own = np.einsum("fij,ftj->fti", at.rotations, own - np.median(own, axis=0)).reshape(len(own), -1)
+        """By the residuals of all frames, less what all have in common: that belongs to the readout or the
+        lens."""
+        own = at.while_read - np.median(at.while_read, axis=0)
         sd, terms = self.sd(components), self.terms
         of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
         redundancy = 1.0 - variances[:, self.columns(at)] / sd**2
