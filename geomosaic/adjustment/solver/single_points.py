@@ -19,8 +19,8 @@ from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, 
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 _STAND = tuned(0.01, "of a point's deviation", "more: points on their way still move frames")
-_MOST = tuned(0.03, "share of the points", "more: the step of the whole block moves them")
 _FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
 _LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")
@@ -28,13 +28,12 @@ _LESS = tuned(0.3, "of a step", "tried, point by point, after one that raised it
 
 
 def wandering(reduced: Reduced) -> Ints:
-    """Points that were farthest from their minimum when these equations were made, by number."""
+    """Points that were off their minimum when these equations were made, by number."""
     side = reduced.normals.point_side
     if len(side) < _FEWEST:
         return np.zeros(0, dtype=np.intp)
     off = np.einsum("pi,pij,pj->p", side, reduced.points_inverse, side)
-    farthest = np.argpartition(off, -int(_MOST * len(off)))[-int(_MOST * len(off)) :]
-    return np.sort(farthest[off[farthest] > _STAND**2])
+    return np.flatnonzero(off > _STAND**2)
 
 
 def settled_points(problem: BlockProblem, at: Estimate, components: Components, which: Ints) -> Estimate:
@@ -48,38 +47,42 @@ def settled_points(problem: BlockProblem, at: Estimate, components: Components, 
     if not len(which):
         return at
     own = _Own(problem, at, components, which)
-    here, share = at.points_m[which], np.ones(len(which))
+    points = at.points_m.copy()
+    here, share = points[which], np.ones(len(which))
     cost, side, bend = own.at(here)
     for _ in range(_ROUNDS):
         of, axes = eigen_each(bend)
         of = np.abs(of)
         of = np.maximum(of, _LEAST_BEND * of.max(axis=1, keepdims=True))
         along = np.einsum("pji,pj->pi", axes, side)
-        step = share[:, None] * np.einsum("pij,pj->pi", axes, along / of)
-        going = (along**2 / of).sum(axis=1) > _STAND**2
-        trial = np.where(going[:, None], here + step, here)
-        its_cost, its_side, its_bend = own.at(trial)
-        good = going & (its_cost < cost)
-        here[good], cost[good], side[good], bend[good] = (
-            a[good] for a in (trial, its_cost, its_side, its_bend)
-        )
+        going = ((along**2 / of).sum(axis=1) > _STAND**2) & (share > _LESS**3)
+        points[own.which[~going]] = here[~going]
+        own = own.of(going)
+        here, share, cost, side, bend = (a[going] for a in (here, share, cost, side, bend))
+        if not len(here):
+            return replace(at, points_m=points)
+        step = share[:, None] * np.einsum("pij,pj->pi", axes[going], (along / of)[going])
+        its_cost, its_side, its_bend = own.at(here + step)
+        good = its_cost < cost
+        trials = ((here, here + step), (cost, its_cost), (side, its_side), (bend, its_bend))
+        for kept, trial in trials:
+            kept[good] = trial[good]
         share = np.where(good, 1.0, _LESS * share)
-        if not (going & (share > _LESS**3)).any():
-            break
-    points = at.points_m.copy()
-    points[which] = here
+    points[own.which] = here
     return replace(at, points_m=points)
 
 
 class _Own:
-    """Some points' own share of the cost."""
+    """Some points' own share of the cost; which (n,): the points, by number."""
 
     def __init__(self, problem: BlockProblem, at: Estimate, components: Components, which: Ints) -> None:
         number = np.full(len(at.points_m), -1, dtype=np.intp)
         number[which] = np.arange(len(which))
+        self.which, self._problem, self._at, self._components = which, problem, at, components
         whole = np.flatnonzero(number[problem.tracks.point] >= 0)
         self._image = problem.image.of(whole)
-        self._which, self._of, self._at = which, number[self._image.tracks.point], at
+        self._of = number[self._image.tracks.point]
+        self._seen = self._image.projections(at)
         self._shown, self._used = problem.image.shown[whole], self._image.used
         self._sd_px = self._image.sd_px(components)
         self._given_m = problem.points.given_m[which]
@@ -88,13 +91,14 @@ class _Own:
         if self._terrain is not None:
             self._ground_sd_m, self._bound = self._terrain.sd_m(at), self._terrain.bound[which]
 
+    def of(self, kept: Bools) -> _Own:
+        """Of some of these points."""
+        same = kept.all()
+        return self if same else _Own(self._problem, self._at, self._components, self.which[kept])
+
     def at(self, points_m: Floats) -> tuple[Floats, Floats, Floats]:
         """Cost (n,); half of its slopes down (n, 3) and curvatures (n, 3, 3), the ground's as expected."""
-        points = self._at.points_m.copy()
-        points[self._which] = points_m
-        computed, _, _, by_point = project_by_levers(
-            self._image.projections(replace(self._at, points_m=points))
-        )
+        computed, _, _, by_point = project_by_levers(replace(self._seen, points_m=points_m[self._of]))
         residual = self._image.tracks.image_px.T - computed
         before = np.isfinite(residual).all(axis=0)
         length = np.where(before, np.hypot(*residual), 0.0)
@@ -107,7 +111,7 @@ class _Own:
         bend -= (weight * student_bend(standard) * along)[:, None] * along
         each = self._used * self._shown * student_cost(standard)
         rows = (each, *np.einsum("aim,am->im", weighted, residual), *bend.reshape(9, -1))
-        sums: Floats = np.stack([np.bincount(self._of, row, len(self._which)) for row in rows], axis=1)
+        sums: Floats = np.stack([np.bincount(self._of, row, len(self.which)) for row in rows], axis=1)
         off_m = self._given_m - points_m
         cost = sums[:, 0] + (self._weight * off_m**2).sum(axis=1)
         sides: Floats = sums[:, 1:4] + self._weight * off_m
