@@ -55,7 +55,7 @@ def settled_points(problem: BlockProblem, at: Estimate, components: Components, 
         of = np.abs(of)
         of = np.maximum(of, _LEAST_BEND * of.max(axis=1, keepdims=True))
         along = np.einsum("pji,pj->pi", axes, side)
-        going = ((along**2 / of).sum(axis=1) > _STAND**2) & (share > _LESS**3)
+        going = (along**2 / of).sum(axis=1) > _STAND**2
         points[own.which[~going]] = here[~going]
         own = own.of(going)
         here, share, cost, side, bend = (a[going] for a in (here, share, cost, side, bend))
