@@ -43,7 +43,7 @@ def test_points_go_where_their_images_want_them_while_all_others_stand() -> None
     which = np.arange(0, problem.tracks.points, 2)
     settled = at
     for _ in range(3):
-        settled = settled_points(problem, settled, COMPONENTS, which)
+        settled = settled_points(problem, settled, COMPONENTS, which, 0.01)
     assert problem.cost(settled, COMPONENTS) < problem.cost(at, COMPONENTS)
     assert settled.points_m[1::2] == pytest.approx(at.points_m[1::2], abs=0.0)
     assert settled.positions_m is at.positions_m
@@ -58,15 +58,15 @@ def test_who_wanders_are_the_farthest_of_a_large_block_alone() -> None:
     problem, at = at_truth(4000, 10)
     everyone = np.arange(problem.tracks.points)
     for _ in range(3):
-        at = settled_points(problem, at, COMPONENTS, everyone)
+        at = settled_points(problem, at, COMPONENTS, everyone, 0.01)
     thrown = np.array([7, 500, 2900])
     points = at.points_m.copy()
     points[thrown] += [0.5, 0.3, 4.0]
     reduced = reduce_normals(problem.normals(replace(at, points_m=points), COMPONENTS))
-    assert set(thrown) <= set(wandering(reduced).tolist())
-    assert len(wandering(reduced)) < 0.04 * problem.tracks.points
+    assert set(thrown) <= set(wandering(reduced, 0.01).tolist())
+    assert len(wandering(reduced, 0.01)) < 0.04 * problem.tracks.points
     problem, at = at_truth(400, 10)
-    assert not len(wandering(reduce_normals(problem.normals(at, COMPONENTS))))
+    assert not len(wandering(reduce_normals(problem.normals(at, COMPONENTS)), 0.01))
 
 
 def found_tilt(factor: float) -> list[Component]:

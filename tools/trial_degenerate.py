@@ -79,6 +79,11 @@ def main() -> int:
             if wrong:
                 failed.append({"seed": seed, "kind": kind, "wrong": wrong})
                 print(f"seed {seed} ({kind}): {wrong}", flush=True)
+            if len(slow) % 1000 == 0:
+                passed_s = time.perf_counter() - begin
+                print(
+                    f"{len(slow)} of {asked.draws} draws, {len(failed)} failed, {passed_s:.0f} s", flush=True
+                )
     result = {
         "draws": asked.draws,
         "first_seed": asked.seed,

@@ -14,30 +14,31 @@ from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.constants import tuned
-from geomosaic.estimation.linear import eigen_each
+from geomosaic.estimation.linear import eigen_each, inverse_roots
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-_STAND = tuned(0.01, "of a point's deviation", "more: points on their way still move frames")
 _FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
 _LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")
 _LESS = tuned(0.3, "of a step", "tried, point by point, after one that raised its cost")
 
 
-def wandering(reduced: Reduced) -> Ints:
-    """Points that were off their minimum when these equations were made, by number."""
+def wandering(reduced: Reduced, stand: float) -> Ints:
+    """Points that were off their minimum by more than `stand` deviations when these equations were made."""
     side = reduced.normals.point_side
     if len(side) < _FEWEST:
         return np.zeros(0, dtype=np.intp)
     off = np.einsum("pi,pij,pj->p", side, reduced.points_inverse, side)
-    return np.flatnonzero(off > _STAND**2)
+    return np.flatnonzero(off > stand**2)
 
 
-def settled_points(problem: BlockProblem, at: Estimate, components: Components, which: Ints) -> Estimate:
-    """The estimate with some points at their minimum, by Newton's steps of each alone.
+def settled_points(
+    problem: BlockProblem, at: Estimate, components: Components, which: Ints, stand: float
+) -> Estimate:
+    """The estimate with some points within `stand` deviations of their minimum, by Newton's steps of each.
 
     One image that is far off moves its point by a tenth a step for dozens of steps, since weights that are
     right where it is are wrong where it goes; a few of these keep a block of thousands from converging.
@@ -51,25 +52,38 @@ def settled_points(problem: BlockProblem, at: Estimate, components: Components, 
     here, share = points[which], np.ones(len(which))
     cost, side, bend = own.at(here)
     for _ in range(_ROUNDS):
-        of, axes = eigen_each(bend)
-        of = np.abs(of)
-        of = np.maximum(of, _LEAST_BEND * of.max(axis=1, keepdims=True))
-        along = np.einsum("pji,pj->pi", axes, side)
-        going = (along**2 / of).sum(axis=1) > _STAND**2
+        step, gain = _newton_step(side, bend)
+        going = gain > stand**2
         points[own.which[~going]] = here[~going]
         own = own.of(going)
         here, share, cost, side, bend = (a[going] for a in (here, share, cost, side, bend))
         if not len(here):
             return replace(at, points_m=points)
-        step = share[:, None] * np.einsum("pij,pj->pi", axes[going], (along / of)[going])
-        its_cost, its_side, its_bend = own.at(here + step)
+        there = here + share[:, None] * step[going]
+        its_cost, its_side, its_bend = own.at(there)
         good = its_cost < cost
-        trials = ((here, here + step), (cost, its_cost), (side, its_side), (bend, its_bend))
+        trials = ((here, there), (cost, its_cost), (side, its_side), (bend, its_bend))
         for kept, trial in trials:
             kept[good] = trial[good]
         share = np.where(good, 1.0, _LESS * share)
     points[own.which] = here
     return replace(at, points_m=points)
+
+
+def _newton_step(side: Floats, bend: Floats) -> tuple[Floats, Floats]:
+    """Newton's step of each point (n, 3), and what it is expected to gain (n,), in squared deviations."""
+    root = inverse_roots(bend)
+    along = np.einsum("pij,pj->pi", root, side)
+    step, gain = np.einsum("pji,pj->pi", root, along), (along**2).sum(axis=1)
+    spread = np.trace(bend, axis1=1, axis2=2) * (root**2).sum(axis=(1, 2))
+    odd = np.flatnonzero(~((spread > 0.0) & (spread < 1.0 / _LEAST_BEND)))
+    if len(odd):
+        of, axes = eigen_each(bend[odd])
+        of = np.abs(of)
+        of = np.maximum(of, _LEAST_BEND * of.max(axis=1, keepdims=True))
+        along = np.einsum("pji,pj->pi", axes, side[odd])
+        step[odd], gain[odd] = np.einsum("pij,pj->pi", axes, along / of), (along**2 / of).sum(axis=1)
+    return step, gain
 
 
 class _Own:

@@ -31,21 +31,23 @@ Bools = NDArray[np.bool_]
 class _Stop:
     """A step is the last if it moves no frame by more than `move` of its position's deviation, and gains no
     more than `gain` of the cost or is no longer than `step` deviations (`_length`). By the gain alone a
-    large block would stop while its scale is off: among 100,000 observations such a gain hides."""
+    large block would stop while its scale is off: among 100,000 observations such a gain hides. Points are
+    brought within `point` of their deviations: those on their way still move frames."""
 
     gain: float
     move: float
     step: float
+    point: float
 
 
-_ROUGH = tuned(_Stop(1e-3, 0.3, 0.0), "shares, deviations", "more: components before lenses settle")
+_ROUGH = tuned(_Stop(1e-3, 0.3, 0.0, 0.1), "shares, deviations", "more: components before lenses settle")
 _FINE = sourced(
-    _Stop(1e-7, 0.01, 0.015),
+    _Stop(1e-7, 0.01, 0.015, 0.01),
     "shares, deviations",
     "0.02 leaves 0.08 deviations",
     "tests/test_bundle_oracle.py",
 )
-_FIRST = tuned(_Stop(1e-3, np.inf, 0.0), "shares, deviations", "of steps that test a model: no damping")
+_FIRST = tuned(_Stop(1e-3, np.inf, 0.0, 0.1), "shares, deviations", "of steps that test a model: no damping")
 _FIRST_STEPS = tuned(4, "steps", "of a test, before and after variance components; fewer lose far models")
 _STANDS = tuned(0.03, "share of a variance component", "a dozen frames know it to a third")
 _ROUGHLY = tuned(0.15, "share of a variance component", "the same, well enough to compare models")
@@ -146,9 +148,9 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
                 damping = max(10.0 * damping, _DAMPING)
                 continue
             whole = damping == 0.0
-            alone = wandering(reduced) if whole else np.zeros(0, np.intp)
+            alone = wandering(reduced, stop.point) if whole else np.zeros(0, np.intp)
             for share in _SHARES if whole else _SHARES[:1]:
-                trial = settled_points(problem, at.stepped(step, share), components, alone)
+                trial = settled_points(problem, at.stepped(step, share), components, alone, stop.point)
                 trial = _cleared(problem, at, trial)
                 trial_cost = problem.cost(trial, components)
                 if trial_cost < cost:
