@@ -60,8 +60,8 @@ def rms(values: np.ndarray) -> np.ndarray:
 def test_figures_by_hand() -> None:
     """East 3, -1; north 4, 0; up -2, 6: lengths 5 and 1, their 0.9 quantile 1 + 0.9 * 4."""
     points = [
-        ControlResidual("a", True, 2, np.array([3.0, 4.0, -2.0]), np.ones(3)),
-        ControlResidual("b", True, 2, np.array([-1.0, 0.0, 6.0]), np.ones(3)),
+        ControlResidual("a", True, 2, np.array([3.0, 4.0, -2.0]), np.ones(3), np.ones(3)),
+        ControlResidual("b", True, 2, np.array([-1.0, 0.0, 6.0]), np.ones(3), np.ones(3)),
     ]
     f = control_figures(points)
     assert (f.n, f.rmse_east_m, f.rmse_north_m) == (2, pytest.approx(5**0.5), pytest.approx(8**0.5))
@@ -70,8 +70,8 @@ def test_figures_by_hand() -> None:
 
 
 def test_points_known_in_plan_alone_have_no_say_in_height() -> None:
-    known = ControlResidual("a", True, 2, np.array([0.0, 0.0, 0.2]), np.ones(3))
-    plan = ControlResidual("b", True, 2, np.array([1.0, 0.0, 40.0]), np.array([1.0, 1.0, 2e5]))
+    known = ControlResidual("a", True, 2, np.array([0.0, 0.0, 0.2]), np.ones(3), np.ones(3))
+    plan = ControlResidual("b", True, 2, np.array([1.0, 0.0, 40.0]), np.array([1.0, 1.0, 2e5]), np.ones(3))
     both, alone = control_figures([known, plan]), control_figures([plan])
     assert (both.n, both.n_height, both.rmse_up_m, both.le90_m) == (
         2,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.estimation.linear import orthonormal
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
@@ -37,7 +38,7 @@ class ControlResidual:
 
     check: it took no part in the solve. images: in how many it was measured. residual_m: surveyed minus
     found, east, north and up. sd_m: standard deviation of that, of both; for a point that took part, more
-    than it is, since the solve has come to meet it.
+    than it is, since the solve has come to meet it. surveyed_sd_m: of the surveyed coordinates alone.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ControlResidual:
     images: int
     residual_m: Floats
     sd_m: Floats
+    surveyed_sd_m: Floats
 
 
 @dataclass(frozen=True)
@@ -208,6 +210,38 @@ class ImageResiduals:
 
 
 @dataclass(frozen=True)
+class GroundPlaces:
+    """Places spread over the ground that a block shows, and how far they may be off together.
+
+    places_m (k, 3): east, north, up in the work frame; covariance_m2 (3 k, 3 k): by place, then axis.
+    """
+
+    places_m: Floats
+    covariance_m2: Floats
+
+    def with_common_error(self, common_m2: Floats) -> GroundPlaces:
+        """With a variance (3,) that all places share."""
+        count = len(self.places_m)
+        common = np.kron(np.ones((count, count)), np.diag(common_m2))
+        return replace(self, covariance_m2=self.covariance_m2 + common)
+
+    def shape_sd_m(self) -> float:
+        """Deviation of a place in plan after the best similarity, root mean square over the block."""
+        plan = np.delete(np.arange(3 * len(self.places_m)), np.s_[2::3])
+        covariance = self.covariance_m2[np.ix_(plan, plan)]
+        basis = orthonormal(self.similar())
+        left = float(np.trace(covariance) - np.trace(basis.T @ covariance @ basis))
+        return float(np.sqrt(max(left, 0.0) / len(self.places_m)))
+
+    def similar(self) -> Floats:
+        """What shifts east and north, scale and turn do to places in plan, (2 k, 4): by place, then axis."""
+        east, north = (self.places_m[:, :2] - self.places_m[:, :2].mean(axis=0)).T
+        zero, one = np.zeros(len(east)), np.ones(len(east))
+        to_east, to_north = [one, zero, east, -north], [zero, one, north, east]
+        return np.stack([np.column_stack(to_east), np.column_stack(to_north)], axis=1).reshape(-1, 4)
+
+
+@dataclass(frozen=True)
 class Adjusted:
     """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
 
@@ -216,7 +250,7 @@ class Adjusted:
     that goes with the poses: the block's own, unless the method estimates it. control: of the block's
     control and check points that were measured in images. Of methods that solve for them:
     pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), of frames that took
-    no part that of their POS; shared, image_residuals, and model, where
+    no part that of their POS; places, shared, image_residuals, and model, where
     more than the given one was tried.
     """
 
@@ -230,6 +264,7 @@ class Adjusted:
     figures: dict[str, float] = field(default_factory=dict)
     control: tuple[ControlResidual, ...] = ()
     pose_covariance: Floats | None = None
+    places: GroundPlaces | None = None
     shared: SharedUnknowns | None = None
     image_residuals: ImageResiduals | None = None
     model: ModelChoice | None = None

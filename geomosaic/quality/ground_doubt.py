@@ -30,10 +30,12 @@ _WITHIN_PX = tuned(1e6, "px", "end of the search for a displacement: less hides 
 class LandDoubt:
     """ground_px: what 99 % of the mosaic's land keeps below, since the ground may be higher or lower; NaN
     where its deviations aren't known, or no frame gives anything. surface_share: of the land, what has to be
-    expected off by more than `OFF_PX`, since what was matched is unsure; NaN without a matched surface."""
+    expected off by more than `OFF_PX`, since what was matched is unsure; NaN without a matched surface.
+    ground_share: of the land, what has to be expected off by more since the ground is unknown."""
 
     ground_px: float
     surface_share: float
+    ground_share: float
 
 
 def land_doubt(
@@ -54,7 +56,7 @@ def land_doubt(
     known_px = px_per_m * known.sd_at(at_m[:, 0], at_m[:, 1])
     if ground.kind not in MATCHED:
         some = known_px > 0.0
-        return LandDoubt(_kept_by_99(lambda within_px: _beyond(within_px, known_px[some]), some), np.nan)
+        return _doubt(lambda within_px: _beyond(within_px, known_px[some]), some, np.nan)
     matched_px = px_per_m * ground.sd_at(at_m[:, 0], at_m[:, 1])
     apart_m = ground.up_at(at_m[:, 0], at_m[:, 1]) - known.up_at(at_m[:, 0], at_m[:, 1])
     apart_px = px_per_m * np.abs(apart_m)
@@ -68,7 +70,7 @@ def land_doubt(
         stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(within_px, known_px))
         return np.where(apart_px <= OFF_PX, np.minimum(matched, strays), stands)
 
-    return LandDoubt(_kept_by_99(beyond, some), float(off.mean()) if off.size else np.nan)
+    return _doubt(beyond, some, float(off.mean()) if off.size else np.nan)
 
 
 def places_of(
@@ -83,6 +85,12 @@ def places_of(
         grid = ownership.grid
         given &= ownership.area.cells(grid, whole_of(grid), ownership.cell_px)[::step, ::step]
     return at_m[given], tangent[given]
+
+
+def _doubt(beyond: Callable[[float], Floats], some: NDArray[np.bool_], surface_share: float) -> LandDoubt:
+    """beyond: see `_kept_by_99`."""
+    share = float(beyond(OFF_PX).mean()) if some.any() else float("nan")
+    return LandDoubt(_kept_by_99(beyond, some), surface_share, share)
 
 
 def _kept_by_99(beyond: Callable[[float], Floats], some: NDArray[np.bool_]) -> float:

@@ -6,180 +6,21 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
-from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.trim import OFF_PX
+from geomosaic.quality.accuracy import Accuracy, Requirement
+from geomosaic.quality.criteria import CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
 
-GRADES = ("good", "doubtful", "bad")
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the mend if it isn't
-    good, and why the limits are where they are."""
-
-    good: float
-    bad: float
-    unit: str
-    cause: str
-    mend: str
-    reason: str
-
-
-CRITERIA: Mapping[str, Criterion] = {
-    "image deviation": Criterion(
-        0.7,
-        3.0,
-        "px",
-        "images and camera disagree: rolling shutter while turning, another lens, moving ground",
-        "give the lens and the readout time (--camera)",
-        "keypoints on ground that stays are good to a third of a pixel, by reduced frames to half of one: "
-        "beyond that something moves or bends; a map is called wrong beyond three",
-    ),
-    "pattern of residuals": Criterion(
-        0.5,
-        2.0,
-        "px",
-        "residuals repeat at the same places of the frames: another lens than given, or a rolling shutter",
-        "give the lens and the readout time (--camera)",
-        "half a pixel is where a step at a seam begins to be seen",
-    ),
-    "seams": Criterion(
-        1.0,
-        3.0,
-        "px",
-        "the ground jumps at the seams",
-        "see the other figures; on relief take --surface dense, or give an elevation model (--dem)",
-        "the median of all places, as for the image deviation",
-    ),
-    "worst tenth of the seams": Criterion(
-        3.0,
-        np.inf,
-        "px",
-        "the ground jumps at some seams: things that stand above it, or single frames out of place",
-        "look at the seams in the report; --surface dense or an elevation model (--dem) helps with what "
-        "stands above ground",
-        "houses without a surface model jump by more, while the map around them is right",
-    ),
-    "ground unknown": Criterion(
-        1.5,
-        np.inf,
-        "px",
-        "the ground beyond the last tie points, or between them, may be higher or lower than was assumed",
-        "an elevation model (--dem), or frames beyond what is wanted",
-        "what 99 of 100 places of the land keep below; a step of 1.5 px in a road is seen",
-    ),
-    "surface unsure": Criterion(
-        0.1,
-        np.inf,
-        "share",
-        "the surface was matched unsurely: woods that wind moves, rims of what stands, and what few frames "
-        f"see, or see aslant, may lie off by more than {OFF_PX:g} px",
-        "more overlap along and across, flown in calm air; --ortho terrain lays frames on the ground below",
-        "as for the worst tenth of the seams: nine tenths of the land keep below 3 px",
-    ),
-    "frames not tied": Criterion(
-        0.0,
-        1.0 / 3.0,
-        "share",
-        "frames that match no other lie where their own positions say",
-        "leave them out, or fly with more overlap",
-        "a position is worth metres, so one such frame is a visible fault, a third of them no map",
-    ),
-    "frames in other parts": Criterion(
-        0.0,
-        1.0 / 3.0,
-        "share",
-        "the frames hang together in several parts, each placed by its own positions",
-        "frames between the parts, or control points in each",
-        "as for frames that are not tied",
-    ),
-    "tie points disregarded": Criterion(
-        0.3,
-        0.6,
-        "share",
-        "many tie points disagree: repeating patterns, moving ground, or another kind of camera",
-        "look at the pairs with the largest residuals in the report",
-        "by chance three in a thousand are; beyond a half the solve follows the wrong ones",
-    ),
-    "principal point": Criterion(
-        2.0,
-        np.inf,
-        "% of the side",
-        "the principal point is drawn farther off than lenses have it: a rolling shutter, or another lens",
-        "give the lens and the readout time (--camera)",
-        "small cameras' principal points lie within 1 or 2 in a hundred of the longer side",
-    ),
-    "shape": Criterion(
-        0.5,
-        np.inf,
-        "px",
-        "positions and images leave open how the block is stretched or bent",
-        "lines flown across, the readout time (--camera), better positions or control points",
-        "one deviation; a map is promised to a pixel, and two deviations are what 95 of 100 keep",
-    ),
-    "tilts": Criterion(
-        3.0,
-        np.inf,
-        "stated deviations",
-        "the frames' tilts are not those that were given: the block leans, or the attitudes are wrong",
-        "check the attitudes' convention, give control points or an elevation model (--dem)",
-        "tags state their deviation to a factor of two; beyond three something else takes part",
-    ),
-    "control points": Criterion(
-        3.0,
-        6.0,
-        "deviations",
-        "a control or check point lies far from where the images put it",
-        "check its coordinates and where it was marked",
-        "of a few dozen honest coordinates none is beyond three, of a million none beyond six",
-    ),
-}
-
-_WARNED: Mapping[str, tuple[str, str, str]] = {
-    "bundle-failed": (
-        "bad",
-        "the adjustment failed; frames are only laid beside each other",
-        "more overlap, or positions of more frames",
-    ),
-    "self-calibration-failed": (
-        "doubtful",
-        "lens and shutter could not be solved for and are as given",
-        "give a calibrated lens (--camera), or more overlap",
-    ),
-    "scale-doubtful": (
-        "doubtful",
-        "the block's scale disagrees with the positions",
-        "check the focal length and the positions, or give control points",
-    ),
-    "positions-shifted": (
-        "doubtful",
-        "positions and control lie apart",
-        "check the datum and the height system of both",
-    ),
-    "pose-not-determined": (
-        "doubtful",
-        "tie points don't determine the poses of some frames",
-        "look at those frames; more overlap there",
-    ),
-    "shutter-doubtful": (
-        "doubtful",
-        "the frames' rows were read one after the other while the camera turned, in a way that no tag states",
-        "a camera with a global shutter or a gyroscope in its tags, or control points",
-    ),
-    "lens-strayed": (
-        "doubtful",
-        "no lens bends images as these are bent",
-        "give the lens and the readout time (--camera)",
-    ),
-}
-"""Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 
+_ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
+_IN_COMMON = tuned(3, "check points", "whose median is their common shift; fewer are one blunder's")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
 
@@ -204,9 +45,8 @@ class Evidence:
 class Verdict:
     """The worst grade of all evidence, with the cause and the mend of what weighs most.
 
-    absolute_sd_m: what the adjustment states of where the typical tied frame lies on the ground, one
-    deviation of a horizontal coordinate; NaN for methods that state none. seams, patterns: what it was drawn
-    from.
+    accuracy, required: how accurate the map is, and what is asked of it. seams, patterns: what the verdict
+    was drawn from.
     """
 
     grade: str
@@ -214,52 +54,84 @@ class Verdict:
     cause: str
     mend: str
     evidence: tuple[Evidence, ...]
-    absolute_sd_m: float
+    accuracy: Accuracy
+    required: Requirement
     seams: SeamCheck
     patterns: tuple[ResidualPattern, ...]
 
 
-def verdict_of(
-    adjusted: Adjusted,
-    seams: SeamCheck,
-    patterns: tuple[ResidualPattern, ...],
-    parts: Sequence[Sequence[int]],
-    used: Collection[int],
-    flying_height_m: float,
-    doubt: LandDoubt,
-) -> Verdict:
-    """Grades all that is known of a mosaic without its truth.
+@dataclass(frozen=True)
+class Seen:
+    """What is known of a mosaic without its truth. parts: frames that hang together by tie points; used:
+    frames that gave pixels; doubt: of the ground and of what was matched."""
 
-    Args: parts: frames that hang together by tie points; used: frames that gave pixels; doubt: of the ground
-    and of what was matched.
-    """
-    figures = _agreement(adjusted, patterns) | _seams(seams) | _held_together(adjusted, parts, used)
-    of_land = {"ground unknown": doubt.ground_px, "surface unsure": doubt.surface_share}
+    seams: SeamCheck
+    patterns: tuple[ResidualPattern, ...]
+    parts: Sequence[Sequence[int]]
+    used: Collection[int]
+    doubt: LandDoubt
+
+
+def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Requirement) -> Verdict:
+    """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
+    figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
+    figures |= _held_together(adjusted, seen.parts, seen.used)
+    of_land = {"ground unknown": seen.doubt.ground_share, "surface unsure": seen.doubt.surface_share}
     figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
     warned = {w.code for w in adjusted.warnings}
     evidence = (
         *(_judged(name, value) for name, value in figures.items()),
-        *(Evidence(code, 1.0, "", *words) for code, words in _WARNED.items() if code in warned),
+        *_against(accuracy, required),
+        *(Evidence(code, 1.0, "", *words) for code, words in WARNED.items() if code in warned),
     )
-    worst = max(evidence, key=lambda e: GRADES.index(e.grade))
+    worst = max(evidence, key=lambda e: -1 if e.grade == NOTED else GRADES.index(e.grade))
+    noted = worst.grade == NOTED
     return Verdict(
-        grade=worst.grade,
+        grade=GRADES[0] if noted else worst.grade,
         text=_text(adjusted, figures),
-        cause=f"{worst.cause} ({worst.name} {worst.figure})" if worst.unit and worst.cause else worst.cause,
-        mend=worst.mend,
+        cause="" if noted else _cause(worst),
+        mend="" if noted else worst.mend,
         evidence=evidence,
-        absolute_sd_m=_absolute_sd_m(adjusted, flying_height_m),
-        seams=seams,
-        patterns=patterns,
+        accuracy=accuracy,
+        required=required,
+        seams=seen.seams,
+        patterns=seen.patterns,
     )
+
+
+def _cause(worst: Evidence) -> str:
+    return f"{worst.cause} ({worst.name} {worst.figure})" if worst.unit and worst.cause else worst.cause
 
 
 def _judged(name: str, value: float) -> Evidence:
     criterion = CRITERIA[name]
-    grade = GRADES[int(value > criterion.good) + int(value > criterion.bad)]
-    if grade == "good":
-        return Evidence(name, value, criterion.unit, grade)
-    return Evidence(name, value, criterion.unit, grade, criterion.cause, criterion.mend)
+    grade = criterion.grade(value)
+    words = ("", "") if grade == GRADES[0] else (criterion.cause, criterion.mend)
+    return Evidence(name, value, criterion.unit, grade, *words)
+
+
+def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
+    """Stated or measured accuracy beside what is required."""
+    absolute, relative = accuracy.absolute, accuracy.relative
+    better = "control points (--gcp) or RTK positions; --accuracy states what you need"
+    asked = (
+        ("absolute accuracy", absolute.rmse_h_m, required.rmse_h_m, "m RMSE", better),
+        ("vertical accuracy", absolute.rmse_v_m, required.rmse_v_m, "m RMSE", better),
+        (
+            "relative accuracy",
+            relative.permille,
+            required.permille,
+            "per mille",
+            "control points (--gcp), RTK positions, or more lines; --accuracy-relative states what you need",
+        ),
+    )
+    out = []
+    for name, value, most, unit, mend in asked:
+        if np.isfinite(value) and np.isfinite(most):
+            missed = value > most
+            cause = f"the requirement is missed: {most:.2f} {unit}, {required.why}" if missed else ""
+            out.append(Evidence(name, value, unit, GRADES[int(missed)], cause, mend if missed else ""))
+    return out
 
 
 def _held_together(
@@ -290,9 +162,24 @@ def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dic
     if adjusted.image_residuals is not None and len(adjusted.image_residuals.weight):
         disregarded = adjusted.image_residuals.weight < _DISREGARDED
         found["tie points disregarded"] = float(disregarded.mean())
-    off = [float(np.abs(c.residual_m / c.sd_m).max()) for c in adjusted.control]
-    if any(np.isfinite(off)):
-        found["control points"] = float(np.nanmax(off))
+    found |= _control(adjusted.control)
+    return found
+
+
+def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
+    """Control points by what none of as many exceeds by chance; the shift of check points in common by its
+    stated deviation."""
+    found = {}
+    used = [np.abs(c.residual_m / c.sd_m) for c in points if not c.check]
+    known = np.concatenate(used) if used else np.zeros(0)
+    known = known[np.isfinite(known)]
+    if known.size:
+        found["control points"] = float(known.max() / norm.isf(norm.sf(_ONE_POINT) / known.size))
+    checks = [c for c in points if c.check and np.isfinite(c.residual_m).all()]
+    if len(checks) >= _IN_COMMON:
+        shift_m = np.median([c.residual_m for c in checks], axis=0)
+        sd_m = np.median([c.sd_m for c in checks], axis=0)
+        found["check points"] = float(np.abs(shift_m / sd_m)[:2].max())
     return found
 
 
@@ -316,17 +203,6 @@ def _seams(seams: SeamCheck) -> dict[str, float]:
         "seams": float(np.median(length)),
         "worst tenth of the seams": float(np.quantile(length, 0.9)),
     }
-
-
-def _absolute_sd_m(adjusted: Adjusted, flying_height_m: float) -> float:
-    """Median over the tied frames of the deviation of the ground below: position and tilts together."""
-    tied = [i for i, s in enumerate(adjusted.status) if s == "tied"]
-    if adjusted.pose_covariance is None or not tied:
-        return float("nan")
-    h = flying_height_m
-    down = np.array([[1.0, 0.0, 0.0, 0.0, -h, 0.0], [0.0, 1.0, 0.0, h, 0.0, 0.0]])
-    on_ground = down @ adjusted.pose_covariance[tied] @ down.T
-    return float(np.median(np.sqrt(np.trace(on_ground, axis1=1, axis2=2) / 2.0)))
 
 
 def _text(adjusted: Adjusted, figures: Mapping[str, float]) -> str:

@@ -142,7 +142,7 @@ def _verdict(recording: Recording) -> dict[str, Any]:
                 for e in (evidence if isinstance(evidence, list) else ())
                 if isinstance(e, dict)
             }
-            return {k: verdict.get(k) for k in ("grade", "cause", "absolute_sd_m")} | {"evidence": figures}
+            return {k: verdict.get(k) for k in ("grade", "cause")} | {"evidence": figures}
     return {}
 
 

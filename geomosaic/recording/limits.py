@@ -3,17 +3,24 @@ is red everywhere."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.quality.verdict import CRITERIA
+from geomosaic.quality.criteria import CRITERIA
 
 Floats = NDArray[np.float64]
+
+
+class _Limits(NamedTuple):
+    good: float
+    bad: float
+
+
 RESIDUAL: Final = CRITERIA["seams"]
 """Ground pixels between two frames: what is left between them is what their seam jumps by."""
-MOVE: Final = CRITERIA["control points"]
+MOVE: Final = _Limits(3.0, 6.0)
 """Deviations, given and found ones together: how far a frame lies from where its position was given."""
 
 

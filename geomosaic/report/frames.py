@@ -76,7 +76,7 @@ def render_report(
     image = image or glance(mosaic_file)
     footprints_m = map_footprints_m(survey, adjusted)
     orientation = orientations(survey, placement.poses, adjusted)
-    judged = verdict_section(survey, verdict)
+    judged = verdict_section(survey, verdict, mosaic.grid.gsd_m)
     ground = _ground(adjusted, summary)
     origin = np.array([mosaic.grid.west_m, mosaic.grid.south_m])
     pixel_m = mosaic.grid.gsd_m * mosaic.grid.width_px / image.width_px

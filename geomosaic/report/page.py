@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -27,11 +27,14 @@ Fact = tuple[str, str, str]
 @dataclass(frozen=True)
 class Judged:
     """The first words. grade: `good`, `doubtful`, `bad`, or empty where nothing was judged; why: sentences;
-    mend: what would help."""
+    mend: what would help; answers: to what people ask of a map, (question, answer); standard: the sentence
+    that the ASPRS standard asks for."""
 
     grade: str
     why: str
     mend: str = ""
+    answers: Sequence[tuple[str, str]] = ()
+    standard: str = ""
 
     @property
     def word(self) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from geomosaic.adjustment.procedure.residual_pattern import CELLS, ResidualPattern
+from geomosaic.quality.statement import answers, asprs_statement
 from geomosaic.quality.verdict import Evidence, Verdict
 from geomosaic.report.numbers import map_metres, short
 from geomosaic.report.page import Judged, markup
@@ -31,7 +32,7 @@ class VerdictSection:
     patterns: list[tuple[str, Markup]]
 
 
-def verdict_section(survey: Survey, verdict: Verdict | None) -> VerdictSection:
+def verdict_section(survey: Survey, verdict: Verdict | None, pixel_m: float) -> VerdictSection:
     """Of a run without a verdict it says that there is none."""
     if verdict is None:
         return VerdictSection(Judged("", _NOT_JUDGED), [], [], "", [])
@@ -40,7 +41,13 @@ def verdict_section(survey: Survey, verdict: Verdict | None) -> VerdictSection:
     names = [f.name for f in survey.frames]
     cause = f"{_sentence(verdict.cause)} " if verdict.cause else _GOOD * (verdict.grade == "good") + " "
     return VerdictSection(
-        judged=Judged(verdict.grade, f"{cause}{_sentence(verdict.text)}", _sentence(verdict.mend)),
+        judged=Judged(
+            verdict.grade,
+            f"{cause}{_sentence(verdict.text)}",
+            _sentence(verdict.mend),
+            [(_capital(q), f"{a}.") for q, a in answers(verdict.accuracy, verdict.seams, pixel_m)],
+            asprs_statement(verdict.accuracy.absolute),
+        ),
         evidence=[_row(e) for e in verdict.evidence],
         seams=[
             (
@@ -63,7 +70,11 @@ def _row(e: Evidence) -> tuple[str, str, str, str, str]:
 
 
 def _sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:]}." if words else ""
+    return f"{_capital(words)}." if words else ""
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def _pattern(survey: Survey, pattern: ResidualPattern) -> tuple[str, Markup]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any, ClassVar
+from dataclasses import asdict, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -14,12 +14,15 @@ from geomosaic.export.on_map import work_from_map
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.mosaic.ownership import Ownership
+from geomosaic.pipeline.params import StageParams, param
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality import statement
+from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
 from geomosaic.quality.ground_doubt import land_doubt
 from geomosaic.quality.seam_check import check_seams
-from geomosaic.quality.verdict import Verdict, verdict_of
+from geomosaic.quality.verdict import Seen, Verdict, verdict_of
 from geomosaic.stages.chips import Chips
 from geomosaic.survey.model import Survey
 
@@ -30,7 +33,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 15
+    version = 16
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -38,6 +41,25 @@ class QualityVerdict(Stage):
         "ownership": Ownership,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"verdict": Verdict}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        accuracy_m: float | Literal["auto"] = param(
+            "auto",
+            help="required horizontal RMSE against the world; auto: what the positions can give",
+            unit="m",
+            ge=0.0,
+        )
+        accuracy_vertical_m: float | Literal["none"] = param(
+            "none", help="required vertical RMSE", unit="m", ge=0.0
+        )
+        accuracy_relative_permille: float | Literal["auto"] = param(
+            "auto",
+            help="required RMSE of distances in the map; auto: what the positions can give",
+            unit="per mille",
+            ge=0.0,
+        )
 
     @classmethod
     def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -47,7 +69,8 @@ class QualityVerdict(Stage):
             return []
         why = f" {verdict['cause']};" if verdict["cause"] else ""
         mend = [("mend", verdict["mend"])] if verdict["mend"] else []
-        return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *mend]
+        answered = [(q.removesuffix(" accuracy"), answer) for q, answer in verdict.get("answers", [])]
+        return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *mend, *answered]
 
     @classmethod
     def shortcoming(cls, summary: Mapping[str, Any]) -> str:
@@ -55,10 +78,11 @@ class QualityVerdict(Stage):
         verdict = summary.get("verdict")
         if not isinstance(verdict, dict) or verdict["grade"] != "bad":
             return ""
-        (_, text), *mend = cls.conclusions(summary)
-        return "; ".join([f"the verdict is {text}", *(mended for _, mended in mend)])
+        (_, text), *others = cls.conclusions(summary)
+        mend = [mended for what, mended in others if what == "mend"]
+        return "; ".join([f"the verdict is {text}", *mend])
 
-    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Judges, and says it in run.json where nobody can miss it."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
@@ -75,28 +99,28 @@ class QualityVerdict(Stage):
             context,
             chips.look,
         )
-        image = adjusted.image_residuals
-        at = adjusted.poses.positions_m
-        verdict = verdict_of(
-            adjusted,
+        image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
+        seen = Seen(
             seams,
             () if image is None else residual_patterns(image, adjusted.cameras),
             connected_parts(len(survey.frames), inputs["ties"].frames),
             mosaic.frames_used,
-            float(np.median(at[:, 2] - inputs["ground"].up_at(at[:, 0], at[:, 1]))),
             land_doubt(
                 inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground
             ),
         )
+        known = seams.length_px[np.isfinite(seams.length_px)]
+        median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
+        accuracy = accuracy_of(adjusted, float("nan") if median_px is None else median_px, pixel_m)
+        verdict = verdict_of(adjusted, seen, accuracy, _required(params, survey, adjusted, pixel_m))
         chips.record()
         rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
         edges = [work_from_map(survey, ring) for _, ring in rings]
         context.recorder.outlines("seams", [survey.frames[frame].name for frame, _ in rings], edges)
-        context.report("verdict", reported(verdict))
+        context.report("verdict", reported(verdict, pixel_m))
+        context.report("accuracy", statement.reported(accuracy, verdict.required))
         if verdict.grade != "good":
             context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.mend}")
-        known = seams.length_px[np.isfinite(seams.length_px)]
-        median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
         context.metric("seams.median_px", median_px)
         context.metric("seams.percentile_95_px", most_px)
         context.metric("seams.measured", int(known.size))
@@ -104,13 +128,25 @@ class QualityVerdict(Stage):
         return {"verdict": verdict}
 
 
-def reported(verdict: Verdict) -> dict[str, Any]:
+def _required(
+    params: QualityVerdict.Params, survey: Survey, adjusted: Adjusted, pixel_m: float
+) -> Requirement:
+    """What the user asks for, else what the inputs can give."""
+    stated_m = [max(f.position.deviations_m[:2]) for f in survey.frames if f.position.known]
+    usual = usual_requirement(adjusted, np.array(stated_m), pixel_m)
+    own = {"rmse_h_m": params.accuracy_m, "rmse_v_m": params.accuracy_vertical_m}
+    own["permille"] = params.accuracy_relative_permille
+    asked = {name: value for name, value in own.items() if not isinstance(value, str)}
+    return replace(usual, **asked, why="as asked for") if asked else usual
+
+
+def reported(verdict: Verdict, pixel_m: float) -> dict[str, Any]:
     """What run.json says of it."""
     return {
         "grade": verdict.grade,
         "text": verdict.text,
         "cause": verdict.cause,
         "mend": verdict.mend,
-        "absolute_sd_m": verdict.absolute_sd_m,
+        "answers": statement.answers(verdict.accuracy, verdict.seams, pixel_m),
         "evidence": [asdict(e) for e in verdict.evidence],
     }

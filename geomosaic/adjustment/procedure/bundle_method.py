@@ -22,7 +22,7 @@ from geomosaic.adjustment.procedure.block_solution import (
     by_all_points,
     points_on_ground,
 )
-from geomosaic.adjustment.procedure.bundle_outcome import Work, bundle_outcome, shape_figures
+from geomosaic.adjustment.procedure.bundle_outcome import Work, bundle_outcome, places_of, shape_figures
 from geomosaic.adjustment.procedure.common_heading import with_common_heading
 from geomosaic.adjustment.procedure.common_rate import with_common_rate
 from geomosaic.adjustment.procedure.control_marks import with_marks_of_whole_images
@@ -216,7 +216,9 @@ def _turning_too(work: Work) -> Work:
 def _leaves_open(its: Work, now: Work) -> bool:
     """Whether a model leaves the block's shape less sure than the one before: what the left-out tie points
     don't ask for has to be determined at least."""
-    before_px, after_px = (shape_figures(w.block, w.found).get("shape_sd_px", np.inf) for w in (now, its))
+    before_px, after_px = (
+        shape_figures(w.block, places_of(w.found)).get("shape_sd_px", np.inf) for w in (now, its)
+    )
     return bool(after_px > max(before_px, _SURE_PX))
 
 

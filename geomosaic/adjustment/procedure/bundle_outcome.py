@@ -11,6 +11,7 @@ from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import (
     Adjusted,
     Block,
+    GroundPlaces,
     ImageResiduals,
     ModelChoice,
     Round,
@@ -33,7 +34,7 @@ from geomosaic.adjustment.procedure.height_drift import height_drift
 from geomosaic.adjustment.procedure.model_selection import model_warnings
 from geomosaic.adjustment.procedure.outcome import Findings, outcome
 from geomosaic.adjustment.procedure.resection import heard_shares
-from geomosaic.adjustment.solver.shape_uncertainty import shape_sd_m
+from geomosaic.adjustment.solver.place_uncertainty import ground_places
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.attitudes import TILT, YAW
 from geomosaic.adjustment.terms.control_precision import (
@@ -91,7 +92,7 @@ def bundle_outcome(work: Work) -> Adjusted:
     common_m2 = common_error(block, solution.poses, found.ground, components)
     common_m2 = np.where(found.offset, 0.0, common_m2)  # in the covariance
     moves = (solution.poses.positions_m - given.poses.positions_m)[:, :2]
-    shared = solution.shared_unknowns()
+    shared, places = solution.shared_unknowns(), places_of(found)
     heard = heard_shares(found.ties, solution, len(block.names))
     strayed = strayed_frames(block, solution.poses, heard)
     certain = with_common_error(solution.poses, common_m2)
@@ -114,7 +115,7 @@ def bundle_outcome(work: Work) -> Adjusted:
         strayed=tuple(strayed),
         figures=_figures(solution, found.ties)
         | ({"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {})
-        | shape_figures(block, found)
+        | shape_figures(block, places)
         | precision_figures(block.control, components),
         spread=spread_of(solution, block.lens_of),
         covariance=solution.pose_covariance,
@@ -125,17 +126,25 @@ def bundle_outcome(work: Work) -> Adjusted:
     adjusted = outcome(replace(block, poses=given.poses, control=control), solution.poses, rounds, findings)
     ties = found.ties
     residuals = ImageResiduals(ties.frame, ties.image_px, solution.residual_px, solution.weight)
-    return replace(adjusted, shared=shared, model=work.choice, image_residuals=residuals)
+    places = None if places is None else places.with_common_error(common_m2)
+    adjusted = replace(adjusted, places=places, model=work.choice)
+    return replace(adjusted, shared=shared, image_residuals=residuals)
 
 
-def shape_figures(block: Block, found: BlockSolution) -> dict[str, float]:
-    """The standard deviation of the map's shape, in pixels of the frames on the ground."""
-    pixel_m = flying_height_m(block) / float(np.median([c.focal_length_px for c in block.cameras]))
+def places_of(found: BlockSolution) -> GroundPlaces | None:
+    """How far the ground may be off, None where the equations do not say."""
     try:
-        sd_m = shape_sd_m(found.solution, found.ties.points)
+        return ground_places(found.solution, found.ties.points)
     except NotSolvableError:
+        return None
+
+
+def shape_figures(block: Block, places: GroundPlaces | None) -> dict[str, float]:
+    """The standard deviation of the map's shape, in pixels of the frames on the ground."""
+    if places is None:
         return {}
-    return {"shape_sd_px": sd_m / pixel_m} if np.isfinite(sd_m) else {}
+    pixel_m = flying_height_m(block) / float(np.median([c.focal_length_px for c in block.cameras]))
+    return {"shape_sd_px": places.shape_sd_m() / pixel_m}
 
 
 def _figures(solution: Solution, tracks: Tracks) -> dict[str, float]:

@@ -95,7 +95,8 @@ def control_residuals(
             moved = spread_of_poses(poses)(frames, by_pose, by_interior)
         common_m2 = solved.common_m2 if solved else 0.0
         sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2 + common_m2)
-        out.append(ControlResidual(c.name, c.check or solved is None, len(frames), c.enu_m - at_m, sd))
+        away = c.enu_m - at_m
+        out.append(ControlResidual(c.name, c.check or solved is None, len(frames), away, sd, c.sd_m))
     return tuple(out)
 
 

@@ -1,0 +1,177 @@
+"""How accurate a map is, in metres: absolutely, and of distances within it; and what is required of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundPlaces
+from geomosaic.constants import sourced, tuned
+
+Floats = NDArray[np.float64]
+NOT_STATED: Final = float("nan")
+_ASPRS = "ASPRS Positional Accuracy Standards, edition 2 (2023)"
+CE90 = sourced(1.5175, "times RMSE_H", "circle that holds 90 %", "2.1460 / sqrt(2), normal and circular")
+CE95 = sourced(1.7308, "times RMSE_H", "circle that holds 95 %", "NSSDA (FGDC-STD-007.3), 2.4477 / sqrt(2)")
+LE90 = sourced(1.6449, "times RMSE_V", "interval that holds 90 %", "normal distribution")
+LE95 = sourced(1.9600, "times RMSE_V", "interval that holds 95 %", "NSSDA (FGDC-STD-007.3)")
+LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)
+_FEW_CHECK_POINTS = tuned(3, "check points", "fewer say less than the covariance does")
+_OVER_M = tuned(100.0, "m", "length of the distances that are stated beside the whole map's")
+_ABOUT = tuned((0.7, 1.4), "times that length", "distances that count; closer bounds find too few")
+_PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; less is called right elsewhere")
+_RTK_M = tuned(0.3, "m", "stated deviation below which positions are of carrier phases: code GNSS is above")
+_GNSS_M = tuned(3.0, "m", "deviation of a coordinate by code GNSS; less would call most flights doubtful")
+_PERMILLE = tuned(3.0, "per mille", "of distances in a map by code GNSS: 30 cm over 100 m")
+_MEDIAN_LENGTH = sourced(1.1774, "deviations of a coordinate", "median length of a plane error", "Rayleigh")
+
+
+@dataclass(frozen=True)
+class AbsoluteAccuracy:
+    """Of a place on the map against the world. rmse_h_m: root of the sum of both squared horizontal RMSE;
+    rmse_v_m: NaN where no height is mapped or known. how: `measured` by check points, or `estimated` from
+    the covariance. shift_m, scatter_m (3,): mean of the check points' errors and RMS about it, else NaN."""
+
+    rmse_h_m: float
+    rmse_v_m: float
+    how: str
+    check_points: int
+    shift_m: Floats
+    scatter_m: Floats
+
+    @property
+    def ce90_m(self) -> float:
+        """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases."""
+        return CE90 * self.rmse_h_m
+
+    @property
+    def le90_m(self) -> float:
+        """Half of the interval about a mapped height that holds the true one in 90 of 100 cases."""
+        return LE90 * self.rmse_v_m
+
+
+@dataclass(frozen=True)
+class RelativeAccuracy:
+    """Of distances within the map. scale_permille: deviation of its scale; rmse_100m_m: of distances over
+    about 100 m; rmse_whole_m: over whole_m, about the map's length; NaN where nothing states them."""
+
+    scale_permille: float
+    rmse_100m_m: float
+    rmse_whole_m: float
+    whole_m: float
+
+    @property
+    def permille(self) -> float:
+        """The larger of both errors as a share of its distance, in thousandths."""
+        shares = [self.rmse_100m_m / _OVER_M, self.rmse_whole_m / self.whole_m if self.whole_m else np.nan]
+        known = [s for s in shares if np.isfinite(s)]
+        return 1000.0 * max(known) if known else NOT_STATED
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """What is asked of a map: RMSE horizontally and vertically in m, distances within it in per mille; NaN
+    for what nothing is asked of. why: whose demand it is."""
+
+    rmse_h_m: float
+    rmse_v_m: float
+    permille: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Of a map, absolute and relative."""
+
+    absolute: AbsoluteAccuracy
+    relative: RelativeAccuracy
+
+
+def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float) -> Accuracy:
+    """The accuracy of a map, by check points where there are three or more, else by the covariance.
+
+    Args: seam_px: median mismatch at its seams, NaN where none was measured; pixel_m: its pixel. A mismatch
+    has the errors of two frames in it, as a distance between places of two frames does.
+    """
+    local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / _MEDIAN_LENGTH) ** 2
+    measured = [c for c in adjusted.control if c.check and np.isfinite(c.residual_m[:2]).all()]
+    places = adjusted.places
+    absolute = _estimated(places, local_m2 / 2.0)
+    if len(measured) >= _FEW_CHECK_POINTS:
+        absolute = _measured(measured)
+    return Accuracy(absolute, _relative(places, local_m2))
+
+
+def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float) -> Requirement:
+    """What a map's inputs can give, where the user asks for nothing else.
+
+    Control points and RTK positions give three pixels, positions by GNSS 3 m and 3 per mille, or what their
+    stated deviations say where that is less.
+
+    Args: position_sd_m (f,): stated horizontal deviations of the frames' positions.
+    """
+    control = sum(not c.check for c in adjusted.control) >= _FEW_CHECK_POINTS
+    sd_m = float(np.median(position_sd_m)) if len(position_sd_m) else np.inf
+    three_pixels_m = _PIXELS * pixel_m
+    if control or sd_m < _RTK_M:
+        why = "three pixels, as control points give" if control else "three pixels, as RTK positions give"
+        return Requirement(three_pixels_m, NOT_STATED, 1000.0 * three_pixels_m / _OVER_M, why)
+    plan_m = adjusted.poses.positions_m[:, :2]
+    spread_m = float(np.linalg.norm(plan_m - plan_m.mean(axis=0)))
+    scale_permille = 1000.0 * sd_m / max(spread_m, 1e-9)
+    rmse_m = max(np.sqrt(2.0) * max(sd_m, _GNSS_M), three_pixels_m)
+    return Requirement(rmse_m, NOT_STATED, max(_PERMILLE, scale_permille), "what GNSS positions give")
+
+
+def _measured(points: list[ControlResidual]) -> AbsoluteAccuracy:
+    """By the check points' errors, whose own accuracy is added ({_ASPRS})."""
+    error_m = -np.array([c.residual_m for c in points])
+    surveyed_m2 = np.array([c.surveyed_sd_m**2 for c in points])
+    mean_m = np.nanmean(error_m, axis=0)
+    square_m2 = np.nanmean(error_m**2, axis=0) + np.nanmean(surveyed_m2, axis=0)
+    return AbsoluteAccuracy(
+        rmse_h_m=float(np.sqrt(square_m2[:2].sum())),
+        rmse_v_m=float(np.sqrt(square_m2[2])),
+        how="measured",
+        check_points=len(points),
+        shift_m=mean_m,
+        scatter_m=np.sqrt(np.nanmean((error_m - mean_m) ** 2, axis=0)),
+    )
+
+
+def _estimated(places: GroundPlaces | None, local_m2: float) -> AbsoluteAccuracy:
+    """By the covariance of places, with what frames are off locally (a variance of each coordinate)."""
+    none = np.full(3, np.nan)
+    if places is None:
+        return AbsoluteAccuracy(NOT_STATED, NOT_STATED, "not stated", 0, none, none)
+    variance_m2 = np.diag(places.covariance_m2).reshape(-1, 3).mean(axis=0)
+    horizontal_m = float(np.sqrt(variance_m2[:2].sum() + 2.0 * local_m2))
+    return AbsoluteAccuracy(horizontal_m, float(np.sqrt(variance_m2[2])), "estimated", 0, none, none)
+
+
+def _relative(places: GroundPlaces | None, local_m2: float) -> RelativeAccuracy:
+    """By the joint covariance of places; local_m2: what a distance is off by frames' own errors."""
+    if places is None:
+        return RelativeAccuracy(NOT_STATED, NOT_STATED, NOT_STATED, NOT_STATED)
+    count = len(places.places_m)
+    joint = places.covariance_m2.reshape(count, 3, count, 3)[:, :2, :, :2]
+    one, other = np.triu_indices(count, 1)
+    away_m = places.places_m[other, :2] - places.places_m[one, :2]
+    length_m = np.linalg.norm(away_m, axis=1)
+    along = away_m / np.maximum(length_m, 1e-9)[:, None]
+    apart = joint[one, :, one] + joint[other, :, other] - joint[one, :, other] - joint[other, :, one]
+    variance_m2 = np.einsum("ni,nij,nj->n", along, apart, along) + local_m2
+    whole_m = float(length_m.max())
+
+    def rmse_m(over_m: float) -> float:
+        near = (length_m > _ABOUT[0] * over_m) & (length_m < _ABOUT[1] * over_m)
+        return float(np.sqrt(np.maximum(variance_m2[near], 0.0).mean())) if near.any() else NOT_STATED
+
+    scale = places.similar()[:, 2]
+    scale = scale / (scale @ scale)
+    plan = joint.reshape(2 * count, 2 * count)
+    scale_sd = float(np.sqrt(max(float(scale @ plan @ scale), 0.0)))
+    return RelativeAccuracy(1000.0 * scale_sd, rmse_m(_OVER_M), rmse_m(whole_m), whole_m)

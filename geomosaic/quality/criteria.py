@@ -1,0 +1,198 @@
+"""What a mosaic is judged by: figures with limits, and warnings of the adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from geomosaic.mosaic.trim import OFF_PX
+
+GRADES: Final = ("good", "doubtful", "bad")
+NOTED: Final = "noted"
+"""The grade of an inner figure beyond its limit: it explains, but colours no verdict."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the mend if it is not
+    good, and why the limits are where they are. inner: beyond `good` it is noted, since what it does to the
+    map shows in the accuracy and at the seams."""
+
+    good: float
+    bad: float
+    unit: str
+    cause: str
+    mend: str
+    reason: str
+    inner: bool = False
+
+    def grade(self, value: float) -> str:
+        """Of a figure."""
+        if self.inner:
+            return NOTED if value > self.good else GRADES[0]
+        return GRADES[int(value > self.good) + int(value > self.bad)]
+
+
+CRITERIA: Mapping[str, Criterion] = {
+    "image deviation": Criterion(
+        0.7,
+        3.0,
+        "px",
+        "images and camera disagree: rolling shutter while turning, another lens, moving ground",
+        "give the lens and the readout time (--camera)",
+        "keypoints on ground that stays are good to a third of a pixel, by reduced frames to half of one: "
+        "beyond that something moves or bends; a map is called wrong beyond three",
+    ),
+    "pattern of residuals": Criterion(
+        0.5,
+        2.0,
+        "px",
+        "residuals repeat at the same places of the frames: another lens than given, or a rolling shutter",
+        "give the lens and the readout time (--camera)",
+        "half a pixel is where a step at a seam begins to be seen",
+    ),
+    "seams": Criterion(
+        1.0,
+        3.0,
+        "px",
+        "the ground jumps at the seams",
+        "see the other figures; on relief take --surface dense, or give an elevation model (--dem)",
+        "the median of all places, as for the image deviation",
+    ),
+    "worst tenth of the seams": Criterion(
+        3.0,
+        np.inf,
+        "px",
+        "the ground jumps at some seams: things that stand above it, or single frames out of place",
+        "look at the seams in the report; --surface dense or an elevation model (--dem) helps with what "
+        "stands above ground",
+        "houses without a surface model jump by more, while the map around them is right",
+    ),
+    "ground unknown": Criterion(
+        0.05,
+        np.inf,
+        "share",
+        f"the ground beyond the last tie points, or between them, may lie so much higher or lower that "
+        f"the map there is off by more than {OFF_PX:g} px",
+        "an elevation model (--dem), or frames beyond what is wanted",
+        "nineteen twentieths of the land keep below what is called wrong",
+    ),
+    "surface unsure": Criterion(
+        0.1,
+        np.inf,
+        "share",
+        "the surface was matched unsurely: woods that wind moves, rims of what stands, and what few frames "
+        f"see, or see aslant, may lie off by more than {OFF_PX:g} px",
+        "more overlap along and across, flown in calm air; --ortho terrain lays frames on the ground below",
+        "as for the worst tenth of the seams: nine tenths of the land keep below 3 px",
+    ),
+    "frames not tied": Criterion(
+        0.0,
+        1.0 / 3.0,
+        "share",
+        "frames that match no other lie where their own positions say",
+        "leave them out, or fly with more overlap",
+        "a position is worth metres, so one such frame is a visible fault, a third of them no map",
+    ),
+    "frames in other parts": Criterion(
+        0.0,
+        1.0 / 3.0,
+        "share",
+        "the frames hang together in several parts, each placed by its own positions",
+        "frames between the parts, or control points in each",
+        "as for frames that are not tied",
+    ),
+    "tie points disregarded": Criterion(
+        0.3,
+        0.6,
+        "share",
+        "many tie points disagree: repeating patterns, moving ground, or another kind of camera",
+        "look at the pairs with the largest residuals in the report",
+        "by chance three in a thousand are; beyond a half the solve follows the wrong ones",
+    ),
+    "principal point": Criterion(
+        2.0,
+        np.inf,
+        "% of the side",
+        "the principal point is drawn farther off than lenses have it: a rolling shutter, or another lens",
+        "give the lens and the readout time (--camera)",
+        "small cameras' principal points lie within 1 or 2 in a hundred of the longer side",
+        inner=True,
+    ),
+    "shape": Criterion(
+        0.5,
+        np.inf,
+        "px",
+        "positions and images leave open how the block is stretched or bent",
+        "lines flown across, better positions or control points",
+        "one deviation; what it does to distances is in the relative accuracy",
+        inner=True,
+    ),
+    "tilts": Criterion(
+        3.0,
+        np.inf,
+        "stated deviations",
+        "the frames' tilts are not those that were given: the block leans, or the attitudes are wrong",
+        "check the attitudes' convention, give control points or an elevation model (--dem)",
+        "tags state their deviation to a factor of two; beyond three something else takes part",
+        inner=True,
+    ),
+    "control points": Criterion(
+        1.0,
+        2.0,
+        "of the limit",
+        "a control point lies far from where the images put it",
+        "check its coordinates and where it was marked",
+        "the limit is three deviations of one point, and of many what none of them exceeds by chance",
+    ),
+    "check points": Criterion(
+        3.0,
+        np.inf,
+        "stated deviations",
+        "check points are shifted in common by more than is stated",
+        "use them as control points, or check the datum of both",
+        "within three, a shift is what the stated absolute accuracy says",
+    ),
+}
+
+WARNED: Mapping[str, tuple[str, str, str]] = {
+    "bundle-failed": (
+        "bad",
+        "the adjustment failed; frames are only laid beside each other",
+        "more overlap, or positions of more frames",
+    ),
+    "self-calibration-failed": (
+        "doubtful",
+        "lens and shutter could not be solved for and are as given",
+        "give a calibrated lens (--camera), or more overlap",
+    ),
+    "scale-doubtful": (
+        "doubtful",
+        "the block's scale disagrees with the positions",
+        "check the focal length and the positions, or give control points",
+    ),
+    "positions-shifted": (
+        NOTED,
+        "positions and control lie apart",
+        "check the datum and the height system of both",
+    ),
+    "pose-not-determined": (
+        "doubtful",
+        "tie points don't determine the poses of some frames",
+        "look at those frames; more overlap there",
+    ),
+    "shutter-doubtful": (
+        NOTED,
+        "the frames' rows were read one after the other while the camera turned, in a way that no tag states",
+        "a camera with a global shutter or a gyroscope in its tags, or control points",
+    ),
+    "lens-strayed": (
+        "doubtful",
+        "no lens bends images as these are bent",
+        "give the lens and the readout time (--camera)",
+    ),
+}
+"""Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""

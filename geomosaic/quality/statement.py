@@ -1,0 +1,143 @@
+"""What people ask of a map, answered in a line each; and the sentence that the ASPRS standard asks for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any, Final
+
+import numpy as np
+
+from geomosaic.quality.accuracy import (
+    CE95,
+    LE95,
+    LEAST_CHECK_POINTS,
+    AbsoluteAccuracy,
+    Accuracy,
+    RelativeAccuracy,
+    Requirement,
+)
+from geomosaic.quality.seam_check import SeamCheck
+
+_STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
+
+
+def answers(accuracy: Accuracy, seams: SeamCheck, pixel_m: float) -> list[tuple[str, str]]:
+    """Does it hold together, how accurate are distances, how accurate are places: (question, answer)."""
+    return [
+        ("seams", _seams(seams)),
+        ("relative accuracy", _relative(accuracy.relative, pixel_m)),
+        ("absolute accuracy", _absolute(accuracy.absolute)),
+    ]
+
+
+def _seams(seams: SeamCheck) -> str:
+    length = seams.length_px[np.isfinite(seams.length_px)]
+    if not length.size:
+        return "no seam could be measured"
+    median, most = np.quantile(length, [0.5, 0.95])
+    return f"{median:.2f} px (median), {most:.2f} px (95 %), at {length.size} of {len(seams.left)} places"
+
+
+def _relative(relative: RelativeAccuracy, pixel_m: float) -> str:
+    if not math.isfinite(relative.scale_permille):
+        return "not stated by this adjustment method"
+    over = [(relative.rmse_100m_m, 100.0), (relative.rmse_whole_m, relative.whole_m)]
+    distances = [
+        f"{metres(rmse_m)} ({rmse_m / pixel_m:.1f} px) over {length_m:.0f} m"
+        for rmse_m, length_m in over
+        if math.isfinite(rmse_m)
+    ]
+    return f"RMSE of distances {', '.join(distances)}; scale {relative.scale_permille:.2f} per mille"
+
+
+def _absolute(absolute: AbsoluteAccuracy) -> str:
+    if not math.isfinite(absolute.rmse_h_m):
+        return "not stated by this adjustment method"
+    words = [f"horizontal RMSE {metres(absolute.rmse_h_m)}, CE90 {metres(absolute.ce90_m)}"]
+    if math.isfinite(absolute.rmse_v_m):
+        words.append(f"vertical RMSE {metres(absolute.rmse_v_m)}, LE90 {metres(absolute.le90_m)}")
+    return f"{'; '.join(words)} ({_how(absolute)})"
+
+
+def _how(absolute: AbsoluteAccuracy) -> str:
+    if not absolute.check_points:
+        return "estimated from the covariance"
+    east, north, up = absolute.shift_m
+    scatter_m = float(np.hypot(*absolute.scatter_m[:2]))
+    return (
+        f"measured at {absolute.check_points} check points: mean shift {east:+.3f} m east, {north:+.3f} m "
+        f"north, {up:+.3f} m up; scatter {metres(scatter_m)} horizontally"
+    )
+
+
+def metres(length_m: float) -> str:
+    """A length in centimetres below a metre, else in metres."""
+    return f"{100.0 * length_m:.1f} cm" if length_m < 1.0 else f"{length_m:.2f} m"
+
+
+def asprs_class_cm(rmse_m: float) -> float:
+    """The accuracy class that an RMSE meets: it in cm, rounded up to two digits."""
+    rmse_cm = 100.0 * rmse_m
+    digit = 10.0 ** (math.floor(math.log10(max(rmse_cm, 1e-3))) - 1)
+    return round(math.ceil(rmse_cm / digit - 1e-9) * digit, 6)
+
+
+def asprs_statement(absolute: AbsoluteAccuracy) -> str:
+    """The standard's reporting sentence: tested to meet by 30 check points, else produced to meet."""
+    if not math.isfinite(absolute.rmse_h_m):
+        return ""
+    parts = [("horizontal", "RMSEH", absolute.rmse_h_m)]
+    if math.isfinite(absolute.rmse_v_m) and absolute.check_points:
+        parts.append(("vertical", "RMSEV", absolute.rmse_v_m))
+    tested = absolute.check_points >= LEAST_CHECK_POINTS
+    few = (
+        f"Although the Standards call for a minimum of {LEAST_CHECK_POINTS} check points, this test was "
+        f"performed using only {absolute.check_points} check points. "
+    )
+    out = few if absolute.check_points and not tested else ""
+    for name, symbol, rmse_m in parts:
+        met = f"{asprs_class_cm(rmse_m):g} cm {symbol} {name} positional accuracy class"
+        out += f"This data set was {'tested' if tested else 'produced'} to meet {_STANDARD} for a {met}. "
+        if absolute.check_points:
+            out += (
+                f"The tested {name} positional accuracy was found to be {symbol} = {100.0 * rmse_m:.1f} cm. "
+            )
+    return out.strip()
+
+
+def reported(accuracy: Accuracy, required: Requirement) -> dict[str, Any]:
+    """What run.json says of accuracy; None for what is not stated."""
+    absolute, relative = accuracy.absolute, accuracy.relative
+    found = {
+        "absolute": {
+            "rmse_h_m": absolute.rmse_h_m,
+            "ce90_m": absolute.ce90_m,
+            "ce95_m": CE95 * absolute.rmse_h_m,
+            "rmse_v_m": absolute.rmse_v_m,
+            "le90_m": absolute.le90_m,
+            "le95_m": LE95 * absolute.rmse_v_m,
+            "how": absolute.how,
+            "check_points": absolute.check_points,
+            "shift_m": absolute.shift_m.tolist(),
+            "scatter_m": absolute.scatter_m.tolist(),
+        },
+        "relative": {
+            "scale_permille": relative.scale_permille,
+            "rmse_m_per_100m": relative.rmse_100m_m,
+            "rmse_m_whole": relative.rmse_whole_m,
+            "whole_m": relative.whole_m,
+        },
+        "class": asprs_statement(absolute),
+        "requirement": asdict(required),
+    }
+    return {name: _known(value) for name, value in found.items()}
+
+
+def _known(value: Any) -> Any:
+    """The value with None for NaN."""
+    if isinstance(value, dict):
+        return {name: _known(v) for name, v in value.items()}
+    if isinstance(value, list):
+        return [_known(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
