@@ -26,6 +26,7 @@ from geomosaic.cli.options import (
     Workers,
     beside,
     cores,
+    length_given,
     name_choices,
     record_options,
 )
@@ -119,6 +120,26 @@ def mosaic(
         float | None, typer.Option(help="ellipsoidal height of flat ground [by the frames]", metavar="M")
     ] = None,
     gcp: Annotated[Path | None, typer.Option(help="control and check points", metavar="F")] = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            help="horizontal RMSE that you need, such as 5cm [what the positions can give]",
+            metavar="LENGTH",
+            parser=length_given,
+        ),
+    ] = None,
+    accuracy_vertical: Annotated[
+        float | None,
+        typer.Option(help="vertical RMSE that you need", metavar="LENGTH", parser=length_given),
+    ] = None,
+    accuracy_relative: Annotated[
+        float | None,
+        typer.Option(
+            help="RMSE of distances that you need, in per mille [what the positions can give]",
+            metavar="PERMILLE",
+            min=0.0,
+        ),
+    ] = None,
     damaged: Annotated[
         str | None,
         typer.Option(help="damaged frames: leave_out, or mask the damage [leave_out]", metavar="HOW"),
@@ -191,6 +212,11 @@ def mosaic(
         "adjustment.solve": {"method": adjust},
         "mosaic.ground": {"ortho": ortho},
         "mosaic.seams": {"gsd_m": gsd, "aoi": aoi, "align_to": align_to, "edges": edges},
+        "quality.verdict": {
+            "accuracy_m": accuracy,
+            "accuracy_vertical_m": accuracy_vertical,
+            "accuracy_relative_permille": accuracy_relative,
+        },
         "quality.compare": {"reference": reference},
         "quality.surface": {"reference": surface_reference},
     }

@@ -28,6 +28,23 @@ def folder_given(text: str) -> Path:
     return Path(text)
 
 
+_LENGTHS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+
+
+def length_given(text: str) -> float:
+    """Metres of a length such as 5cm, 0.05m or 0.05."""
+    number, unit = text.strip().lower(), "m"
+    for name in _LENGTHS_M:
+        if number.endswith(name):
+            number, unit = number.removesuffix(name), name
+            break
+    with suppress(ValueError):
+        metres = float(number) * _LENGTHS_M[unit]
+        if 0.0 < metres < float("inf"):
+            return metres
+    raise typer.BadParameter(f"{text!r} is no length; give metres, or a unit: 5cm, 50mm, 0.05m")
+
+
 RunFolder = Annotated[
     Path,
     typer.Option("-o", "--output", help="the run folder to write", metavar="RUN", parser=folder_given),
