@@ -30,10 +30,13 @@ from typing import Any
 
 from bench_dirty_judge import of_map, of_positions
 
+from geomosaic.quality.accuracy import CE90, LE90
+
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 PLAIN = ["--lines", "3", "--frames-per-line", "8", "--k1", "0", "--k2", "0", "--width-px", "640",
          "--height-px", "480", "--height-above-ground-m", "72", "--pos-in", "exif"]  # fmt: skip
 AFTER_PX, JUMP_PX, SDS, COVERED = 1.0, 1.5, 3.0, 0.9
+WRONG_PX = 3.0
 PLAIN_AFTER_PX = 0.2
 RIGHT_SHARE = 0.95
 LONGEST_S = 1800.0
@@ -65,8 +68,9 @@ def survey(kind: str, seed: int, out: Path, again: bool, instead: list[str]) -> 
         row |= {
             "grade": verdict.get("grade", "none"),
             "cause": verdict.get("cause", ""),
-            "against": [e["name"] for e in verdict.get("evidence", []) if e["grade"] != "good"],
+            "against": [e["name"] for e in verdict.get("evidence", []) if e["grade"] in ("doubtful", "bad")],
             "warnings": sorted({w["code"] for w in summary["warnings"]}),
+            "accuracy": summary.get("accuracy"),
             **of_map(folder, run / "mosaic.tif"),
             **of_positions(folder, run),
         }
@@ -170,9 +174,36 @@ def counted(rows: list[Row], by: Callable[[Row], list[str]]) -> list[str]:
     ]
 
 
+def calibration(rows: list[Row]) -> list[str]:
+    """How often what a run states of its accuracy holds, and what its verdicts are worth."""
+    held: dict[str, list[bool]] = {}
+    for r in rows:
+        stated = r.get("accuracy") or {}
+        absolute, relative = stated.get("absolute") or {}, stated.get("relative") or {}
+        for name, off, sd, times in (
+            ("absolute within CE90", r.get("map_absolute_m"), absolute.get("rmse_h_m"), CE90),
+            ("100 m within 90 %", r.get("over_100_m"), relative.get("rmse_m_per_100m"), LE90),
+            ("whole map within 90 %", r.get("over_whole_m"), relative.get("rmse_m_whole"), LE90),
+            ("scale within 90 %", r.get("scale_off_permille"), relative.get("scale_permille"), LE90),
+        ):
+            if off is not None and sd is not None:
+                held.setdefault(name, []).append(abs(off) <= times * sd)
+    known = [r for r in rows if r.get("after_px") is not None]
+    right = [r for r in known if r["outcome"].startswith("right")]
+    wrong = [r for r in known if r["after_px"] > WRONG_PX or any("absolute" in m for m in r["missed"])]
+    out = ["# Calibration", ""]
+    out += [
+        f"- {name}: {sum(of)} of {len(of)} ({100 * sum(of) / len(of):.0f} %)" for name, of in held.items()
+    ]
+    for name, mine in (("right", right), (f"wrong by more than {WRONG_PX:g} px or three deviations", wrong)):
+        good = sum(r.get("grade") == "good" for r in mine)
+        out.append(f"- {name}: {good} of {len(mine)} called good")
+    return [*out, ""]
+
+
 def report(rows: list[Row], out: Path) -> bool:
     """Writes the tables, and says whether all bounds are kept."""
-    text, good = [], True
+    text, good = calibration(rows), True
     for kind, title in (("dirty", "Surveys as people deliver them"), ("plain", "Plain surveys")):
         mine = sorted((r for r in rows if r["kind"] == kind), key=lambda r: int(r["seed"]))
         if not mine:

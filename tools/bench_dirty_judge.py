@@ -23,7 +23,7 @@ from rasterio.vrt import WarpedVRT
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.quality.compare import compare
+from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.figures import Figures
 from geomosaic.simulate.changing import SWAY_REACH
 from geomosaic.simulate.plan import SurveyPlan
@@ -47,6 +47,8 @@ FARTHEST_PX = 1600
 KEYPOINTS = 3000
 MATCH_RATIO = 0.75
 SEARCH_PX = 128
+MOST_PLACES = 200
+"""Between which distances are measured, evenly spread."""
 
 
 def of_map(folder: Path, mosaic: Path) -> dict[str, Any]:
@@ -54,15 +56,16 @@ def of_map(folder: Path, mosaic: Path) -> dict[str, Any]:
     shows. No figures where too little of it can be measured."""
     reference = open_ground(folder)
     row: dict[str, Any] = {"covered": covered(mosaic, folder / "truth" / "ortho.tif"), "laid": False}
-    found = _figures(mosaic, reference)
+    compared = _compared(mosaic, reference)
+    found = None if compared is None else compared.figures
     little = found is None or found.measured < LEAST_PATCHES or found.share_measured < LEAST_SHARE
     if little or abs(found.similarity.scale - 1.0) > OTHER_SCALE:
         laid = laid_onto(mosaic, folder / "truth" / "ortho.tif", folder / "judge-laid.tif")
-        again = _figures(laid, reference) if laid is not None else None
-        if again is not None and (found is None or _better(again, found, little)):
-            found, row["laid"] = again, True
+        again = _compared(laid, reference) if laid is not None else None
+        if again is not None and (found is None or _better(again.figures, found, little)):
+            compared, found, row["laid"] = again, again.figures, True
             row["covered"] = covered(laid, folder / "truth" / "ortho.tif")
-    if found is None or found.measured < LEAST_PATCHES:
+    if found is None or compared is None or found.measured < LEAST_PATCHES:
         return {**row, "patches": 0 if found is None else found.measured}
     return {
         **row,
@@ -70,7 +73,31 @@ def of_map(folder: Path, mosaic: Path) -> dict[str, Any]:
         "measured": found.share_measured,
         "after_px": found.after_similarity_px,
         "jump_px": found.jump_99_px,
+        **({} if row["laid"] else of_distances(compared.vectors_m)),
         "map_absolute_m": None if row["laid"] else found.absolute_rmse_m,
+    }
+
+
+def of_distances(vectors_m: Floats) -> dict[str, Any]:
+    """RMSE of distances within the map, over about 100 m and over about its length, and its scale's error."""
+    known = vectors_m[np.isfinite(vectors_m).all(axis=1)]
+    some = known[np.linspace(0, len(known) - 1, min(len(known), MOST_PLACES)).astype(int)]
+    one, other = np.triu_indices(len(some), 1)
+    true_m = some[other, :2] - some[one, :2]
+    length_m = np.hypot(*true_m.T)
+    off_m = np.hypot(*(true_m + some[other, 2:] - some[one, 2:]).T) - length_m
+    whole_m = float(length_m.max(initial=0.0))
+
+    def rmse_m(over_m: float) -> float | None:
+        near = (length_m > 0.7 * over_m) & (length_m < 1.4 * over_m)
+        return _rms(off_m[near]) if near.any() else None
+
+    away = some[:, :2] - some[:, :2].mean(axis=0)
+    scale = float((away * some[:, 2:]).sum() / max(float((away**2).sum()), 1e-9))
+    return {
+        "over_100_m": rmse_m(100.0),
+        "over_whole_m": rmse_m(whole_m),
+        "scale_off_permille": 1000.0 * scale,
     }
 
 
@@ -83,10 +110,10 @@ def _better(again: Figures, found: Figures, little: bool) -> bool:
     return not alike or again.after_similarity_px < found.after_similarity_px
 
 
-def _figures(mosaic: Path, reference: Path) -> Figures | None:
+def _compared(mosaic: Path, reference: Path) -> Comparison | None:
     """None where they don't overlap or lie on no common map."""
     try:
-        return compare(mosaic, reference, step_px=32, search_px=SEARCH_PX).figures
+        return compare(mosaic, reference, step_px=32, search_px=SEARCH_PX)
     except GeomosaicError:
         return None
 
