@@ -179,6 +179,9 @@ def mosaic(
         Path | None,
         typer.Option(help="elevation model or point cloud to compare the surface with", metavar="F"),
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="print the report to report.pdf too, by Chromium")
+    ] = False,
     set: Sets = None,
     workers: Workers = None,
     dask: Dask = None,
@@ -195,6 +198,10 @@ def mosaic(
     live: Live = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
+    if pdf:
+        from geomosaic.report.pdf import browser
+
+        browser()
     given: dict[str, dict[str, Any]] = {
         "survey.read": {
             "frames": frames,
@@ -217,6 +224,7 @@ def mosaic(
             "accuracy_vertical_m": accuracy_vertical,
             "accuracy_relative_permille": accuracy_relative,
         },
+        "export.report": {"pdf": pdf or None},
         "quality.compare": {"reference": reference},
         "quality.surface": {"reference": surface_reference},
     }

@@ -1,13 +1,15 @@
-"""RUN/report.html: the run for people."""
+"""RUN/report.html: the run for people; beside it its accuracy for programs, and a PDF if asked for."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Mosaic
+from geomosaic.pipeline.params import StageParams, param
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
@@ -17,11 +19,14 @@ from geomosaic.report.frames import Beside, render_report
 from geomosaic.report.given import GivenMosaic
 from geomosaic.report.glance import Glance
 from geomosaic.report.map_images import ReferenceSeen
+from geomosaic.report.pdf import print_page
 from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.model import Survey
 
 _BESIDE: Final = ("given", "reference_seen")
+ACCURACY_REPORT: Final = "accuracy_report.json"
+PDF: Final = "report.pdf"
 
 
 class ExportReport(Stage):
@@ -30,7 +35,7 @@ class ExportReport(Stage):
     id = "export.report"
     display_name = "Write the report"
     group = "Export"
-    version = 6
+    version = 7
     cached = False
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
@@ -42,9 +47,14 @@ class ExportReport(Stage):
         "reference_seen": ReferenceSeen,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
-    results: ClassVar[tuple[str, ...]] = ("report.html",)
+    results: ClassVar[tuple[str, ...]] = ("report.html", ACCURACY_REPORT, PDF)
 
-    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        pdf: bool = param(False, help=f"also print the page to {PDF}, by a browser of the Chromium family")
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Renders the page and writes it."""
         mosaic_file = context.path_of(inputs["mosaic_file"])
         page = render_report(
@@ -64,7 +74,30 @@ class ExportReport(Stage):
         )
         with context.writing("report.html") as path:
             path.write_text(page, encoding="utf-8")
+        if "verdict" in inputs:
+            with context.writing(ACCURACY_REPORT) as path:
+                path.write_text(_accuracy_report(context.summary(), inputs["adjusted"]), encoding="utf-8")
+        if params.pdf:
+            with context.writing(PDF) as path:
+                print_page(context.path_of(context.run_file("report.html")), path)
         return {"report_file": context.run_file("report.html")}
+
+
+def _accuracy_report(summary: Mapping[str, Any], adjusted: Adjusted) -> str:
+    """Accuracy, verdict and every control and check point, as JSON."""
+    points = [
+        {
+            "name": c.name,
+            "check": c.check,
+            "images": c.images,
+            "residual_m": c.residual_m.tolist(),
+            "sd_m": c.sd_m.tolist(),
+            "surveyed_sd_m": c.surveyed_sd_m.tolist(),
+        }
+        for c in adjusted.control
+    ]
+    parts = {"accuracy": summary.get("accuracy"), "verdict": summary.get("verdict"), "points": points}
+    return json.dumps(parts, indent=1) + "\n"
 
 
 def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | None:
