@@ -15,6 +15,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.accuracy import (
     AbsoluteAccuracy,
+    Requirement,
     accuracy_of,
     usual_requirement,
 )
@@ -107,7 +108,9 @@ def test_check_points_measure_with_shift_scatter_and_their_own_accuracy() -> Non
 def test_what_nothing_states_is_not_stated() -> None:
     found = accuracy_of(adjusted(None), 0.3, 0.02)
     assert math.isnan(found.absolute.rmse_h_m) and math.isnan(found.relative.permille)
-    said = dict(answers(found, NO_SEAMS, 0.02))
+    asked = Requirement(0.05, math.nan, 1.0, "as asked for")
+    said = dict(answers(found, asked, NO_SEAMS, 0.02))
+    assert said["required"] == "horizontal RMSE 5.0 cm, distances 1 per mille: as asked for"
     assert said["absolute accuracy"] == said["relative accuracy"] == "not stated by this adjustment method"
     assert asprs_statement(found.absolute) == ""
 

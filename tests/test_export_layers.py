@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import shapely
 from mosaic_scenes import CAMERA, CRS, GSD_M, HOME, make_survey
-from osgeo import ogr
+from osgeo import gdal, ogr
 from osgeo_utils.samples import validate_gpkg
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.export import residual_layers
-from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.geopackage import add_metadata, writing_geopackage
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import COLUMNS, write_positions
@@ -328,3 +328,15 @@ def test_no_ties_at_all_still_gives_every_layer(package, tmp_path):
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
     assert dataset.GetLayerCount() == 13
     assert dataset.GetLayer("tie_points").GetFeatureCount() == 0
+
+
+def test_accuracy_stands_in_the_metadata_with_equal_bytes(tmp_path: Path) -> None:
+    """As GIS show it of the file; written at another time it is the same file."""
+    said = {"verdict": "good: 5 of 5 frames tied", "absolute accuracy": "horizontal RMSE 3.6 m"}
+    files = [tmp_path / name for name in ("a.gpkg", "b.gpkg")]
+    for path in files:
+        with writing_geopackage(path, "EPSG:32632", 1e9) as package:
+            package.add_layer("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]})
+        add_metadata(path, said)
+    assert gdal.OpenEx(str(files[0]), gdal.OF_VECTOR).GetMetadata() == said
+    assert files[0].read_bytes() == files[1].read_bytes()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -122,6 +122,27 @@ def _style_table(layers: Sequence[_Layer], stamp: datetime) -> _Layer:
     }
     columns = {field: np.asarray(values) for field, values in fields.items()}
     return _Layer(_STYLES, "How layers are shown", "None", np.array([], dtype=object), columns, None)
+
+
+def add_metadata(path: Path, entries: Mapping[str, str]) -> None:
+    """Entries of a GeoPackage's metadata, as GIS show them of the file.
+
+    Raises: `OSError` where it can't be written.
+    """
+    from osgeo import gdal
+
+    option, date = "OGR_CURRENT_DATE", datetime.fromtimestamp(0.0, UTC)
+    gdal.SetThreadLocalConfigOption(option, f"{date:%Y-%m-%dT%H:%M:%S.000Z}")
+    try:
+        file = gdal.OpenEx(str(path), gdal.OF_VECTOR | gdal.OF_UPDATE)
+        if file is None:
+            raise OSError(errno.EIO, "the GeoPackage can't be opened again", str(path))
+        file.SetMetadata(dict(entries))
+        del file
+    except RuntimeError as error:
+        raise OSError(errno.EIO, " ".join(str(error).split())) from error
+    finally:
+        gdal.SetThreadLocalConfigOption(option, None)
 
 
 @contextmanager

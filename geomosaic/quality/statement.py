@@ -22,13 +22,27 @@ from geomosaic.quality.seam_check import SeamCheck
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
 
 
-def answers(accuracy: Accuracy, seams: SeamCheck, pixel_m: float) -> list[tuple[str, str]]:
-    """Does it hold together, how accurate are distances, how accurate are places: (question, answer)."""
+def answers(
+    accuracy: Accuracy, required: Requirement, seams: SeamCheck, pixel_m: float
+) -> list[tuple[str, str]]:
+    """Does it hold together, how accurate are distances, how accurate are places, and what is asked of both:
+    (question, answer)."""
     return [
         ("seams", _seams(seams)),
         ("relative accuracy", _relative(accuracy.relative, pixel_m)),
         ("absolute accuracy", _absolute(accuracy.absolute)),
+        ("required", _required(required)),
     ]
+
+
+def _required(required: Requirement) -> str:
+    asked = [
+        f"{name} RMSE {metres(value)}"
+        for name, value in (("horizontal", required.rmse_h_m), ("vertical", required.rmse_v_m))
+        if math.isfinite(value)
+    ]
+    asked += [f"distances {required.permille:.2g} per mille"] * math.isfinite(required.permille)
+    return f"{', '.join(asked)}: {required.why}"
 
 
 def _seams(seams: SeamCheck) -> str:

@@ -45,7 +45,10 @@ def verdict_section(survey: Survey, verdict: Verdict | None, pixel_m: float) -> 
             verdict.grade,
             f"{cause}{_sentence(verdict.text)}",
             _sentence(verdict.mend),
-            [(_capital(q), f"{a}.") for q, a in answers(verdict.accuracy, verdict.seams, pixel_m)],
+            [
+                (_capital(q), f"{a}.")
+                for q, a in answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m)
+            ],
             asprs_statement(verdict.accuracy.absolute),
         ),
         evidence=[_row(e) for e in verdict.evidence],

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.export.geopackage import add_metadata
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
@@ -14,6 +15,8 @@ from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.statement import answers, asprs_statement
+from geomosaic.quality.verdict import Verdict
 from geomosaic.survey.model import Survey
 
 LAYERS = "layers.gpkg"
@@ -26,7 +29,7 @@ class ExportLayers(Stage):
     id = "export.layers"
     display_name = "Write layers and positions"
     group = "Export"
-    version = 8
+    version = 9
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
@@ -36,6 +39,7 @@ class ExportLayers(Stage):
         "adjusted": Adjusted,
         "mosaic": Mosaic,
     }
+    optional_inputs: ClassVar[dict[str, type]] = {"verdict": Verdict}
     outputs: ClassVar[dict[str, type]] = {"layers_file": RunFile, "positions_file": RunFile}
     results: ClassVar[tuple[str, ...]] = (POSITIONS, LAYERS)
 
@@ -51,4 +55,14 @@ class ExportLayers(Stage):
         context.check_cancelled()
         with context.writing(LAYERS) as path:
             write_layers(path, survey, placement, inputs["ties"], adjusted, inputs["mosaic"])
+            if "verdict" in inputs:
+                add_metadata(path, _stated(inputs["verdict"], inputs["mosaic"].grid.gsd_m))
         return {"layers_file": context.run_file(LAYERS), "positions_file": context.run_file(POSITIONS)}
+
+
+def _stated(verdict: Verdict, pixel_m: float) -> dict[str, str]:
+    """Verdict, accuracy and the standard's sentence."""
+    said = {"verdict": f"{verdict.grade}: {verdict.text}"}
+    said |= dict(answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m))
+    said["ASPRS"] = asprs_statement(verdict.accuracy.absolute)
+    return {name: text for name, text in said.items() if text}

@@ -147,6 +147,6 @@ def reported(verdict: Verdict, pixel_m: float) -> dict[str, Any]:
         "text": verdict.text,
         "cause": verdict.cause,
         "mend": verdict.mend,
-        "answers": statement.answers(verdict.accuracy, verdict.seams, pixel_m),
+        "answers": statement.answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m),
         "evidence": [asdict(e) for e in verdict.evidence],
     }
