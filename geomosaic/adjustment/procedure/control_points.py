@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +20,10 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse, is_parallel, solve
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import ControlPoint, Survey, Warn
+from geomosaic.survey.model import ControlPoint, Survey
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-_DISAGREES = tuned(5.0, "deviations", "beyond: a control point is called wrong")
 _UNKNOWN_SD = tuned(1e3, "m", "of a coordinate that is not given: farther than any frame sees")
 
 Spread = Callable[[Ints, Floats, Floats], Floats]
@@ -98,23 +97,6 @@ def control_residuals(
         away = c.enu_m - at_m
         out.append(ControlResidual(c.name, c.check or solved is None, len(frames), away, sd, c.sd_m))
     return tuple(out)
-
-
-def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
-    """Points that disagree by more than five of their standard deviations."""
-    out = []
-    for r in residuals:
-        if np.max(np.abs(r.residual_m) / r.sd_m) > _DISAGREES:
-            east, north, up = r.residual_m
-            kind = "check" if r.check else "control"
-            text = (
-                f"{kind} point '{r.name}' lies {np.linalg.norm(r.residual_m):.2f} m from where "
-                f"{'the images put' if r.images > 1 else 'its only image puts'} it "
-                f"({east:+.2f} east, {north:+.2f} north, {up:+.2f} up); "
-                "check its coordinates and where it was measured"
-            )
-            out.append(Warn(f"{kind}-disagrees", "", text))
-    return out
 
 
 def spread_of(solution: Solution, camera_of: Ints) -> Spread:

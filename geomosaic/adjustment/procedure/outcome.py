@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
+from geomosaic.adjustment.procedure.control_agreement import control_warnings
 from geomosaic.adjustment.procedure.control_points import (
     Solved,
     Spread,
     control_residuals,
-    control_warnings,
     spread_of_poses,
 )
 from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
